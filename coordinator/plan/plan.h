@@ -1,0 +1,91 @@
+#pragma once
+// A frame's plan: a small state machine that turns finished stages into the next ones. Pure: no clock, no sockets, no threads.
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "coordinator/film/film.h"
+#include "scene/model/blob.h"
+#include "scene/model/scene.h"
+
+namespace gleaner::coordinator {
+
+using ArtifactId = std::string;  // SHA-256 of what makes it (a plan's own data: of its bytes), hexadecimal
+using scene::Bytes;
+
+struct StageInput {
+  std::string name;      // what the stage program calls it
+  ArtifactId artifact;
+};
+
+struct StageSpec {
+  std::string name;              // unique in the frame; part of the random numbers' key
+  std::string kind;              // which stage program of the device library runs it
+  std::uint64_t items = 0;
+  std::uint32_t tile = 1;        // batches begin and end at multiples of it (or at `items`)
+  bool solo = false;             // runs whole on one worker
+  Bytes parameters;              // little-endian struct of kernels/stage_records.h
+  std::vector<StageInput> inputs;
+  std::uint32_t record_bytes = 0;  // fixed stride of an item's record
+};
+
+struct FinishedStage {
+  std::string name;
+  std::shared_ptr<const Bytes> records;  // items * record_bytes, in item order
+};
+
+struct Step {
+  std::vector<StageSpec> stages;                                  // to run now (in any order, at the same time)
+  std::map<ArtifactId, std::shared_ptr<const Bytes>> artifacts;   // data of the plan's own that those stages read
+  bool done = false;                                              // the film is whole
+};
+
+struct Skip {
+  std::string what, why;
+  std::uint64_t count = 0;
+};
+
+struct FrameSettings {
+  std::string method = "path";
+  std::uint32_t width = 0, height = 0;  // pixels
+  std::uint32_t spp = 64;
+  std::uint32_t depth = 0;              // most scatterings on a light's way, 0 = until Russian roulette ends it
+  std::uint64_t seed = 0;
+  scene::Camera camera{};               // aspect already that of the film
+  double target_error = 0;              // 0 = none
+  std::map<std::string, std::string> set;  // --set KEY=VALUE
+};
+
+class Plan {
+ public:
+  virtual ~Plan() = default;
+  // The first call gets null, later ones the stage that finished. Called once per finished stage.
+  virtual Step next(const FinishedStage* finished) = 0;
+  // What the accepted records so far say, for the live preview: adds the batch's records to `film`'s RGB.
+  // Any order of batches; null film layers are made on first use.
+  virtual void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) = 0;
+  virtual Film preview_film() const = 0;
+  // After `done`: the layers, whole.
+  virtual Film film() const = 0;
+  virtual std::vector<Skip> skips() const = 0;
+  // Parameters that the method settled on, as they stand in the report (JSON object text).
+  virtual std::string parameters_json() const = 0;
+  // What people read in `gleaner explain`: one line a stage, foreseen.
+  virtual std::vector<std::string> outline() const = 0;
+};
+
+// What a plan may know of the scene without holding it.
+struct SceneSummary {
+  scene::SceneNeeds needs;
+  std::uint64_t triangles = 0, emissive_triangles = 0, lights = 0;
+  scene::Bounds bounds;
+};
+SceneSummary summarize(const scene::Scene& scene);
+
+// Throws Error::usage for an unknown method, an unknown or malformed --set key, or a film of no or too many pixels (2^28).
+std::unique_ptr<Plan> make_plan(const FrameSettings& settings, const SceneSummary& scene);
+
+}  // namespace gleaner::coordinator

@@ -1,0 +1,14 @@
+#include "scene/model/error.h"
+
+namespace gleaner {
+
+Error Error::bad_input(const std::string& file, const std::string& element, const std::string& expected,
+                       const std::string& found) {
+  std::string message = file;
+  if (!element.empty()) message += (message.empty() ? "" : ": ") + element;
+  message += (message.empty() ? "expected " : ": expected ") + expected;
+  if (!found.empty()) message += ", found " + found;
+  return {ErrorKind::bad_input, std::move(message)};
+}
+
+}  // namespace gleaner

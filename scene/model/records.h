@@ -1,0 +1,124 @@
+// What a scene is made of, as the kernels read it. Compiled by OpenCL C and by C++.
+// Radiometry throughout: radiance in W/(sr m^2), radiant intensity in W/sr, irradiance in W/m^2, linear Rec.709 RGB.
+#ifndef GLEANER_SCENE_MODEL_RECORDS_H
+#define GLEANER_SCENE_MODEL_RECORDS_H
+
+#ifdef __OPENCL_VERSION__
+#include "scene/model/device_types.h"
+#else
+#include "scene/model/device_types.h"
+namespace gleaner::scene {
+#endif
+
+#define GLEANER_NONE 0xffffffffu
+
+// Nodes of a table of directional albedos: mu = (i + 0.5) / GLEANER_ALBEDO_NODES.
+#define GLEANER_ALBEDO_NODES 128
+// Rows of such a table where the roughness comes from a texture: roughness = row / (rows - 1).
+#define GLEANER_ALBEDO_ROWS 33
+
+// Material::flags
+#define GLEANER_MATERIAL_SOLID 1u         // transmission refracts into a solid (KHR_materials_volume); else a thin sheet
+#define GLEANER_MATERIAL_UNLIT 2u         // emits base_color, scatters nothing (KHR_materials_unlit)
+#define GLEANER_MATERIAL_ALPHA_BLEND 4u   // opacity = alpha; what is not opaque lets light go on unbent
+#define GLEANER_MATERIAL_ALPHA_MASK 8u    // opacity = alpha >= alpha_cutoff
+#define GLEANER_MATERIAL_ATTENUATES 16u   // a solid with a finite attenuation distance
+
+// glTF 2.0 metallic-roughness with KHR_materials_{specular,ior,transmission,volume,emissive_strength,unlit}.
+// Textures are indices into the texture records, or GLEANER_NONE. 160 bytes.
+typedef struct {
+  gl_float base_color[3];      // linear, in [0, 1]
+  gl_float alpha;              // baseColorFactor[3]
+  gl_float emission[3];        // radiance: emissiveFactor * emissiveStrength; leaves the front face alone
+  gl_float alpha_cutoff;
+  gl_float specular_color[3];  // specularColorFactor
+  gl_float specular;           // specularFactor
+  gl_float f0[3];              // min(((1-ior)/(1+ior))^2 * specular_color, 1), derived
+  gl_float ior;
+  gl_float attenuation[3];     // absorption coefficient in 1/m: -log(attenuationColor) / attenuationDistance, derived
+  gl_float metallic;
+  gl_float roughness;          // perceptual; alpha of GGX = roughness^2
+  gl_float transmission;       // in [0, 1]
+  gl_float normal_scale;
+  gl_uint flags;
+  gl_uint base_color_texture;  // sRGB, alpha linear
+  gl_uint metallic_roughness_texture;  // linear, G roughness, B metallic
+  gl_uint normal_texture;      // linear, tangent space
+  gl_uint emission_texture;    // sRGB
+  gl_uint transmission_texture;  // linear, R
+  gl_uint specular_texture;      // linear, A specular
+  gl_uint specular_color_texture;  // sRGB
+  // First float, in the albedo tables, of this material's table of what the specular lobe leaves to the diffuse layer:
+  // rows of {1 - s E((i + 0.5)/NODES) for i < NODES, then 1 - s M}; albedo_rows is 1 or GLEANER_ALBEDO_ROWS;
+  // GLEANER_NONE where the specular lobe takes nothing.
+  gl_uint albedo_table;
+  gl_uint albedo_rows;
+  gl_uint reserved[3];
+} Material;
+GLEANER_SIZE(Material, 160);
+
+// Texture::flags
+#define GLEANER_TEXTURE_SRGB 1u      // RGB bytes are decoded from sRGB before they are filtered; alpha never is
+#define GLEANER_WRAP_REPEAT 0u
+#define GLEANER_WRAP_CLAMP 1u
+#define GLEANER_WRAP_MIRROR 2u
+
+// One image with a sampler. Texels are RGBA bytes, row 0 at v = 0 (glTF: the top). 32 bytes.
+typedef struct {
+  gl_uint first_texel;  // index of the first 4-byte texel
+  gl_uint width, height;
+  gl_uint wrap_u, wrap_v;
+  gl_uint flags;
+  gl_uint reserved[2];
+} Texture;
+GLEANER_SIZE(Texture, 32);
+
+#define GLEANER_LIGHT_POINT 0u
+#define GLEANER_LIGHT_SPOT 1u
+#define GLEANER_LIGHT_DIRECTIONAL 2u
+
+// KHR_lights_punctual, in world space. 64 bytes.
+typedef struct {
+  gl_float position[3];
+  gl_uint type;
+  gl_float direction[3];     // unit, the way the light travels (glTF: the node's -Z)
+  gl_float range;            // metres; 0 = without end
+  gl_float intensity[3];     // point, spot: W/sr; directional: W/m^2
+  gl_float cos_inner;
+  gl_float cos_outer;
+  gl_uint reserved[3];
+} Light;
+GLEANER_SIZE(Light, 64);
+
+#define GLEANER_CAMERA_PERSPECTIVE 0u
+#define GLEANER_CAMERA_ORTHOGRAPHIC 1u
+
+// Pinhole or orthographic camera; axes are unit, right-handed, the camera looks along `forward`. 64 bytes.
+typedef struct {
+  gl_float origin[3];
+  gl_uint type;
+  gl_float right[3];
+  gl_float half_width;   // perspective: tan(xfov / 2) = half_height * aspect; orthographic: xmag (metres)
+  gl_float up[3];
+  gl_float half_height;  // perspective: tan(yfov / 2); orthographic: ymag
+  gl_float forward[3];
+  gl_float reserved;
+} Camera;
+GLEANER_SIZE(Camera, 64);
+
+// Node of the wide-free binary BVH the OpenCL tracer walks: the boxes of both children. A child index with the top bit
+// set is a leaf: bits 0..26 first triangle slot, bits 27..30 count (1..15). 64 bytes.
+#define GLEANER_BVH_LEAF 0x80000000u
+typedef struct {
+  gl_float lower0[3], upper0[3];
+  gl_float lower1[3], upper1[3];
+  gl_uint child[2];
+  gl_uint reserved[2];
+} BvhNode;
+GLEANER_SIZE(BvhNode, 64);
+
+#ifndef __OPENCL_VERSION__
+}  // namespace gleaner::scene
+#endif
+
+#endif

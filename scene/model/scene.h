@@ -1,0 +1,98 @@
+#pragma once
+// A scene as flat arrays, in world space: what importers make, the blob carries and the device library loads.
+
+#include <array>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "scene/model/records.h"
+
+namespace gleaner::scene {
+
+struct NamedCamera {
+  std::string name;
+  Camera camera{};
+  std::uint32_t width = 0, height = 0;  // pixels: the film that the file asks for (extras), 0 = unspecified
+  float aspect = 0;                     // width / height that the file asks for, 0 = unspecified
+};
+
+// Lat-long environment, linear RGB radiance, row 0 at the top (+y). A direction is
+// d = (sin t sin p, cos t, -sin t cos p) with p = 2 pi u, t = pi v.
+struct Environment {
+  std::uint32_t width = 0, height = 0;
+  std::vector<float> radiance;  // 3 * width * height
+  bool empty() const { return width == 0; }
+};
+
+struct Mesh {
+  std::string name;
+  std::uint32_t first_triangle = 0, triangle_count = 0;
+};
+
+struct Scene {
+  std::string name;                              // the file's stem
+  std::vector<float> positions;                  // 3 per vertex, metres
+  std::vector<float> normals;                    // 3 per vertex, unit; (0,0,0) = none: the triangle's own is used
+  std::vector<float> uvs;                        // 2 per vertex; empty where no material has a texture
+  std::vector<std::uint32_t> indices;            // 3 per triangle
+  std::vector<std::uint32_t> triangle_material;  // 1 per triangle
+  std::vector<Mesh> meshes;                      // consecutive ranges that cover all triangles
+  std::vector<Material> materials;
+  std::vector<std::string> material_names;
+  std::vector<Texture> textures;
+  std::vector<std::uint32_t> texels;             // RGBA bytes, R lowest
+  std::vector<float> albedo_tables;              // see Material::albedo_table
+  std::vector<Light> lights;
+  std::vector<NamedCamera> cameras;
+  Environment environment;
+  std::vector<std::string> warnings;             // what the importer wants a person to know
+
+  std::size_t vertex_count() const { return positions.size() / 3; }
+  std::size_t triangle_count() const { return indices.size() / 3; }
+};
+
+// What a scene needs of a renderer. What is false never enters a plan, a kernel or a buffer.
+struct SceneNeeds {
+  bool specular = false;         // a perfect mirror lobe
+  bool glossy = false;           // a rough specular lobe
+  bool metallic = false;         // any metallic lobe
+  bool transmissive = false;     // glass, thin or solid
+  bool rough_transmissive = false;
+  bool attenuation = false;      // absorption inside solids
+  bool alpha = false;            // surfaces that are not opaque
+  bool unlit = false;
+  bool textures = false;         // any texture
+  bool material_textures = false;  // any texture but base colour's
+  bool normal_maps = false;
+  bool smooth_normals = false;   // any vertex normal that differs from its triangle's own
+  bool punctual_lights = false;
+  bool emissive_triangles = false;
+  bool environment = false;
+  bool deforming = false;        // no format read so far brings deforming meshes
+
+  std::uint32_t bits() const;    // one bit a field, in the order above
+};
+
+SceneNeeds needs_of(const Scene& scene);
+// The names of the fields, in the order of bits().
+const std::vector<std::string>& need_names();
+
+struct Bounds {
+  std::array<float, 3> lower{}, upper{};
+};
+Bounds bounds_of(const Scene& scene);
+
+// Fills in what is derived from what was read: f0, attenuation, albedo tables. Importers and the scene library call it last.
+void finish_materials(Scene& scene);
+
+// Throws Error::bad_input naming `file` and the element: non-finite vertices, indices and materials out of range, arrays
+// of the wrong length, too many triangles (2^27) or texels (2^30).
+void validate(const Scene& scene, const std::string& file);
+
+// A camera that frames the scene's bounds from the front, for files without one.
+NamedCamera framing_camera(const Scene& scene);
+// A perspective camera at `eye` that looks at `target`; yfov in radians. Throws Error::usage where they coincide.
+NamedCamera look_at(const std::array<float, 3>& eye, const std::array<float, 3>& target, float yfov_radians);
+
+}  // namespace gleaner::scene
