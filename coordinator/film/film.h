@@ -16,8 +16,8 @@ struct Film {
   std::uint32_t width = 0, height = 0;
   std::vector<Channel> channels;
 
-  Channel& channel(const std::string& name);              // made (zero) where it is not there
-  const Channel* find(const std::string& name) const;     // null where it is not there
+  Channel& channel(const std::string& name);           // made (zero) where it is not there
+  const Channel* find(const std::string& name) const;  // null where it is not there
 };
 
 }  // namespace gleaner::coordinator

@@ -1,0 +1,13 @@
+#pragma once
+
+#include <string>
+
+#include "coordinator/film/film.h"
+
+namespace gleaner::coordinator {
+
+// The float and half channels of an OpenEXR file's first part, as float; the film covers the data window. Throws
+// Error::bad_input naming the file where it is missing, damaged, too large (2^30 values) or has subsampled channels.
+Film read_exr(const std::string& path);
+
+}  // namespace gleaner::coordinator

@@ -1,0 +1,166 @@
+#include "coordinator/film/write.h"
+
+#include <ImfChannelList.h>
+#include <ImfFrameBuffer.h>
+#include <ImfHeader.h>
+#include <ImfIO.h>
+#include <ImfOutputFile.h>
+#include <ImfStringAttribute.h>
+#include <ImfThreading.h>
+#include <openssl/evp.h>
+#include <png.h>
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <mutex>
+#include <set>
+#include <thread>
+
+#include "coordinator/film/atomic_file.h"
+#include "scene/model/error.h"
+
+static_assert(std::endian::native == std::endian::little, "pixels_sha256 and OpenEXR's rows are taken as they lie");
+
+namespace gleaner::coordinator {
+namespace {
+
+std::string size_of(const Film& film) { return std::to_string(film.width) + "x" + std::to_string(film.height); }
+
+void require_whole(const Film& film) {
+  if (film.width == 0 || film.height == 0) throw Error::failed("film: expected pixels, found " + size_of(film));
+  std::set<std::string> names;
+  for (const auto& channel : film.channels) {
+    if (channel.values.size() != std::size_t{film.width} * film.height)
+      throw Error::failed("film: channel " + channel.name + ": expected " + size_of(film) + " values, found " +
+                          std::to_string(channel.values.size()));
+    if (!names.insert(channel.name).second)
+      throw Error::failed("film: channel " + channel.name + " stands there twice");
+  }
+}
+
+std::array<const float*, 3> rgb(const Film& film) {
+  require_whole(film);
+  std::array<const float*, 3> planes;
+  for (int c = 0; c < 3; ++c) {
+    const Channel* channel = film.find(std::string(1, "RGB"[c]));
+    if (!channel) throw Error::failed(std::string("film: expected a channel ") + "RGB"[c] + ", found none");
+    planes[c] = channel->values.data();
+  }
+  return planes;
+}
+
+// OpenEXR's own file stream loses errno; the file is formed in memory and written by write_atomically.
+class MemoryStream : public Imf::OStream {
+ public:
+  MemoryStream() : OStream("film") {}
+  void write(const char data[], int size) override {
+    const auto end = position_ + static_cast<std::size_t>(size);
+    if (bytes_.size() < end) bytes_.resize(end);
+    std::memcpy(bytes_.data() + position_, data, static_cast<std::size_t>(size));
+    position_ = end;
+  }
+  std::uint64_t tellp() override { return position_; }
+  void seekp(std::uint64_t position) override { position_ = position; }
+  const scene::Bytes& bytes() const { return bytes_; }
+
+ private:
+  scene::Bytes bytes_;
+  std::size_t position_ = 0;
+};
+
+int compression_threads() {
+  static std::once_flag once;
+  std::call_once(once, [] {
+    const int wanted = std::clamp(static_cast<int>(std::thread::hardware_concurrency()), 1, 16);
+    if (Imf::globalThreadCount() < wanted) Imf::setGlobalThreadCount(wanted);
+  });
+  return Imf::globalThreadCount();
+}
+
+std::uint8_t srgb8(double linear) {
+  if (!(linear > 0)) return 0;  // accept form: what is not a number is black
+  if (linear >= 1) return 255;
+  const double encoded = linear <= 0.0031308 ? 12.92 * linear : 1.055 * std::pow(linear, 1 / 2.4) - 0.055;
+  return static_cast<std::uint8_t>(std::lround(255 * encoded));
+}
+
+}  // namespace
+
+void write_exr(const Film& film, const std::map<std::string, std::string>& metadata, const std::string& path) {
+  require_whole(film);
+  Imf::Header header(static_cast<int>(film.width), static_cast<int>(film.height));
+  header.compression() = Imf::ZIP_COMPRESSION;
+  header.zipCompressionLevel() =
+      1;  // noise hardly shrinks: higher levels cost three times the time for 2 % of the size
+  Imf::FrameBuffer buffer;
+  const std::size_t row_bytes = sizeof(float) * film.width;
+  for (const auto& channel : film.channels) {
+    header.channels().insert(channel.name, Imf::Channel(Imf::FLOAT));
+    // OpenEXR's slices are not const because readers share the type; a writer only reads through them.
+    auto* values = const_cast<char*>(reinterpret_cast<const char*>(channel.values.data()));
+    buffer.insert(channel.name, Imf::Slice(Imf::FLOAT, values, sizeof(float), row_bytes));
+  }
+  MemoryStream stream;
+  try {
+    for (const auto& [name, value] : metadata) header.insert(name, Imf::StringAttribute(value));
+    Imf::OutputFile file(stream, header, compression_threads());
+    file.setFrameBuffer(buffer);
+    file.writePixels(static_cast<int>(film.height));
+  } catch (const std::exception& error) {
+    throw Error::failed(path + ": cannot be formed: " + error.what());
+  }
+  write_atomically(path, stream.bytes());
+}
+
+scene::Bytes encode_png(const Film& film, double exposure_stops) {
+  const auto planes = rgb(film);
+  const double scale = std::exp2(exposure_stops);
+  const std::size_t pixels = std::size_t{film.width} * film.height;
+  std::vector<std::uint8_t> values(3 * pixels);
+  for (std::size_t i = 0; i < pixels; ++i)
+    for (std::size_t c = 0; c < 3; ++c) values[3 * i + c] = srgb8(scale * double{planes[c][i]});
+
+  png_image image{};
+  image.version = PNG_IMAGE_VERSION;
+  image.width = film.width;
+  image.height = film.height;
+  image.format = PNG_FORMAT_RGB;
+  image.flags = PNG_IMAGE_FLAG_FAST;
+  png_alloc_size_t size = PNG_IMAGE_PNG_SIZE_MAX(image);
+  scene::Bytes bytes(size);
+  if (!png_image_write_to_memory(&image, bytes.data(), &size, 0, values.data(), 0, nullptr))
+    throw Error::failed("PNG of " + size_of(film) + ": " + image.message);
+  bytes.resize(size);
+  return bytes;
+}
+
+void write_png(const Film& film, const std::string& path, double exposure_stops) {
+  write_atomically(path, encode_png(film, exposure_stops));
+}
+
+std::string pixels_sha256(const Film& film) {
+  const auto planes = rgb(film);
+  const std::unique_ptr<EVP_MD_CTX, decltype(&EVP_MD_CTX_free)> context(EVP_MD_CTX_new(), &EVP_MD_CTX_free);
+  bool ok = context && EVP_DigestInit_ex(context.get(), EVP_sha256(), nullptr) == 1;
+  std::vector<float> row(3 * std::size_t{film.width});
+  for (std::size_t y = 0; y < film.height; ++y) {
+    for (std::size_t x = 0; x < film.width; ++x)
+      for (std::size_t c = 0; c < 3; ++c) row[3 * x + c] = planes[c][y * film.width + x];
+    ok = ok && EVP_DigestUpdate(context.get(), row.data(), row.size() * sizeof(float)) == 1;
+  }
+  std::array<unsigned char, 32> digest;
+  unsigned size = 0;
+  ok = ok && EVP_DigestFinal_ex(context.get(), digest.data(), &size) == 1 && size == digest.size();
+  if (!ok) throw Error::failed("OpenSSL cannot form a SHA-256");
+  std::string text;
+  for (const unsigned char byte : digest) {
+    text += "0123456789abcdef"[byte >> 4];
+    text += "0123456789abcdef"[byte & 15];
+  }
+  return text;
+}
+
+}  // namespace gleaner::coordinator
