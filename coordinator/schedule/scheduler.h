@@ -11,18 +11,18 @@
 
 namespace gleaner::coordinator {
 
-using Seconds = double;      // since any fixed origin, never decreasing
+using Seconds = double;  // since any fixed origin, never decreasing
 using WorkerId = std::uint64_t;
 using StageId = std::uint64_t;
 using LeaseId = std::uint64_t;
 using Epoch = std::uint64_t;
 
 struct ScheduledStage {
-  std::string kind;         // throughput is remembered per (worker, kind)
+  std::string kind;  // throughput is remembered per (worker, kind)
   std::uint64_t items = 0;
-  std::uint32_t tile = 1;   // batches begin and end at multiples of it
+  std::uint32_t tile = 1;  // batches begin and end at multiples of it
   bool solo = false;
-  int priority = 0;         // higher first; equal: older first
+  int priority = 0;                 // higher first; equal: older first
   std::vector<WorkerId> preferred;  // solo: who holds most of its inputs
 };
 
@@ -34,47 +34,52 @@ struct Lease {
   WorkerId worker = 0;
   std::uint64_t first = 0, count = 0;
   Seconds issued = 0, expires = 0;
-  bool duplicate = false;   // a second copy of a slow lease
+  bool duplicate = false;  // a second copy of a slow lease
 };
 
 struct SchedulerSettings {
-  Seconds target_batch = 0.5;      // how long a batch should take
-  Seconds smallest_batch = 0.05;   // below it, overhead rules
+  Seconds target_batch = 0.5;              // how long a batch should take
+  Seconds smallest_batch = 0.05;           // below it, overhead rules
   double good_news = 0.2, bad_news = 0.5;  // weights of a new throughput above or below the remembered one
-  double growth = 2.0;             // a batch is at most so many times the worker's last one of the kind
-  Seconds shortest_sample = 0.005; // shorter measurements say nothing
-  Seconds lease_floor = 10;        // a lease lasts at least so long
-  double lease_factor = 8;         // ... and so many times its expected duration
-  unsigned in_flight = 2;          // leases a worker may hold: one runs, one waits
+  double growth = 2.0;                     // a batch is at most so many times the worker's last one of the kind
+  Seconds shortest_sample = 0.005;         // shorter measurements say nothing
+  Seconds lease_floor = 10;                // a lease lasts at least so long
+  double lease_factor = 8;                 // ... and so many times its expected duration
+  unsigned in_flight = 2;                  // leases a worker may hold: one runs, one waits
   std::uint64_t first_batch_items = 4096;  // for a worker whose throughput is not known
   std::uint64_t fixed_batch_items = 0;     // tests: every batch of this size (rounded to tiles); 0 = adaptive
-  unsigned strikes = 3;            // failures of one range on different workers before the stage fails
+  unsigned strikes = 3;            // failures of one range on different workers before the stage fails; failures of
+                                   // one worker in a row before it is put aside
+  Seconds solo_lease_floor = 300;  // as lease_floor, for solo stages: nobody can tell how long the first one takes
+  // Another number at every start of the coordinator (below 2^32, e.g. the journal's count of starts): it leads all
+  // lease ids and epochs, so that what was handed out before a restart is told from what is handed out now.
+  std::uint64_t incarnation = 0;
 };
 
 enum class Verdict {
-  accepted,        // write the records: this lease's items count now
-  duplicate,       // the items were accepted before: drop
-  stale,           // the epoch is not the lease's: drop
-  unknown_lease,   // never handed out, or before a restart: drop
-  wrong_worker,    // the lease is another worker's: drop
-  stage_gone,      // the stage was cancelled or is complete: drop
+  accepted,       // write the records: this lease's items count now
+  duplicate,      // the items were accepted before: drop
+  stale,          // the epoch is not the lease's: drop
+  unknown_lease,  // never handed out, or before a restart: drop
+  wrong_worker,   // the lease is another worker's: drop
+  stage_gone,     // the stage was cancelled or is complete: drop
 };
 const char* verdict_name(Verdict verdict);
 
 struct ResultOutcome {
   Verdict verdict = Verdict::unknown_lease;
   bool stage_complete = false;
-  std::vector<Lease> revoke;   // other leases on the same items: their work is no longer wanted
+  std::vector<Lease> revoke;  // other leases on the same items: their work is no longer wanted
 };
 
 struct FailureOutcome {
-  bool known = false;          // the lease was live
-  bool stage_failed = false;   // the strikes are used up
+  bool known = false;         // the lease was live
+  bool stage_failed = false;  // the strikes are used up
 };
 
 struct WorkerProgress {
   std::uint64_t items = 0;
-  Seconds seconds = 0;         // as the worker measured
+  Seconds seconds = 0;  // as the worker measured
   std::uint64_t batches = 0;
 };
 
@@ -83,17 +88,21 @@ class Scheduler {
   explicit Scheduler(const SchedulerSettings& settings = {});
   ~Scheduler();
 
+  // A stage of no items is complete at once. Throws Error for a tile of 0.
   StageId add_stage(const ScheduledStage& stage, Seconds now);
-  // Cancels: outstanding leases are returned so that their workers can be told.
+  // Forgets the stage: called for every stage, also for one that is complete or failed. Outstanding leases are returned
+  // so that their workers can be told.
   std::vector<Lease> remove_stage(StageId stage);
 
+  // One that is there already starts afresh: as if it had been lost before.
   void worker_joined(WorkerId worker, Seconds now);
-  // The worker's leases go back to the pool at once.
+  // The worker's leases go back to the pool at once, and what it was known to do is forgotten.
   void worker_lost(WorkerId worker, Seconds now);
   // Gets no new leases; those it holds may still finish.
   void worker_draining(WorkerId worker);
 
-  // The next lease for the worker, or none: it holds enough, drains, is unknown, or nothing waits.
+  // The next lease for the worker, or none: it holds enough, drains, is unknown, or nothing waits. Ask again for every
+  // worker after each event (result, failure, loss, new stage, expire()), until none is given.
   std::optional<Lease> next_lease(WorkerId worker, Seconds now);
   // A batch's result. `seconds` is the worker's own measure of the batch.
   ResultOutcome result(WorkerId worker, LeaseId lease, Epoch epoch, Seconds seconds, Seconds now);
@@ -101,14 +110,18 @@ class Scheduler {
   FailureOutcome failed(WorkerId worker, LeaseId lease, Epoch epoch, Seconds now);
   // Leases that ran out by `now`: their items are in the pool again, their epochs are stale.
   std::vector<Lease> expire(Seconds now);
-  // When expire() has something to do next; none = never.
+  // When expire() has something to do next: a lease runs out, a worker that was put aside may work again, a solo stage
+  // gives up on its preferred workers. None = never. Call expire() then, though it may return no lease.
   std::optional<Seconds> next_expiry() const;
 
+  bool complete(StageId stage) const;  // every item accepted
   std::uint64_t items_done(StageId stage) const;
   double items_per_second(WorkerId worker, const std::string& kind) const;  // 0 = unknown
   std::map<WorkerId, WorkerProgress> progress(StageId stage) const;
   // One line for a person: why this stage has items that nobody runs; empty where all runs.
   std::string why_waiting(StageId stage, Seconds now) const;
+  // Elements looked at or moved so far, each a step of O(log n) at most: what an event costs, counted instead of timed.
+  std::uint64_t steps() const;
 
  private:
   struct Impl;
