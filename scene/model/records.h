@@ -25,7 +25,7 @@ namespace gleaner::scene {
 #define GLEANER_MATERIAL_ATTENUATES 16u   // a solid with a finite attenuation distance
 
 // glTF 2.0 metallic-roughness with KHR_materials_{specular,ior,transmission,volume,emissive_strength,unlit}.
-// Textures are indices into the texture records, or GLEANER_NONE. 160 bytes.
+// Textures are indices into the texture records, or GLEANER_NONE. 144 bytes.
 typedef struct {
   gl_float base_color[3];      // linear, in [0, 1]
   gl_float alpha;              // baseColorFactor[3]
@@ -55,7 +55,7 @@ typedef struct {
   gl_uint albedo_rows;
   gl_uint reserved[3];
 } Material;
-GLEANER_SIZE(Material, 160);
+GLEANER_SIZE(Material, 144);
 
 // Texture::flags
 #define GLEANER_TEXTURE_SRGB 1u      // RGB bytes are decoded from sRGB before they are filtered; alpha never is

@@ -1,0 +1,323 @@
+// Layout: Header, then `sections` Section records, then the sections' bytes, each beginning at a multiple of 64, gaps
+// filled with zeros. Little-endian. Sections come in a fixed order, so that equal scenes have equal bytes.
+
+#include "scene/model/blob.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <type_traits>
+
+#include "scene/model/error.h"
+#include "scene/model/limits.h"
+
+namespace gleaner::scene {
+namespace {
+
+static_assert(std::endian::native == std::endian::little, "blobs are little-endian and copied as they stand");
+
+constexpr std::uint64_t kAlignment = 64;
+constexpr std::uint32_t kVersion = 1;
+
+struct Header {
+  char magic[8];
+  std::uint32_t version;
+  std::uint32_t sections;
+  std::uint64_t bytes;  // of the whole blob
+};
+static_assert(sizeof(Header) == 24);
+
+struct Section {
+  std::uint32_t id;
+  std::uint32_t element_bytes;
+  std::uint64_t offset;  // from the blob's beginning
+  std::uint64_t count;   // elements
+};
+static_assert(sizeof(Section) == 24);
+
+constexpr char kSceneMagic[8] = {'G', 'L', 'S', 'C', 'E', 'N', 'E', 0};
+constexpr char kBvhMagic[8] = {'G', 'L', 'B', 'V', 'H', 0, 0, 0};
+
+enum SceneSection : std::uint32_t {
+  kPositions,
+  kNormals,
+  kUvs,
+  kIndices,
+  kTriangleMaterial,
+  kMeshes,
+  kMaterials,
+  kTextures,
+  kTexels,
+  kAlbedoTables,
+  kLights,
+  kCameras,
+  kFilms,
+  kEnvironmentSize,
+  kEnvironment,
+  kNameLengths,  // of the scene, its meshes, materials and cameras
+  kNames,        // their bytes, one after the other
+  kSceneSections
+};
+
+enum BvhSection : std::uint32_t { kNodes, kSlots, kDepth, kBvhSections };
+
+// What NamedCamera holds beside the camera and its name.
+struct FilmRecord {
+  std::uint32_t width, height;
+  float aspect;
+};
+
+struct MeshRecord {
+  std::uint32_t first_triangle, triangle_count;
+};
+
+class Writer {
+ public:
+  Writer(const char (&magic)[8], std::uint32_t sections) : sections_(sections) {
+    bytes_.resize(sizeof(Header) + sections * sizeof(Section));
+    Header header{{}, kVersion, sections, 0};
+    std::copy_n(magic, sizeof magic, header.magic);
+    std::memcpy(bytes_.data(), &header, sizeof header);
+  }
+
+  // Reserving what all sections will take spares a scene of many megabytes its copies.
+  void expect(std::uint64_t bytes) { bytes_.reserve(bytes_.size() + bytes + sections_ * kAlignment); }
+
+  template <typename T>
+  void add(std::uint32_t id, const std::vector<T>& values) {
+    static_assert(std::is_trivially_copyable_v<T>);
+    bytes_.resize((bytes_.size() + kAlignment - 1) / kAlignment * kAlignment);
+    const Section section{id, sizeof(T), bytes_.size(), values.size()};
+    std::memcpy(bytes_.data() + sizeof(Header) + written_++ * sizeof(Section), &section, sizeof section);
+    const auto* first = reinterpret_cast<const std::byte*>(values.data());
+    bytes_.insert(bytes_.end(), first, first + values.size() * sizeof(T));
+  }
+
+  Bytes finish() {
+    const std::uint64_t bytes = bytes_.size();
+    std::memcpy(bytes_.data() + offsetof(Header, bytes), &bytes, sizeof bytes);
+    return std::move(bytes_);
+  }
+
+ private:
+  std::uint32_t sections_, written_ = 0;
+  Bytes bytes_;
+};
+
+class Reader {
+ public:
+  Reader(std::span<const std::byte> bytes, const char (&magic)[8], std::uint32_t sections, const std::string& origin)
+      : bytes_(bytes), origin_(origin) {
+    Header header;
+    if (bytes.size() < sizeof header) fail("header", std::to_string(sizeof header) + " bytes", bytes.size());
+    std::memcpy(&header, bytes.data(), sizeof header);
+    if (!std::equal(header.magic, header.magic + sizeof magic, magic))
+      throw Error::bad_input(origin_, "magic", magic, "other bytes");
+    if (header.version != kVersion) fail("version", std::to_string(kVersion), header.version);
+    if (header.bytes != bytes.size()) fail("bytes", std::to_string(header.bytes), bytes.size());
+    if (header.sections != sections) fail("sections", std::to_string(sections), header.sections);
+    if (bytes.size() < sizeof header + sections * sizeof(Section)) fail("table", "all sections", bytes.size());
+    sections_.resize(sections);
+    std::memcpy(sections_.data(), bytes.data() + sizeof header, sections * sizeof(Section));
+    std::uint64_t end = sizeof header + sections * sizeof(Section);
+    for (std::uint32_t id = 0; id < sections; ++id) {
+      const Section& s = sections_[id];
+      const std::string name = "section " + std::to_string(id);
+      if (s.id != id) fail(name, "id " + std::to_string(id), s.id);
+      // Sections follow one another and only zeros lie between them: one scene, one run of bytes.
+      const std::uint64_t start = (end + kAlignment - 1) / kAlignment * kAlignment;
+      if (s.offset != start || start > bytes.size()) fail(name, "offset " + std::to_string(start), s.offset);
+      if (std::any_of(bytes.begin() + end, bytes.begin() + start, [](std::byte b) { return b != std::byte{0}; }))
+        throw Error::bad_input(origin_, name, "zeros before it", "other bytes");
+      const std::uint64_t room = bytes.size() - start;
+      if (s.element_bytes == 0 || s.count > room / s.element_bytes)
+        fail(name, "at most " + std::to_string(room) + " bytes", s.count);
+      end = start + s.count * s.element_bytes;
+    }
+    if (end != bytes.size()) fail("end", std::to_string(end), bytes.size());
+  }
+
+  template <typename T>
+  std::vector<T> read(std::uint32_t id) const {
+    static_assert(std::is_trivially_copyable_v<T>);
+    const Section& s = sections_[id];
+    if (s.element_bytes != sizeof(T))
+      fail("section " + std::to_string(id), "elements of " + std::to_string(sizeof(T)) + " bytes", s.element_bytes);
+    std::vector<T> values(s.count);
+    if (s.count) std::memcpy(values.data(), bytes_.data() + s.offset, s.count * sizeof(T));
+    return values;
+  }
+
+  template <typename T>
+  std::vector<T> read(std::uint32_t id, std::uint64_t count) const {
+    if (sections_[id].count != count)
+      fail("section " + std::to_string(id), std::to_string(count) + " elements", sections_[id].count);
+    return read<T>(id);
+  }
+
+  [[noreturn]] void fail(const std::string& element, const std::string& expected, std::uint64_t found) const {
+    throw Error::bad_input(origin_, element, expected, std::to_string(found));
+  }
+
+ private:
+  std::span<const std::byte> bytes_;
+  const std::string& origin_;
+  std::vector<Section> sections_;
+};
+
+// Hands out names in the order in which serialize() wrote them.
+class NameReader {
+ public:
+  NameReader(const Reader& reader)
+      : reader_(reader), lengths_(reader.read<std::uint32_t>(kNameLengths)), text_(reader.read<char>(kNames)) {}
+
+  std::string next() {
+    if (next_ == lengths_.size()) reader_.fail("names", "one for each mesh, material and camera", lengths_.size());
+    const std::uint32_t length = lengths_[next_++];
+    if (length > text_.size() - used_)
+      reader_.fail("names", "at least " + std::to_string(length) + " more bytes", text_.size() - used_);
+    used_ += length;
+    return {text_.data() + used_ - length, length};
+  }
+
+  void finish() const {
+    if (next_ != lengths_.size() || used_ != text_.size())
+      reader_.fail("names", std::to_string(next_), lengths_.size());
+  }
+
+ private:
+  const Reader& reader_;
+  std::vector<std::uint32_t> lengths_;
+  std::vector<char> text_;
+  std::size_t next_ = 0, used_ = 0;
+};
+
+}  // namespace
+
+Bytes serialize(const Scene& scene) {
+  std::vector<std::uint32_t> lengths;
+  std::vector<char> text;
+  const auto name = [&](const std::string& s) {
+    lengths.push_back(static_cast<std::uint32_t>(s.size()));
+    text.insert(text.end(), s.begin(), s.end());
+  };
+  std::vector<MeshRecord> meshes;
+  std::vector<Camera> cameras;
+  std::vector<FilmRecord> films;
+  name(scene.name);
+  for (const Mesh& m : scene.meshes) {
+    name(m.name);
+    meshes.push_back({m.first_triangle, m.triangle_count});
+  }
+  for (std::size_t i = 0; i < scene.materials.size(); ++i)
+    name(i < scene.material_names.size() ? scene.material_names[i] : std::string());
+  for (const NamedCamera& c : scene.cameras) {
+    name(c.name);
+    cameras.push_back(c.camera);
+    films.push_back({c.width, c.height, c.aspect});
+  }
+  Writer writer(kSceneMagic, kSceneSections);
+  writer.expect(4 * (scene.positions.size() + scene.normals.size() + scene.uvs.size() + scene.indices.size() +
+                     scene.triangle_material.size() + scene.texels.size() + scene.albedo_tables.size() +
+                     scene.environment.radiance.size()) +
+                sizeof(Material) * scene.materials.size() + sizeof(Texture) * scene.textures.size() +
+                sizeof(Light) * scene.lights.size() + sizeof(Camera) * cameras.size() + text.size() +
+                16 * lengths.size());
+  writer.add(kPositions, scene.positions);
+  writer.add(kNormals, scene.normals);
+  writer.add(kUvs, scene.uvs);
+  writer.add(kIndices, scene.indices);
+  writer.add(kTriangleMaterial, scene.triangle_material);
+  writer.add(kMeshes, meshes);
+  writer.add(kMaterials, scene.materials);
+  writer.add(kTextures, scene.textures);
+  writer.add(kTexels, scene.texels);
+  writer.add(kAlbedoTables, scene.albedo_tables);
+  writer.add(kLights, scene.lights);
+  writer.add(kCameras, cameras);
+  writer.add(kFilms, films);
+  writer.add(kEnvironmentSize, std::vector<std::uint32_t>{scene.environment.width, scene.environment.height});
+  writer.add(kEnvironment, scene.environment.radiance);
+  writer.add(kNameLengths, lengths);
+  writer.add(kNames, text);
+  return writer.finish();
+}
+
+Scene parse_scene(std::span<const std::byte> bytes, const std::string& origin) {
+  const Reader reader(bytes, kSceneMagic, kSceneSections, origin);
+  Scene scene;
+  scene.positions = reader.read<float>(kPositions);
+  scene.normals = reader.read<float>(kNormals);
+  scene.uvs = reader.read<float>(kUvs);
+  scene.indices = reader.read<std::uint32_t>(kIndices);
+  scene.triangle_material = reader.read<std::uint32_t>(kTriangleMaterial);
+  scene.materials = reader.read<Material>(kMaterials);
+  scene.textures = reader.read<Texture>(kTextures);
+  scene.texels = reader.read<std::uint32_t>(kTexels);
+  scene.albedo_tables = reader.read<float>(kAlbedoTables);
+  scene.lights = reader.read<Light>(kLights);
+  NameReader names(reader);
+  scene.name = names.next();
+  for (const MeshRecord& m : reader.read<MeshRecord>(kMeshes))
+    scene.meshes.push_back({names.next(), m.first_triangle, m.triangle_count});
+  for (std::size_t i = 0; i < scene.materials.size(); ++i) scene.material_names.push_back(names.next());
+  const std::vector<Camera> cameras = reader.read<Camera>(kCameras);
+  const std::vector<FilmRecord> films = reader.read<FilmRecord>(kFilms, cameras.size());
+  for (std::size_t i = 0; i < cameras.size(); ++i)
+    scene.cameras.push_back({names.next(), cameras[i], films[i].width, films[i].height, films[i].aspect});
+  names.finish();
+  const std::vector<std::uint32_t> size = reader.read<std::uint32_t>(kEnvironmentSize, 2);
+  scene.environment = {size[0], size[1], reader.read<float>(kEnvironment)};
+  validate(scene, origin);
+  return scene;
+}
+
+Bytes serialize(const Bvh& bvh) {
+  Writer writer(kBvhMagic, kBvhSections);
+  writer.expect(sizeof(BvhNode) * bvh.nodes.size() + 4 * bvh.triangles.size());
+  writer.add(kNodes, bvh.nodes);
+  writer.add(kSlots, bvh.triangles);
+  writer.add(kDepth, std::vector<std::uint32_t>{bvh.max_depth});
+  return writer.finish();
+}
+
+Bvh parse_bvh(std::span<const std::byte> bytes, std::size_t triangle_count, const std::string& origin) {
+  const Reader reader(bytes, kBvhMagic, kBvhSections, origin);
+  Bvh bvh{reader.read<BvhNode>(kNodes), reader.read<std::uint32_t>(kSlots), reader.read<std::uint32_t>(kDepth, 1)[0]};
+  for (std::size_t i = 0; i < bvh.triangles.size(); ++i) {
+    if (bvh.triangles[i] >= triangle_count)
+      reader.fail("triangles[" + std::to_string(i) + "]", "an index below " + std::to_string(triangle_count),
+                  bvh.triangles[i]);
+  }
+  if (bvh.nodes.empty()) reader.fail("nodes", "a root", 0);
+  // A traversal that follows these children ends, and never needs a deeper stack than it was promised.
+  std::vector<bool> reached(bvh.nodes.size());
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> open = {{0, 1}};  // node, depth of its children
+  reached[0] = true;
+  while (!open.empty()) {
+    const auto [index, depth] = open.back();
+    open.pop_back();
+    const BvhNode& node = bvh.nodes[index];
+    const std::string name = "nodes[" + std::to_string(index) + "]";
+    if (depth > bvh.max_depth) reader.fail("max_depth", "at least " + std::to_string(depth), bvh.max_depth);
+    for (const float* box : {node.lower0, node.upper0, node.lower1, node.upper1})
+      if (std::any_of(box, box + 3, [](float x) { return std::isnan(x); }))
+        throw Error::bad_input(origin, name, "boxes of numbers", "NaN");
+    for (const gl_uint child : node.child) {
+      if (child & GLEANER_BVH_LEAF) {
+        const std::uint64_t first = child & 0x07ffffffu, count = child >> 27 & 15u;
+        if (first + count > bvh.triangles.size())
+          reader.fail(name, "a leaf within " + std::to_string(bvh.triangles.size()) + " slots", first + count);
+      } else {
+        if (child >= bvh.nodes.size() || reached[child])
+          reader.fail(name, "a child that no other node names, below " + std::to_string(bvh.nodes.size()), child);
+        reached[child] = true;
+        open.emplace_back(child, depth + 1);
+      }
+    }
+  }
+  return bvh;
+}
+
+}  // namespace gleaner::scene

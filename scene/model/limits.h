@@ -1,0 +1,18 @@
+#pragma once
+// What a scene may hold at most. Importers check these before they take memory; validate() checks them again.
+
+#include <cstddef>
+#include <cstdint>
+
+namespace gleaner::scene {
+
+inline constexpr std::size_t kMaxTriangles = std::size_t(1) << 27;  // a leaf of the BVH names a slot in 27 bits
+inline constexpr std::size_t kMaxVertices = 3 * kMaxTriangles;
+inline constexpr std::size_t kMaxTexels = std::size_t(1) << 30;
+inline constexpr std::uint32_t kMaxTextureSide = 16384;
+inline constexpr std::uint32_t kMaxEnvironmentSide = 16384;
+// Squared areas of triangles stay below the largest float.
+inline constexpr float kMaxCoordinate = 1e9f;
+inline constexpr double kUnitTolerance = 1e-3;  // of a unit vector's squared length
+
+}  // namespace gleaner::scene

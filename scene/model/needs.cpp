@@ -1,0 +1,129 @@
+#include <cmath>
+#include <vector>
+
+#include "scene/model/scene.h"
+
+namespace gleaner::scene {
+namespace {
+
+constexpr double kNormalTolerance = 1e-4;  // length of the difference between a vertex normal and the triangle's own
+
+struct Face {
+  double normal[3];
+  bool has_area;
+};
+
+Face face_of(const Scene& scene, std::size_t triangle) {
+  double edge[2][3];
+  const float* p = scene.positions.data();
+  const std::uint32_t* v = &scene.indices[3 * triangle];
+  for (int e = 0; e < 2; ++e)
+    for (int c = 0; c < 3; ++c) edge[e][c] = double(p[3 * std::size_t(v[e + 1]) + c]) - p[3 * std::size_t(v[0]) + c];
+  Face face{{edge[0][1] * edge[1][2] - edge[0][2] * edge[1][1], edge[0][2] * edge[1][0] - edge[0][0] * edge[1][2],
+             edge[0][0] * edge[1][1] - edge[0][1] * edge[1][0]},
+            false};
+  const double length =
+      std::sqrt(face.normal[0] * face.normal[0] + face.normal[1] * face.normal[1] + face.normal[2] * face.normal[2]);
+  face.has_area = length > 0;
+  if (face.has_area)
+    for (double& c : face.normal) c /= length;
+  return face;
+}
+
+bool deviates(const Scene& scene, std::size_t triangle, const Face& face) {
+  for (int k = 0; k < 3; ++k) {
+    const float* n = &scene.normals[3 * std::size_t(scene.indices[3 * triangle + k])];
+    if (n[0] == 0 && n[1] == 0 && n[2] == 0) continue;
+    double difference = 0;
+    for (int c = 0; c < 3; ++c) difference += (n[c] - face.normal[c]) * (n[c] - face.normal[c]);
+    if (!(difference <= kNormalTolerance * kNormalTolerance)) return true;
+  }
+  return false;
+}
+
+bool emits(const Material& m) { return m.emission[0] > 0 || m.emission[1] > 0 || m.emission[2] > 0; }
+
+// BLEND or MASK alone says little: exporters set them on surfaces whose alpha is 1 everywhere.
+bool is_see_through(const Scene& scene, const Material& m) {
+  const bool mask = m.flags & GLEANER_MATERIAL_ALPHA_MASK;
+  if (!mask && !(m.flags & GLEANER_MATERIAL_ALPHA_BLEND)) return false;
+  const float opaque_from = mask ? m.alpha_cutoff : 1;
+  if (m.alpha < opaque_from) return true;
+  if (m.base_color_texture == GLEANER_NONE) return false;
+  const Texture& t = scene.textures[m.base_color_texture];
+  const std::uint32_t* texel = scene.texels.data() + t.first_texel;
+  const std::size_t count = std::size_t(t.width) * t.height;
+  for (std::size_t i = 0; i < count; ++i)
+    if (static_cast<float>(texel[i] >> 24) / 255 * m.alpha < opaque_from) return true;
+  return false;
+}
+
+void add_material(const Scene& scene, const Material& m, SceneNeeds& needs) {
+  const bool other_texture = m.metallic_roughness_texture != GLEANER_NONE || m.normal_texture != GLEANER_NONE ||
+                             m.emission_texture != GLEANER_NONE || m.transmission_texture != GLEANER_NONE ||
+                             m.specular_texture != GLEANER_NONE || m.specular_color_texture != GLEANER_NONE;
+  needs.material_textures |= other_texture;
+  needs.textures |= other_texture || m.base_color_texture != GLEANER_NONE;
+  needs.normal_maps |= m.normal_texture != GLEANER_NONE;
+  needs.alpha |= is_see_through(scene, m);
+  if (m.flags & GLEANER_MATERIAL_UNLIT) {
+    needs.unlit = true;
+    return;
+  }
+  const bool rough = m.roughness > 0 || m.metallic_roughness_texture != GLEANER_NONE;
+  const bool opaque_part = m.transmission < 1 || m.transmission_texture != GLEANER_NONE;
+  if (opaque_part && (m.metallic > 0 || m.specular > 0)) (rough ? needs.glossy : needs.specular) = true;
+  needs.metallic |= opaque_part && m.metallic > 0;
+  if (m.transmission > 0) {
+    needs.transmissive = true;
+    needs.rough_transmissive |= rough;
+    // A thin sheet lets light through unbent however rough it is.
+    if (!rough || !(m.flags & GLEANER_MATERIAL_SOLID)) needs.specular = true;
+    if (rough) needs.glossy = true;
+    needs.attenuation |= (m.flags & GLEANER_MATERIAL_ATTENUATES) != 0;
+  }
+}
+
+}  // namespace
+
+SceneNeeds needs_of(const Scene& scene) {
+  SceneNeeds needs;
+  std::vector<bool> used(scene.materials.size());
+  for (std::size_t t = 0; t < scene.triangle_count(); ++t) {
+    const std::uint32_t material = scene.triangle_material[t];
+    used[material] = true;
+    const bool emissive = !needs.emissive_triangles && emits(scene.materials[material]) &&
+                          !(scene.materials[material].flags & GLEANER_MATERIAL_UNLIT);
+    if (!emissive && needs.smooth_normals) continue;
+    const Face face = face_of(scene, t);
+    if (!face.has_area) continue;
+    needs.emissive_triangles |= emissive;
+    needs.smooth_normals = needs.smooth_normals || deviates(scene, t, face);
+  }
+  for (std::size_t m = 0; m < used.size(); ++m)
+    if (used[m]) add_material(scene, scene.materials[m], needs);
+  needs.punctual_lights = !scene.lights.empty();
+  needs.environment = !scene.environment.empty();
+  return needs;
+}
+
+std::uint32_t SceneNeeds::bits() const {
+  const bool fields[] = {specular,    glossy,         metallic,        transmissive,       rough_transmissive,
+                         attenuation, alpha,          unlit,           textures,           material_textures,
+                         normal_maps, smooth_normals, punctual_lights, emissive_triangles, environment,
+                         deforming};
+  std::uint32_t bits = 0;
+  for (std::size_t i = 0; i < std::size(fields); ++i) bits |= std::uint32_t(fields[i]) << i;
+  return bits;
+}
+
+const std::vector<std::string>& need_names() {
+  static const std::vector<std::string> names = {
+      "specular",    "glossy",         "metallic",        "transmissive",       "rough_transmissive",
+      "attenuation", "alpha",          "unlit",           "textures",           "material_textures",
+      "normal_maps", "smooth_normals", "punctual_lights", "emissive_triangles", "environment",
+      "deforming"};
+  return names;
+}
+
+}  // namespace gleaner::scene

@@ -1,0 +1,245 @@
+// Every promise of records.h and scene.h that later code relies on without asking again. All comparisons are written so
+// that NaN fails them.
+
+#include <cmath>
+#include <cstdint>
+#include <string>
+
+#include "scene/model/error.h"
+#include "scene/model/limits.h"
+#include "scene/model/scene.h"
+
+namespace gleaner::scene {
+namespace {
+
+std::string item(const char* array, std::size_t index, const char* field = "") {
+  return std::string(array) + "[" + std::to_string(index) + "]" + (*field ? "." : "") + field;
+}
+
+class Checker {
+ public:
+  Checker(const Scene& scene, const std::string& file) : scene_(scene), file_(file) {}
+
+  void run() const {
+    geometry();
+    meshes();
+    for (std::size_t i = 0; i < scene_.materials.size(); ++i) material(i);
+    textures();
+    for (std::size_t i = 0; i < scene_.albedo_tables.size(); ++i)
+      within(scene_.albedo_tables[i], 0, 1, [&] { return item("albedo_tables", i); });
+    for (std::size_t i = 0; i < scene_.lights.size(); ++i) light(i);
+    for (std::size_t i = 0; i < scene_.cameras.size(); ++i) camera(i);
+    environment();
+  }
+
+ private:
+  [[noreturn]] void fail(const std::string& element, const std::string& expected, const std::string& found) const {
+    throw Error::bad_input(file_, element, expected, found);
+  }
+
+  void length(const char* array, std::size_t found, std::size_t expected) const {
+    if (found != expected) fail(array, std::to_string(expected) + " values", std::to_string(found));
+  }
+
+  template <typename Name>
+  void within(float value, float lower, float upper, const Name& name) const {
+    if (!(value >= lower && value <= upper))
+      fail(name(), "a value from " + number(lower) + " to " + number(upper), number(value));
+  }
+
+  template <typename Name>
+  void not_negative(float value, const Name& name) const {
+    if (!(value >= 0 && std::isfinite(value))) fail(name(), "a finite value of at least 0", number(value));
+  }
+
+  template <typename Name>
+  void finite(float value, const Name& name) const {
+    if (!std::isfinite(value)) fail(name(), "a finite value", number(value));
+  }
+
+  template <typename Name>
+  void unit(const float v[3], const Name& name) const {
+    const double squared = double(v[0]) * v[0] + double(v[1]) * v[1] + double(v[2]) * v[2];
+    if (!(std::abs(squared - 1) <= kUnitTolerance))
+      fail(name(), "a vector of length 1", "length " + std::to_string(std::sqrt(squared)));
+  }
+
+  static std::string number(float value) {
+    char text[32];
+    std::snprintf(text, sizeof text, "%g", static_cast<double>(value));
+    return text;
+  }
+
+  void geometry() const {
+    const Scene& s = scene_;
+    if (s.positions.size() % 3) fail("positions", "three values a vertex", std::to_string(s.positions.size()));
+    if (s.indices.size() % 3) fail("indices", "three values a triangle", std::to_string(s.indices.size()));
+    const std::size_t vertices = s.vertex_count(), triangles = s.triangle_count();
+    if (triangles > kMaxTriangles)
+      fail("triangles", "at most " + std::to_string(kMaxTriangles), std::to_string(triangles));
+    if (vertices > kMaxVertices) fail("vertices", "at most " + std::to_string(kMaxVertices), std::to_string(vertices));
+    length("normals", s.normals.size(), s.positions.size());
+    if (!s.uvs.empty()) length("uvs", s.uvs.size(), 2 * vertices);
+    length("triangle_material", s.triangle_material.size(), triangles);
+    for (std::size_t i = 0; i < s.positions.size(); ++i) {
+      if (!(std::abs(s.positions[i]) <= kMaxCoordinate))
+        fail(item("positions", i / 3), "finite coordinates of at most " + number(kMaxCoordinate) + " m",
+             number(s.positions[i]));
+    }
+    for (std::size_t i = 0; i < s.normals.size(); i += 3) {
+      const float* n = &s.normals[i];
+      if (n[0] == 0 && n[1] == 0 && n[2] == 0) continue;
+      unit(n, [&] { return item("normals", i / 3); });
+    }
+    for (std::size_t i = 0; i < s.uvs.size(); ++i) finite(s.uvs[i], [&] { return item("uvs", i / 2); });
+    for (std::size_t i = 0; i < s.indices.size(); ++i) {
+      if (s.indices[i] >= vertices)
+        fail(item("indices", i), "a vertex index below " + std::to_string(vertices), std::to_string(s.indices[i]));
+    }
+    for (std::size_t i = 0; i < triangles; ++i) {
+      if (s.triangle_material[i] >= s.materials.size())
+        fail(item("triangle_material", i), "a material index below " + std::to_string(s.materials.size()),
+             std::to_string(s.triangle_material[i]));
+    }
+  }
+
+  void meshes() const {
+    std::size_t next = 0;
+    for (std::size_t i = 0; i < scene_.meshes.size(); ++i) {
+      const Mesh& mesh = scene_.meshes[i];
+      if (mesh.first_triangle != next || mesh.triangle_count > scene_.triangle_count() - next)
+        fail(item("meshes", i), "a range of triangles that begins at " + std::to_string(next),
+             std::to_string(mesh.triangle_count) + " from " + std::to_string(mesh.first_triangle));
+      next += mesh.triangle_count;
+    }
+    if (next != scene_.triangle_count())
+      fail("meshes", "ranges that cover " + std::to_string(scene_.triangle_count()) + " triangles",
+           std::to_string(next));
+  }
+
+  void material(std::size_t i) const {
+    const Material& m = scene_.materials[i];
+    const auto named = [&](const char* field) { return [i, field] { return item("materials", i, field); }; };
+    for (int c = 0; c < 3; ++c) {
+      within(m.base_color[c], 0, 1, named("base_color"));
+      not_negative(m.emission[c], named("emission"));
+      not_negative(m.specular_color[c], named("specular_color"));
+      within(m.f0[c], 0, 1, named("f0"));
+      not_negative(m.attenuation[c], named("attenuation"));
+    }
+    within(m.alpha, 0, 1, named("alpha"));
+    not_negative(m.alpha_cutoff, named("alpha_cutoff"));
+    within(m.specular, 0, 1, named("specular"));
+    within(m.metallic, 0, 1, named("metallic"));
+    within(m.roughness, 0, 1, named("roughness"));
+    within(m.transmission, 0, 1, named("transmission"));
+    finite(m.normal_scale, named("normal_scale"));
+    not_negative(m.ior, named("ior"));
+    if (m.transmission > 0 && !(m.ior >= 1)) fail(item("materials", i, "ior"), "at least 1 for glass", number(m.ior));
+    constexpr gl_uint known = GLEANER_MATERIAL_SOLID | GLEANER_MATERIAL_UNLIT | GLEANER_MATERIAL_ALPHA_BLEND |
+                              GLEANER_MATERIAL_ALPHA_MASK | GLEANER_MATERIAL_ATTENUATES;
+    if (m.flags & ~known) fail(item("materials", i, "flags"), "known bits alone", std::to_string(m.flags));
+    texture_of(m.base_color_texture, i, "base_color_texture");
+    texture_of(m.metallic_roughness_texture, i, "metallic_roughness_texture");
+    texture_of(m.normal_texture, i, "normal_texture");
+    texture_of(m.emission_texture, i, "emission_texture");
+    texture_of(m.transmission_texture, i, "transmission_texture");
+    texture_of(m.specular_texture, i, "specular_texture");
+    texture_of(m.specular_color_texture, i, "specular_color_texture");
+    if (m.albedo_table == GLEANER_NONE) return;
+    if (m.albedo_rows != 1 && m.albedo_rows != GLEANER_ALBEDO_ROWS)
+      fail(item("materials", i, "albedo_rows"), "1 or " + std::to_string(GLEANER_ALBEDO_ROWS),
+           std::to_string(m.albedo_rows));
+    const std::uint64_t end = std::uint64_t(m.albedo_table) + m.albedo_rows * (GLEANER_ALBEDO_NODES + 1ull);
+    if (end > scene_.albedo_tables.size())
+      fail(item("materials", i, "albedo_table"),
+           "a table within " + std::to_string(scene_.albedo_tables.size()) + " values", std::to_string(end));
+  }
+
+  void texture_of(gl_uint texture, std::size_t i, const char* field) const {
+    if (texture == GLEANER_NONE) return;
+    if (texture >= scene_.textures.size())
+      fail(item("materials", i, field), "a texture index below " + std::to_string(scene_.textures.size()),
+           std::to_string(texture));
+    if (scene_.uvs.empty() && scene_.vertex_count() > 0)
+      fail("uvs", "two values a vertex, for " + item("materials", i, field), "none");
+  }
+
+  void textures() const {
+    if (scene_.texels.size() > kMaxTexels)
+      fail("texels", "at most " + std::to_string(kMaxTexels), std::to_string(scene_.texels.size()));
+    for (std::size_t i = 0; i < scene_.textures.size(); ++i) {
+      const Texture& t = scene_.textures[i];
+      if (!(t.width >= 1 && t.width <= kMaxTextureSide && t.height >= 1 && t.height <= kMaxTextureSide))
+        fail(item("textures", i), "1 to " + std::to_string(kMaxTextureSide) + " texels a side",
+             std::to_string(t.width) + "x" + std::to_string(t.height));
+      const std::uint64_t end = t.first_texel + std::uint64_t(t.width) * t.height;
+      if (end > scene_.texels.size())
+        fail(item("textures", i), "texels within " + std::to_string(scene_.texels.size()), std::to_string(end));
+      if (t.wrap_u > GLEANER_WRAP_MIRROR || t.wrap_v > GLEANER_WRAP_MIRROR)
+        fail(item("textures", i), "a known wrap mode", std::to_string(t.wrap_u) + " and " + std::to_string(t.wrap_v));
+      if (t.flags & ~GLEANER_TEXTURE_SRGB)
+        fail(item("textures", i, "flags"), "known bits alone", std::to_string(t.flags));
+    }
+  }
+
+  void light(std::size_t i) const {
+    const Light& l = scene_.lights[i];
+    const auto named = [&](const char* field) { return [i, field] { return item("lights", i, field); }; };
+    if (l.type > GLEANER_LIGHT_DIRECTIONAL)
+      fail(item("lights", i, "type"), "a known type of light", std::to_string(l.type));
+    for (int c = 0; c < 3; ++c) {
+      if (!(std::abs(l.position[c]) <= kMaxCoordinate))
+        fail(item("lights", i, "position"), "finite coordinates of at most " + number(kMaxCoordinate) + " m",
+             number(l.position[c]));
+      not_negative(l.intensity[c], named("intensity"));
+    }
+    not_negative(l.range, named("range"));
+    if (l.type != GLEANER_LIGHT_POINT) unit(l.direction, named("direction"));
+    if (l.type == GLEANER_LIGHT_SPOT) {
+      within(l.cos_inner, -1, 1, named("cos_inner"));
+      within(l.cos_outer, -1, 1, named("cos_outer"));
+      if (!(l.cos_outer <= l.cos_inner))
+        fail(item("lights", i), "an inner cone within the outer one",
+             number(l.cos_inner) + " and " + number(l.cos_outer) + " (cosines)");
+    }
+  }
+
+  void camera(std::size_t i) const {
+    const NamedCamera& named_camera = scene_.cameras[i];
+    const Camera& c = named_camera.camera;
+    const auto named = [&](const char* field) { return [i, field] { return item("cameras", i, field); }; };
+    if (c.type > GLEANER_CAMERA_ORTHOGRAPHIC)
+      fail(item("cameras", i, "type"), "a known type of camera", std::to_string(c.type));
+    for (int k = 0; k < 3; ++k) {
+      if (!(std::abs(c.origin[k]) <= kMaxCoordinate))
+        fail(item("cameras", i, "origin"), "finite coordinates of at most " + number(kMaxCoordinate) + " m",
+             number(c.origin[k]));
+    }
+    unit(c.right, named("right"));
+    unit(c.up, named("up"));
+    unit(c.forward, named("forward"));
+    for (float half : {c.half_width, c.half_height})
+      if (!(half > 0 && std::isfinite(half))) fail(item("cameras", i), "a film wider than 0", number(half));
+    not_negative(named_camera.aspect, named("aspect"));
+  }
+
+  void environment() const {
+    const Environment& e = scene_.environment;
+    if (e.width > kMaxEnvironmentSide || e.height > kMaxEnvironmentSide || (e.width == 0) != (e.height == 0))
+      fail("environment", "1 to " + std::to_string(kMaxEnvironmentSide) + " pixels a side",
+           std::to_string(e.width) + "x" + std::to_string(e.height));
+    length("environment", e.radiance.size(), 3 * std::size_t(e.width) * e.height);
+    for (std::size_t i = 0; i < e.radiance.size(); ++i)
+      not_negative(e.radiance[i], [&] { return item("environment", i / 3); });
+  }
+
+  const Scene& scene_;
+  const std::string& file_;
+};
+
+}  // namespace
+
+void validate(const Scene& scene, const std::string& file) { Checker(scene, file).run(); }
+
+}  // namespace gleaner::scene
