@@ -1,0 +1,82 @@
+#pragma once
+// The farm's engine: jobs, their frames' plans and stages, the scheduler, the workers. It knows neither sockets nor
+// gRPC: a gateway (or a test) brings workers as sessions and time as a clock. All calls may come from any thread.
+
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "coordinator/blobs/store.h"
+#include "coordinator/film/film.h"
+#include "coordinator/jobs/job.h"
+#include "coordinator/jobs/session.h"
+#include "coordinator/plan/plan.h"
+#include "coordinator/schedule/scheduler.h"
+
+namespace gleaner::coordinator {
+
+// Where a frame's files go; an empty path: that file is not wanted.
+struct FramePaths {
+  std::filesystem::path exr, png, report;
+};
+
+struct FarmSettings {
+  SchedulerSettings scheduler;
+  std::function<Seconds()> clock;  // never decreasing; empty: the steady clock
+  std::function<std::unique_ptr<Plan>(const FrameSettings&, const SceneSummary&)> plan;  // empty: make_plan
+  std::function<FramePaths(const std::string& job, std::uint32_t frame)> paths;          // folders are made
+  std::function<void(const std::string&)> log;  // one line each; empty: silence
+  unsigned active_jobs = 2;                     // jobs that run at the same time: the second fills the first one's tail
+  bool preview = true;                          // accepted batches are drawn as they come
+  std::uint64_t artifact_bytes = std::uint64_t{32} << 30;  // largest result of a stage
+  Seconds silence = 30;                                    // a worker not heard of for so long is lost
+};
+
+class Farm {
+ public:
+  Farm(FarmSettings settings, BlobStore& blobs);
+  ~Farm();  // cancels what runs and waits for it
+  Farm(const Farm&) = delete;
+  Farm& operator=(const Farm&) = delete;
+
+  // Returns the job's id. Throws Error::usage for settings that no plan takes, Error::bad_input for a blob that is not
+  // there.
+  std::string submit(const JobRequest& request);
+  // The status after it; none: no such job. What has ended stays as it ended.
+  std::optional<JobStatus> cancel(const std::string& job);
+  std::optional<JobStatus> status(const std::string& job) const;
+  std::vector<JobStatus> list() const;  // oldest first
+  // Waits until the job's version is over `seen`, it ended, or `timeout` seconds went by.
+  std::optional<JobStatus> wait(const std::string& job, std::uint64_t seen, Seconds timeout) const;
+  // The frame that runs, as far as its batches came in; none: no such job, or nothing to show.
+  std::optional<Film> preview(const std::string& job);
+  // One line for every stage that has items which nobody runs. None: no such job.
+  std::optional<std::vector<std::string>> why(const std::string& job) const;
+  // Files that the job's finished frames left.
+  std::vector<std::filesystem::path> files(const std::string& job) const;
+
+  struct Joined {
+    WorkerId id = 0;
+    std::string name;  // what the worker goes by
+  };
+  Joined join(const WorkerHello& hello, std::shared_ptr<WorkerSession> session);
+  // The worker is gone; its leases go to others at once. Unknown workers are ignored, here and below.
+  void leave(WorkerId worker);
+  void drain(WorkerId worker);
+  void heard(WorkerId worker);  // it lives
+  std::vector<WorkerStatus> workers() const;
+
+  // How many bytes the result of this lease has; none where the lease is not (or no longer) this worker's.
+  std::optional<std::uint64_t> expected_bytes(WorkerId worker, LeaseId lease, Epoch epoch) const;
+  Verdict result(WorkerId worker, LeaseId lease, Epoch epoch, Bytes records, const BatchCost& cost);
+  void failed(WorkerId worker, LeaseId lease, Epoch epoch, const std::string& message);
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace gleaner::coordinator

@@ -1,0 +1,67 @@
+#include "coordinator/jobs/frame.h"
+
+namespace gleaner::coordinator {
+
+namespace {
+constexpr Seconds rate_window = 5;  // throughput that people see is that of so long
+}
+
+const char* job_state_name(JobState state) {
+  switch (state) {
+    case JobState::queued:
+      return "queued";
+    case JobState::running:
+      return "running";
+    case JobState::done:
+      return "done";
+    case JobState::failed:
+      return "failed";
+    case JobState::cancelled:
+      return "cancelled";
+  }
+  return "unknown";
+}
+
+void remember_progress(RunningStage& stage, Seconds now) {
+  stage.history.emplace_back(now, stage.items_done);
+  while (stage.history.size() > 2 && stage.history.front().first < now - rate_window) stage.history.pop_front();
+}
+
+StageStatus status_of(const RunningStage& stage, Seconds now) {
+  StageStatus status{
+      .name = stage.spec.name, .kind = stage.spec.kind, .items = stage.spec.items, .items_done = stage.items_done};
+  if (stage.complete) {
+    double seconds = stage.last_result - stage.first_lease;
+    status.items_per_second = seconds > 0 ? static_cast<double>(stage.spec.items) / seconds : 0;
+    status.seconds_left = 0;
+  } else if (!stage.history.empty()) {
+    const auto& [since, before] = stage.history.front();
+    double seconds = now - since;
+    if (seconds > 0) status.items_per_second = static_cast<double>(stage.items_done - before) / seconds;
+    if (status.items_per_second > 0)
+      status.seconds_left = static_cast<double>(stage.spec.items - stage.items_done) / status.items_per_second;
+  }
+  return status;
+}
+
+JobStatus status_of(const Job& job, Seconds now) {
+  JobStatus status;
+  status.id = job.id;
+  status.state = job.state;
+  status.scene_name = job.request.scene_name;
+  status.method = job.request.settings.method;
+  status.width = job.request.settings.width;
+  status.height = job.request.settings.height;
+  status.frames = job.request.last_frame - job.request.first_frame + 1;
+  status.frames_done = job.frames_done;
+  for (const auto& stage : job.stages) status.stages.push_back(status_of(*stage, now));
+  status.seconds = (ended(job.state) ? job.ended : now) - job.accepted;
+  status.submitted_unix_seconds = job.submitted_unix_seconds;
+  status.message = job.message;
+  status.preview_available = job.state == JobState::done;
+  for (const auto& stage : job.stages) status.preview_available = status.preview_available || stage->items_done > 0;
+  status.version = job.version;
+  return status;
+}
+
+}  // namespace gleaner::coordinator

@@ -1,0 +1,84 @@
+#pragma once
+// One frame on its way: the stages that run, what came back, what it cost. Guarded by the farm's mutex unless said
+// otherwise.
+
+#include <condition_variable>
+#include <deque>
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <set>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "coordinator/jobs/job.h"
+#include "coordinator/jobs/report.h"
+#include "coordinator/plan/plan.h"
+#include "coordinator/schedule/scheduler.h"
+
+namespace gleaner::coordinator {
+
+struct Job;
+
+// A stage that the scheduler knows.
+struct RunningStage {
+  Job* job = nullptr;  // lives as long as the farm
+  StageSpec spec;
+  StageId id = 0;
+  std::shared_ptr<const StageWork> work;
+  std::shared_ptr<Bytes> records;  // items * record_bytes; null until it is allocated (after the first leases went out)
+  bool failed_to_allocate = false;
+  unsigned writers = 0;  // accepted batches that are being copied in
+  bool complete = false, delivered = false;
+  std::uint64_t items_done = 0;
+  Seconds first_lease = -1, last_result = -1;
+  std::string last_failure;
+  StageReport report;
+  std::deque<std::pair<Seconds, std::uint64_t>> history;  // (when, items done) of the last few seconds
+};
+
+StageStatus status_of(const RunningStage& stage, Seconds now);
+void remember_progress(RunningStage& stage, Seconds now);
+
+// A batch that was accepted and is not yet drawn.
+struct UndrawnBatch {
+  std::string stage;
+  std::uint64_t first = 0, count = 0;
+  Bytes records;
+};
+
+struct Job {
+  std::string id;
+  JobRequest request;
+  JobState state = JobState::queued;
+  std::string message;
+  std::uint64_t version = 1;
+  Seconds accepted = 0, ended = 0;
+  double submitted_unix_seconds = 0;
+  std::uint32_t frames_done = 0;
+  std::vector<std::filesystem::path> files;
+
+  // The plan's calls may take long: `plan_mutex`, taken before the farm's mutex where both are held, guards them.
+  std::mutex plan_mutex;
+  std::shared_ptr<Plan> plan;
+  bool drawn = false;  // plan_mutex: there is a preview
+
+  std::condition_variable events;  // with the farm's mutex: something below changed
+  bool cancel = false;
+  std::string failure;
+  std::vector<std::shared_ptr<RunningStage>> stages;  // of the frame that runs, in the order of their start
+  std::deque<std::shared_ptr<RunningStage>> finished;
+  std::deque<UndrawnBatch> undrawn;
+  std::vector<std::shared_ptr<const Bytes>> artifacts;  // kept findable for the workers until the frame ends
+  std::map<ArtifactId, std::string> artifact_blobs;     // the plan's id -> the blob's
+
+  FrameReport report;
+  std::thread thread;
+  bool thread_ended = false;
+};
+
+JobStatus status_of(const Job& job, Seconds now);
+
+}  // namespace gleaner::coordinator

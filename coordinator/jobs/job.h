@@ -1,0 +1,58 @@
+#pragma once
+// Jobs as people see them.
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "coordinator/jobs/session.h"
+#include "coordinator/plan/plan.h"
+
+namespace gleaner::coordinator {
+
+struct JobRequest {
+  std::string scene_name;   // for people and the report
+  std::string scene_blob;   // id; the store holds it
+  std::string bvh_blob;     // id; empty: the embedded farm, none of whose workers needs one
+  std::string camera_name;  // for the report
+  SceneSummary scene;
+  FrameSettings settings;
+  std::uint32_t first_frame = 1, last_frame = 1;  // inclusive
+  double exposure_stops = 0;                      // of the PNG
+};
+
+enum class JobState { queued, running, done, failed, cancelled };
+const char* job_state_name(JobState state);
+inline bool ended(JobState state) { return state != JobState::queued && state != JobState::running; }
+
+struct StageStatus {
+  std::string name, kind;
+  std::uint64_t items = 0, items_done = 0;
+  double items_per_second = 0;  // over the last few seconds
+  double seconds_left = -1;     // negative = unknown
+};
+
+struct JobStatus {
+  std::string id;
+  JobState state = JobState::queued;
+  std::string scene_name, method;
+  std::uint32_t width = 0, height = 0;
+  std::uint32_t frames = 1, frames_done = 0;
+  std::vector<StageStatus> stages;  // of the frame that runs, finished ones too
+  double seconds = 0;               // since it was accepted; of an ended job: until it ended
+  double submitted_unix_seconds = 0;
+  std::string message;  // why it failed
+  bool preview_available = false;
+  std::uint64_t version = 0;  // grows with every change
+};
+
+struct WorkerStatus {
+  std::string id, address;
+  DeviceDescription device;
+  std::uint32_t leases = 0;
+  bool draining = false;
+  double connected_seconds = 0, silent_seconds = 0;
+  std::map<std::string, double> items_per_second;  // by stage kind
+};
+
+}  // namespace gleaner::coordinator
