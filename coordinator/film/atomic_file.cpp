@@ -60,10 +60,8 @@ Temporary create_beside(const std::filesystem::path& folder, const std::string& 
 void write_atomically(const std::string& path, std::span<const std::byte> bytes) {
   std::filesystem::path target = path;
   std::error_code ignored;
-  if (std::filesystem::is_symlink(target, ignored)) {
-    const auto resolved = std::filesystem::weakly_canonical(target, ignored);
-    if (!ignored) target = resolved;
-  }
+  for (int hops = 0; hops < 40 && std::filesystem::is_symlink(target, ignored); ++hops)
+    target = target.parent_path() / std::filesystem::read_symlink(target, ignored);
   // A rename would replace a device node such as /dev/null by a file, for everyone on the machine.
   const auto kind = std::filesystem::status(target, ignored);
   if (std::filesystem::exists(kind) && !std::filesystem::is_regular_file(kind))
