@@ -1,0 +1,58 @@
+#pragma once
+// The items of a stage that nobody holds, as intervals.
+
+#include <cstdint>
+#include <map>
+#include <vector>
+
+#include "coordinator/schedule/scheduler.h"
+
+namespace gleaner::coordinator {
+
+// What went wrong with a range so far; inherited by its pieces.
+struct FailureHistory {
+  unsigned strikes = 0;
+  std::vector<WorkerId> workers;  // who failed it, each once
+
+  bool by(WorkerId worker) const;
+  void add(WorkerId worker);
+};
+
+struct Piece {
+  std::uint64_t first = 0, count = 0;
+  FailureHistory failures;
+};
+
+class ItemPool {
+ public:
+  std::uint64_t items() const { return items_; }
+  std::size_t pieces() const { return clean_.size() + failed_.size(); }
+
+  void put(const Piece& piece);
+
+  // The piece to serve next: ranges that failed come first, so that a stage that must fail does so early. `may_run` is
+  // asked about the failures of a piece. None: count is 0. `looked_at` grows by the pieces seen.
+  template <typename MayRun>
+  Piece front(const MayRun& may_run, std::uint64_t& looked_at) const {
+    for (const auto& [first, piece] : failed_) {
+      ++looked_at;
+      if (may_run(piece.failures)) return piece;
+    }
+    ++looked_at;
+    if (clean_.empty()) return {};
+    return {clean_.begin()->first, clean_.begin()->second, {}};
+  }
+
+  // Takes `count` items off the beginning of the piece that starts at `first`.
+  void take(std::uint64_t first, std::uint64_t count);
+
+  // Any piece that failed before, for the one who asks why it waits.
+  const Piece* any_failed() const { return failed_.empty() ? nullptr : &failed_.begin()->second; }
+
+ private:
+  std::map<std::uint64_t, std::uint64_t> clean_;  // first -> count; neighbours are merged
+  std::map<std::uint64_t, Piece> failed_;         // kept apart: each piece has its own history
+  std::uint64_t items_ = 0;
+};
+
+}  // namespace gleaner::coordinator

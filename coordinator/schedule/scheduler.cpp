@@ -1,0 +1,872 @@
+#include "coordinator/schedule/scheduler.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <set>
+#include <tuple>
+#include <unordered_map>
+
+#include "coordinator/schedule/item_pool.h"
+#include "coordinator/schedule/throughput.h"
+#include "scene/model/error.h"
+
+namespace gleaner::coordinator {
+
+namespace {
+
+// A batch takes at most this part of a worker's fair share of what is left, so that errors of the estimates can still
+// be made good by later, smaller batches (Hummel, Schonberg, Flynn: Factoring, 1992).
+constexpr double kShareAtOnce = 0.5;
+
+// How many leases an idle worker compares before it gives up finding one that it would finish sooner.
+constexpr int kDuplicateCandidates = 4;
+
+// A worker that is put aside again and again waits twice as long each time, but at most so many times the first wait.
+constexpr double kLongestAside = 32;
+
+// Leases are numbered from here on in the run of the coordinator that `incarnation` counts.
+constexpr unsigned kIncarnationShift = 32;
+
+using Kind = unsigned;
+
+enum class Standing { none, running, waiting };  // of a lease among those that an idle worker may run as well
+
+struct LiveLease {
+  Lease lease;
+  bool cut_short = false;  // smaller than the worker's throughput asked for
+  Seconds planned = 0;     // when it should be finished, as estimated when the worker's hand last changed
+  Standing standing = Standing::none;
+  Seconds listed = 0;  // its place in the list of candidates
+};
+
+// What remains of a lease that ended: enough to say why its late result is dropped.
+struct EndedLease {
+  WorkerId worker = 0;
+  Epoch epoch = 0;
+  Kind kind = 0;
+  std::uint64_t count = 0;
+  bool cut_short = false;
+  bool accepted = false;  // the items are in: by this lease or by its twin
+};
+
+// Items that are handed out: to one worker, or to two.
+struct HeldRange {
+  std::uint64_t count = 0;
+  FailureHistory failures;
+  std::array<LeaseId, 2> leases{};  // 0 = none
+
+  bool twice() const { return leases[0] != 0 && leases[1] != 0; }
+  bool free() const { return leases[0] == 0 && leases[1] == 0; }
+};
+
+enum class StageState { open, complete, failed };
+
+using Candidates = std::set<std::pair<Seconds, LeaseId>>;  // by planned finish
+
+struct Stage {
+  StageId id = 0;
+  ScheduledStage spec;
+  Kind kind = 0;
+  StageState state = StageState::open;
+  Seconds preferred_until = 0;  // solo: until then the preferred workers alone are served
+  ItemPool pool;
+  std::map<std::uint64_t, HeldRange> held;  // by first item
+  std::uint64_t held_items = 0, done_items = 0;
+  Candidates running, waiting;  // leases held once
+  std::vector<LeaseId> ended;
+  std::map<WorkerId, WorkerProgress> progress;
+};
+
+struct Worker {
+  WorkerId id = 0;
+  bool draining = false;
+  bool aside = false;
+  Seconds aside_until = 0;
+  std::vector<LeaseId> hand;  // the first one runs, the others wait
+  Seconds hand_start = 0;     // when the first one began to run
+  unsigned failures_in_row = 0, expiries_in_row = 0;
+  std::map<Kind, Throughput> throughput;
+
+  bool serves() const { return !draining && !aside; }
+};
+
+// What the workers that serve can do together, per kind of stage.
+struct KindTotals {
+  double items_per_second = 0;  // of those whose throughput is known
+  std::uint64_t known = 0;
+};
+
+enum class TimerKind { lease, aside, preferred };
+using Timer = std::tuple<Seconds, TimerKind, std::uint64_t>;
+
+// Why a worker gets none of a stage's unleased items.
+// The first ones hold for every stage.
+enum class Refusal { none, drains, aside, runs_solo, full, failed_it, others_preferred, not_measured, has_its_share };
+
+struct Offer {
+  Refusal why_not = Refusal::none;
+  Piece piece;
+  std::uint64_t count = 0;
+  bool cut_short = false;
+
+  Offer& refuse(Refusal why) {
+    why_not = why;
+    return *this;
+  }
+};
+
+enum class LeaseEnd { accepted, twin_accepted, taken_back };
+
+}  // namespace
+
+const char* verdict_name(Verdict verdict) {
+  switch (verdict) {
+    case Verdict::accepted:
+      return "accepted";
+    case Verdict::duplicate:
+      return "duplicate";
+    case Verdict::stale:
+      return "stale";
+    case Verdict::unknown_lease:
+      return "unknown lease";
+    case Verdict::wrong_worker:
+      return "wrong worker";
+    case Verdict::stage_gone:
+      return "stage gone";
+  }
+  return "no verdict";
+}
+
+struct Scheduler::Impl {
+  explicit Impl(const SchedulerSettings& s)
+      : settings(s),
+        first_lease((s.incarnation << kIncarnationShift) + 1),
+        next_lease_id(first_lease),
+        next_epoch(first_lease) {}
+
+  SchedulerSettings settings;
+  const LeaseId first_lease;
+  LeaseId next_lease_id;
+  Epoch next_epoch;
+  StageId next_stage = 1;
+  std::map<StageId, Stage> stages;
+  std::set<std::pair<int, StageId>> order;  // open stages: most urgent first (priority negated)
+  std::map<WorkerId, Worker> workers;
+  std::unordered_map<LeaseId, LiveLease> live;
+  std::unordered_map<LeaseId, EndedLease> ended;
+  std::set<Timer> timers;
+  std::map<std::string, Kind> kinds;
+  std::vector<KindTotals> totals;
+  std::uint64_t joined = 0, draining = 0, serving = 0, idle = 0;  // idle: serves and holds nothing
+  Seconds latest = -std::numeric_limits<double>::infinity();      // the last clock value seen
+  mutable std::uint64_t steps = 0;
+
+  // Every event's time passes here: a clock that jumps back stands still instead.
+  Seconds clock(Seconds now) { return latest = std::max(latest, now); }
+
+  // -- Who serves ----------------------------------------------------------------------------------------------------
+
+  // Every change of a worker's standing or hand is bracketed by these two, which keep the sums over workers.
+  void leave_sums(const Worker& worker) {
+    if (worker.draining) --draining;
+    if (!worker.serves()) return;
+    --serving;
+    if (worker.hand.empty()) --idle;
+    for (const auto& [kind, throughput] : worker.throughput) {
+      ++steps;
+      if (!throughput.known()) continue;
+      KindTotals& total = totals[kind];
+      --total.known;
+      // Sums of what comes and goes would keep rounding errors for ever; with nobody left the sum is known.
+      total.items_per_second = total.known == 0 ? 0 : total.items_per_second - throughput.items_per_second();
+    }
+  }
+  void enter_sums(const Worker& worker) {
+    if (worker.draining) ++draining;
+    if (!worker.serves()) return;
+    ++serving;
+    if (worker.hand.empty()) ++idle;
+    for (const auto& [kind, throughput] : worker.throughput) {
+      ++steps;
+      if (!throughput.known()) continue;
+      ++totals[kind].known;
+      totals[kind].items_per_second += throughput.items_per_second();
+    }
+  }
+
+  // May get leases: when nobody serves, those that were put aside are better than nobody.
+  bool usable(const Worker& worker) const { return !worker.draining && (!worker.aside || serving == 0); }
+  std::uint64_t usable_workers() const { return serving > 0 ? serving : joined - draining; }
+
+  // A range goes to a worker that has not failed it, or to any where all have.
+  bool may_run(const Worker& worker, const FailureHistory& failures) const {
+    if (!failures.by(worker.id)) return true;
+    std::uint64_t failed_it = 0;
+    for (const WorkerId id : failures.workers) {
+      ++steps;
+      const auto at = workers.find(id);
+      if (at != workers.end() && usable(at->second)) ++failed_it;
+    }
+    return failed_it >= usable_workers();
+  }
+
+  void put_aside(Worker& worker, unsigned times, Seconds now) {
+    const double wait = std::min(std::ldexp(1.0, static_cast<int>(std::min(times, 30u)) - 1), kLongestAside);
+    leave_sums(worker);
+    if (worker.aside) timers.erase({worker.aside_until, TimerKind::aside, worker.id});
+    worker.aside = true;
+    worker.aside_until = now + settings.lease_floor * wait;
+    timers.insert({worker.aside_until, TimerKind::aside, worker.id});
+    enter_sums(worker);
+    ++steps;
+  }
+  void take_back_in(Worker& worker) {
+    if (!worker.aside) return;
+    leave_sums(worker);
+    timers.erase({worker.aside_until, TimerKind::aside, worker.id});
+    worker.aside = false;
+    enter_sums(worker);
+    ++steps;
+  }
+
+  // -- What workers can do -------------------------------------------------------------------------------------------
+
+  Kind kind_of(const std::string& name) {
+    const auto [at, fresh] = kinds.emplace(name, static_cast<Kind>(totals.size()));
+    if (fresh) totals.emplace_back();
+    return at->second;
+  }
+
+  double mean_throughput(Kind kind) const {
+    const KindTotals& total = totals[kind];
+    return total.known == 0 ? 0 : total.items_per_second / static_cast<double>(total.known);
+  }
+
+  // Items per second; of a worker that was not measured, what the others do on average; 0 = nobody knows.
+  double expected_throughput(const Worker& worker, Kind kind) const {
+    const auto at = worker.throughput.find(kind);
+    return at != worker.throughput.end() && at->second.known() ? at->second.items_per_second() : mean_throughput(kind);
+  }
+
+  // The worker's part of what all that serve can do, in (0, 1].
+  double share(const Worker& worker, Kind kind) const {
+    const double mine = expected_throughput(worker, kind);
+    const auto unknown = static_cast<double>(usable_workers() - std::min(usable_workers(), totals[kind].known));
+    const double all = totals[kind].items_per_second + unknown * mean_throughput(kind);
+    if (!(mine > 0) || !(all > 0)) return 1.0 / static_cast<double>(std::max<std::uint64_t>(1, usable_workers()));
+    return std::min(1.0, mine / all);
+  }
+
+  template <typename Change>
+  void learn(Worker& worker, Kind kind, const Change& change) {
+    Throughput& throughput = worker.throughput[kind];
+    const double before = throughput.items_per_second();
+    change(throughput);
+    ++steps;
+    if (!worker.serves() || !throughput.known()) return;
+    if (!(before > 0)) ++totals[kind].known;
+    totals[kind].items_per_second += throughput.items_per_second() - before;
+  }
+
+  // -- What a worker holds -------------------------------------------------------------------------------------------
+
+  Seconds expected_seconds(const Worker& worker, const Stage& stage, std::uint64_t count) const {
+    const double throughput = expected_throughput(worker, stage.kind);
+    return throughput > 0 ? static_cast<double>(count) / throughput : 0;
+  }
+
+  Seconds lease_length(const Stage& stage, Seconds expected) const {
+    return std::max(stage.spec.solo ? settings.solo_lease_floor : settings.lease_floor,
+                    settings.lease_factor * expected);
+  }
+
+  // Brings the estimates of the worker's leases up to date, and their places among the candidates for duplication.
+  void replan(Worker& worker) {
+    Seconds at = worker.hand_start;
+    for (const LeaseId id : worker.hand) {
+      ++steps;
+      LiveLease& lease = live.at(id);
+      Stage& stage = stages.at(lease.lease.stage);
+      const Seconds duration = expected_seconds(worker, stage, lease.lease.count);
+      at += duration > 0 ? duration : settings.target_batch;
+      lease.planned = at;
+      list_candidate(stage, lease, id == worker.hand.front());
+    }
+  }
+
+  void unlist(Stage& stage, LiveLease& lease) {
+    if (lease.standing == Standing::none) return;
+    (lease.standing == Standing::running ? stage.running : stage.waiting).erase({lease.listed, lease.lease.id});
+    lease.standing = Standing::none;
+  }
+
+  void list_candidate(Stage& stage, LiveLease& lease, bool runs) {
+    ++steps;
+    unlist(stage, lease);
+    // A solo stage's inputs are large and its duration is anybody's guess: a second copy costs more than it saves.
+    if (stage.state != StageState::open || stage.spec.solo || stage.held.at(lease.lease.first).twice()) return;
+    lease.standing = runs ? Standing::running : Standing::waiting;
+    lease.listed = lease.planned;
+    (runs ? stage.running : stage.waiting).insert({lease.listed, lease.lease.id});
+  }
+
+  void set_expiry(LiveLease& lease, Seconds expires) {
+    ++steps;
+    timers.erase({lease.lease.expires, TimerKind::lease, lease.lease.id});
+    lease.lease.expires = expires;
+    timers.insert({expires, TimerKind::lease, lease.lease.id});
+  }
+
+  Lease issue(Worker& worker, Stage& stage, std::uint64_t first, std::uint64_t count, bool cut_short, bool duplicate,
+              Seconds now) {
+    LiveLease lease;
+    lease.cut_short = cut_short;
+    lease.lease = {next_lease_id++, next_epoch++, stage.id, worker.id, first, count, now, now, duplicate};
+    const LeaseId id = lease.lease.id;
+    live.emplace(id, lease);
+
+    HeldRange& range = stage.held.at(first);
+    for (const LeaseId other : range.leases) {
+      if (other != 0) unlist(stage, live.at(other));
+    }
+    range.leases[range.leases[0] == 0 ? 0 : 1] = id;
+
+    leave_sums(worker);
+    if (worker.hand.empty()) worker.hand_start = now;
+    worker.hand.push_back(id);
+    enter_sums(worker);
+    replan(worker);
+
+    LiveLease& placed = live.at(id);
+    const bool known = expected_throughput(worker, stage.kind) > 0;
+    set_expiry(placed, now + lease_length(stage, known ? placed.planned - now : 0));
+    return placed.lease;
+  }
+
+  // Takes the lease out of everything but its range's items; `delivered`: the worker itself said that it is over.
+  void end_lease(LeaseId id, LeaseEnd how, bool delivered, Seconds now) {
+    const LiveLease lease = live.at(id);
+    Stage& stage = stages.at(lease.lease.stage);
+    unlist(stage, live.at(id));
+    timers.erase({lease.lease.expires, TimerKind::lease, id});
+    live.erase(id);
+    ended.emplace(id, EndedLease{lease.lease.worker, lease.lease.epoch, stage.kind, lease.lease.count, lease.cut_short,
+                                 how != LeaseEnd::taken_back});
+    stage.ended.push_back(id);
+    steps += 3;
+
+    if (const auto range = stage.held.find(lease.lease.first); range != stage.held.end()) {
+      for (LeaseId& slot : range->second.leases) {
+        if (slot == id) slot = 0;
+      }
+    }
+
+    Worker& worker = workers.at(lease.lease.worker);
+    const bool ran = worker.hand.front() == id;
+    leave_sums(worker);
+    std::erase(worker.hand, id);
+    enter_sums(worker);
+    if (ran) worker.hand_start = now;
+    // The next one's time begins now, but only if the worker shows signs of life.
+    if (ran && delivered && !worker.hand.empty()) {
+      LiveLease& next = live.at(worker.hand.front());
+      const Stage& next_stage_of = stages.at(next.lease.stage);
+      const Seconds expected = expected_seconds(worker, next_stage_of, next.lease.count);
+      set_expiry(next, std::max(next.lease.expires, now + lease_length(next_stage_of, expected)));
+    }
+    replan(worker);
+  }
+
+  // After a lease on the range ended without a result: the items go back, unless another worker still has them.
+  void give_back(Stage& stage, std::uint64_t first) {
+    const auto at = stage.held.find(first);
+    HeldRange& range = at->second;
+    ++steps;
+    if (!range.free()) {
+      LiveLease& other = live.at(range.leases[0] != 0 ? range.leases[0] : range.leases[1]);
+      list_candidate(stage, other, workers.at(other.lease.worker).hand.front() == other.lease.id);
+      return;
+    }
+    stage.held_items -= range.count;
+    stage.pool.put({first, range.count, std::move(range.failures)});
+    stage.held.erase(at);
+  }
+
+  void close(Stage& stage, StageState state) {
+    stage.state = state;
+    order.erase({-stage.spec.priority, stage.id});
+    if (stage.spec.solo) timers.erase({stage.preferred_until, TimerKind::preferred, stage.id});
+    for (Candidates* list : {&stage.running, &stage.waiting}) {
+      for (const auto& [planned, id] : *list) live.at(id).standing = Standing::none;
+      list->clear();
+    }
+    for (const LeaseId id : stage.ended) ended.erase(id);
+    stage.ended.clear();
+  }
+
+  // -- Handing out ---------------------------------------------------------------------------------------------------
+
+  bool holds_solo(const Worker& worker) const {
+    return std::any_of(worker.hand.begin(), worker.hand.end(),
+                       [&](LeaseId id) { return stages.at(live.at(id).lease.stage).spec.solo; });
+  }
+
+  bool preferred_may_come(const Stage& stage, const FailureHistory& failures, Seconds now) const {
+    if (now >= stage.preferred_until) return false;
+    return std::any_of(stage.spec.preferred.begin(), stage.spec.preferred.end(), [&](WorkerId id) {
+      ++steps;
+      const auto at = workers.find(id);
+      return at != workers.end() && usable(at->second) && !failures.by(id);
+    });
+  }
+
+  static bool prefers(const Stage& stage, WorkerId worker) {
+    return std::find(stage.spec.preferred.begin(), stage.spec.preferred.end(), worker) != stage.spec.preferred.end();
+  }
+
+  std::uint64_t round_to_tiles(double items, const Stage& stage, const Piece& piece) const {
+    const double tile = stage.spec.tile;
+    // Compared as doubles first: an estimate may exceed what an integer holds.
+    if (items >= static_cast<double>(piece.count)) return piece.count;
+    const auto tiles = static_cast<std::uint64_t>(std::max(1.0, std::floor(items / tile)));
+    return std::min<std::uint64_t>(tiles * stage.spec.tile, piece.count);
+  }
+
+  std::uint64_t items_in_hand(const Worker& worker, StageId stage) const {
+    std::uint64_t items = 0;
+    for (const LeaseId id : worker.hand) {
+      ++steps;
+      if (live.at(id).lease.stage == stage) items += live.at(id).lease.count;
+    }
+    return items;
+  }
+
+  // What of the stage the worker would get now, or why it gets nothing.
+  Offer offer(const Worker& worker, const Stage& stage, Seconds now) const {
+    Offer out;
+    if (worker.draining) return out.refuse(Refusal::drains);
+    if (!usable(worker)) return out.refuse(Refusal::aside);
+    // Nobody knows how long a solo stage takes: whatever waited behind it would be late.
+    if (holds_solo(worker)) return out.refuse(Refusal::runs_solo);
+    if (worker.hand.size() >= settings.in_flight) return out.refuse(Refusal::full);
+
+    out.piece = stage.pool.front([&](const FailureHistory& f) { return may_run(worker, f); }, steps);
+    if (out.piece.count == 0) return out.refuse(Refusal::failed_it);
+    if (stage.spec.solo) {
+      out.count = out.piece.count;
+      if (prefers(stage, worker.id)) return out;
+      if (preferred_may_come(stage, out.piece.failures, now)) return out.refuse(Refusal::others_preferred);
+      // Whoever is idle begins at once; here it would wait.
+      if (idle > 0 && !worker.hand.empty()) return out.refuse(Refusal::has_its_share);
+      return out;
+    }
+    if (settings.fixed_batch_items > 0) {
+      out.count = round_to_tiles(static_cast<double>(settings.fixed_batch_items), stage, out.piece);
+      return out;
+    }
+
+    const std::uint64_t in_hand = items_in_hand(worker, stage.id);
+    const auto known = worker.throughput.find(stage.kind);
+    const Throughput throughput = known == worker.throughput.end() ? Throughput{} : known->second;
+    // The first measure decides how much this worker should get: do not give more before it is in.
+    if (!throughput.known() && in_hand > 0) return out.refuse(Refusal::not_measured);
+
+    const double part = share(worker, stage.kind);
+    const double target = throughput.target_items(settings);
+    const double fair = kShareAtOnce * part * static_cast<double>(stage.pool.items());
+    const double wanted = std::max(std::min(target, fair), std::min(target, throughput.smallest_items(settings)));
+    out.count = round_to_tiles(wanted, stage, out.piece);
+    out.cut_short = static_cast<double>(out.count) + stage.spec.tile <= target;
+
+    // A waiting lease beyond the fair share of all that is left would be missed by a worker that idles sooner.
+    const double all_left = static_cast<double>(stage.pool.items() + stage.held_items);
+    if (!worker.hand.empty() && usable_workers() > 1 && static_cast<double>(in_hand + out.count) > part * all_left) {
+      return out.refuse(Refusal::has_its_share);
+    }
+    return out;
+  }
+
+  Lease hand_out(Worker& worker, Stage& stage, const Offer& what, Seconds now) {
+    stage.pool.take(what.piece.first, what.count);
+    stage.held.emplace(what.piece.first, HeldRange{what.count, what.piece.failures, {}});
+    stage.held_items += what.count;
+    steps += 2;
+    return issue(worker, stage, what.piece.first, what.count, what.cut_short, false, now);
+  }
+
+  // When a lease should be finished, seen from `now`. One that is overdue is expected to take as long again as it took.
+  Seconds expected_finish(const LiveLease& lease, Seconds now) const {
+    if (lease.planned >= now) return lease.planned;
+    return now + (now - std::min(now, workers.at(lease.lease.worker).hand_start));
+  }
+
+  std::optional<Lease> duplicate(Worker& worker, Stage& stage, Seconds now) {
+    // What waits comes before what runs: it has cost nothing yet.
+    for (const Candidates* list : {&stage.waiting, &stage.running}) {
+      // The most overdue, then the latest of those that keep their time.
+      int looked = 0;
+      for (auto at = list->begin(); at != list->end() && at->first < now && looked < kDuplicateCandidates;
+           ++at, ++looked) {
+        if (auto lease = duplicate_this(worker, stage, at->second, now)) return lease;
+      }
+      looked = 0;
+      for (auto at = list->rbegin(); at != list->rend() && at->first >= now && looked < kDuplicateCandidates;
+           ++at, ++looked) {
+        if (auto lease = duplicate_this(worker, stage, at->second, now)) return lease;
+      }
+    }
+    return std::nullopt;
+  }
+
+  std::optional<Lease> duplicate_this(Worker& worker, Stage& stage, LeaseId id, Seconds now) {
+    ++steps;
+    const LiveLease& slow = live.at(id);
+    const std::uint64_t first = slow.lease.first, count = slow.lease.count;
+    if (slow.lease.worker == worker.id || stage.held.at(first).failures.by(worker.id)) return std::nullopt;
+    if (expected_finish(slow, now) <= now + expected_seconds(worker, stage, count)) return std::nullopt;
+    return issue(worker, stage, first, count, true, true, now);
+  }
+
+  // -- For a person --------------------------------------------------------------------------------------------------
+
+  // "worker 7 drains", "workers 7, 8 drain", "all 9 workers drain", "9 of 12 workers drain".
+  std::string describe(const std::vector<WorkerId>& who, const std::string& one, const std::string& many) const {
+    if (who.size() == 1) return "worker " + std::to_string(who[0]) + " " + one;
+    if (who.size() == joined) return "all " + std::to_string(who.size()) + " workers " + many;
+    if (who.size() > 3) return std::to_string(who.size()) + " of " + std::to_string(joined) + " workers " + many;
+    std::string ids;
+    for (const WorkerId id : who) ids += (ids.empty() ? "" : ", ") + std::to_string(id);
+    return "workers " + ids + " " + many;
+  }
+
+  std::string describe_aside(const std::vector<WorkerId>& who) const {
+    if (who.size() > 1) return describe(who, "", "are put aside after failures or leases that ran out");
+    const Worker& worker = workers.at(who.front());
+    const bool failures = worker.failures_in_row >= settings.strikes;
+    return describe(who,
+                    failures ? "is put aside after " + std::to_string(worker.failures_in_row) + " failures"
+                             : std::string("is put aside after a lease ran out"),
+                    "");
+  }
+};
+
+Scheduler::Scheduler(const SchedulerSettings& settings) : impl_(std::make_unique<Impl>(settings)) {}
+Scheduler::~Scheduler() = default;
+
+StageId Scheduler::add_stage(const ScheduledStage& spec, Seconds now) {
+  if (spec.tile == 0) throw Error::failed("stage of kind " + spec.kind + ": tile: expected at least 1, found 0");
+  Impl& m = *impl_;
+  now = m.clock(now);
+  const StageId id = m.next_stage++;
+  Stage& stage = m.stages[id];
+  stage.id = id;
+  stage.spec = spec;
+  stage.kind = m.kind_of(spec.kind);
+  if (spec.items == 0) {
+    stage.state = StageState::complete;
+    return id;
+  }
+  stage.pool.put({0, spec.items, {}});
+  m.order.insert({-spec.priority, id});
+  if (spec.solo) {
+    // Workers that are at work ask again within a batch's time, or two where one waits.
+    stage.preferred_until = now + 2 * m.settings.target_batch;
+    if (!spec.preferred.empty()) m.timers.insert({stage.preferred_until, TimerKind::preferred, id});
+  }
+  ++m.steps;
+  return id;
+}
+
+std::vector<Lease> Scheduler::remove_stage(StageId id) {
+  Impl& m = *impl_;
+  const auto at = m.stages.find(id);
+  if (at == m.stages.end()) return {};
+  std::vector<Lease> leases;
+  for (const auto& [first, range] : at->second.held) {
+    for (const LeaseId lease : range.leases) {
+      if (lease != 0) leases.push_back(m.live.at(lease).lease);
+    }
+  }
+  for (const Lease& lease : leases) m.end_lease(lease.id, LeaseEnd::taken_back, false, m.latest);
+  m.close(at->second, StageState::complete);
+  m.stages.erase(at);
+  return leases;
+}
+
+void Scheduler::worker_joined(WorkerId id, Seconds now) {
+  worker_lost(id, now);
+  Worker& worker = impl_->workers[id];
+  worker.id = id;
+  ++impl_->joined;
+  impl_->enter_sums(worker);
+}
+
+void Scheduler::worker_lost(WorkerId id, Seconds now) {
+  Impl& m = *impl_;
+  now = m.clock(now);
+  const auto at = m.workers.find(id);
+  if (at == m.workers.end()) return;
+  Worker& worker = at->second;
+  while (!worker.hand.empty()) {
+    const Lease lease = m.live.at(worker.hand.back()).lease;
+    m.end_lease(lease.id, LeaseEnd::taken_back, false, now);
+    m.give_back(m.stages.at(lease.stage), lease.first);
+  }
+  m.leave_sums(worker);
+  if (worker.aside) m.timers.erase({worker.aside_until, TimerKind::aside, id});
+  --m.joined;
+  m.workers.erase(at);
+}
+
+void Scheduler::worker_draining(WorkerId id) {
+  const auto at = impl_->workers.find(id);
+  if (at == impl_->workers.end()) return;
+  impl_->leave_sums(at->second);
+  at->second.draining = true;
+  impl_->enter_sums(at->second);
+}
+
+std::optional<Lease> Scheduler::next_lease(WorkerId id, Seconds now) {
+  Impl& m = *impl_;
+  now = m.clock(now);
+  const auto at = m.workers.find(id);
+  ++m.steps;
+  if (at == m.workers.end()) return std::nullopt;
+  Worker& worker = at->second;
+  for (const auto& [priority, stage_id] : m.order) {
+    ++m.steps;
+    Stage& stage = m.stages.at(stage_id);
+    if (stage.pool.items() == 0) continue;
+    const Offer offer = m.offer(worker, stage, now);
+    if (offer.why_not == Refusal::none) return m.hand_out(worker, stage, offer, now);
+    if (offer.why_not <= Refusal::full) return std::nullopt;  // whatever the stage
+  }
+  if (!m.usable(worker)) return std::nullopt;
+  if (!worker.hand.empty()) return std::nullopt;
+  for (const auto& [priority, stage_id] : m.order) {
+    ++m.steps;
+    if (auto lease = m.duplicate(worker, m.stages.at(stage_id), now)) return lease;
+  }
+  return std::nullopt;
+}
+
+ResultOutcome Scheduler::result(WorkerId id, LeaseId lease_id, Epoch epoch, Seconds seconds, Seconds now) {
+  Impl& m = *impl_;
+  now = m.clock(now);
+  ++m.steps;
+  ResultOutcome outcome;
+  const auto at = m.live.find(lease_id);
+  if (at == m.live.end()) {
+    if (lease_id < m.first_lease || lease_id >= m.next_lease_id) return outcome;
+    const auto ended = m.ended.find(lease_id);
+    if (ended == m.ended.end()) {
+      outcome.verdict = Verdict::stage_gone;
+      return outcome;
+    }
+    const EndedLease& past = ended->second;
+    outcome.verdict = past.worker != id     ? Verdict::wrong_worker
+                      : past.epoch != epoch ? Verdict::stale
+                      : past.accepted       ? Verdict::duplicate
+                                            : Verdict::stale;
+    // Late work is dropped, but it shows that the worker lives, and how fast it is.
+    const auto who = m.workers.find(id);
+    if (past.worker == id && past.epoch == epoch && who != m.workers.end()) {
+      if (!past.accepted) {
+        m.learn(who->second, past.kind,
+                [&](Throughput& t) { t.measured(past.count, seconds, past.cut_short, m.settings); });
+        m.replan(who->second);
+      }
+      who->second.expiries_in_row = 0;
+      if (who->second.failures_in_row < m.settings.strikes) m.take_back_in(who->second);
+    }
+    return outcome;
+  }
+
+  const Lease lease = at->second.lease;
+  const bool cut_short = at->second.cut_short;
+  if (lease.worker != id) {
+    outcome.verdict = Verdict::wrong_worker;
+    return outcome;
+  }
+  if (lease.epoch != epoch) {
+    outcome.verdict = Verdict::stale;
+    return outcome;
+  }
+  Stage& stage = m.stages.at(lease.stage);
+  Worker& worker = m.workers.at(id);
+  worker.expiries_in_row = worker.failures_in_row = 0;
+  m.take_back_in(worker);
+  m.learn(worker, stage.kind, [&](Throughput& t) { t.measured(lease.count, seconds, cut_short, m.settings); });
+  if (stage.state != StageState::open) {
+    m.end_lease(lease_id, LeaseEnd::taken_back, true, now);
+    m.give_back(stage, lease.first);
+    outcome.verdict = Verdict::stage_gone;
+    return outcome;
+  }
+
+  outcome.verdict = Verdict::accepted;
+  for (const LeaseId twin : stage.held.at(lease.first).leases) {
+    if (twin == 0 || twin == lease_id) continue;
+    outcome.revoke.push_back(m.live.at(twin).lease);
+    m.end_lease(twin, LeaseEnd::twin_accepted, false, now);
+  }
+  m.end_lease(lease_id, LeaseEnd::accepted, true, now);
+  stage.held.erase(lease.first);
+  stage.held_items -= lease.count;
+  stage.done_items += lease.count;
+  WorkerProgress& progress = stage.progress[id];
+  progress.items += lease.count;
+  if (seconds >= 0 && std::isfinite(seconds)) progress.seconds += seconds;
+  ++progress.batches;
+  if (stage.done_items == stage.spec.items) {
+    m.close(stage, StageState::complete);
+    outcome.stage_complete = true;
+  }
+  return outcome;
+}
+
+FailureOutcome Scheduler::failed(WorkerId id, LeaseId lease_id, Epoch epoch, Seconds now) {
+  Impl& m = *impl_;
+  now = m.clock(now);
+  ++m.steps;
+  const auto at = m.live.find(lease_id);
+  if (at == m.live.end() || at->second.lease.worker != id || at->second.lease.epoch != epoch) return {};
+  const Lease lease = at->second.lease;
+  Stage& stage = m.stages.at(lease.stage);
+  FailureHistory& failures = stage.held.at(lease.first).failures;
+  failures.add(id);
+  const bool stage_failed = stage.state == StageState::open && failures.strikes >= m.settings.strikes;
+
+  m.end_lease(lease_id, LeaseEnd::taken_back, true, now);
+  m.give_back(stage, lease.first);
+  Worker& worker = m.workers.at(id);
+  worker.expiries_in_row = 0;
+  if (++worker.failures_in_row >= m.settings.strikes) {
+    m.put_aside(worker, worker.failures_in_row - m.settings.strikes + 1, now);
+  } else {
+    m.take_back_in(worker);
+  }
+  if (stage_failed) m.close(stage, StageState::failed);
+  return {true, stage_failed};
+}
+
+std::vector<Lease> Scheduler::expire(Seconds now) {
+  Impl& m = *impl_;
+  now = m.clock(now);
+  std::vector<Lease> out;
+  while (!m.timers.empty() && std::get<0>(*m.timers.begin()) <= now) {
+    ++m.steps;
+    const auto [time, kind, id] = *m.timers.begin();
+    m.timers.erase(m.timers.begin());
+    if (kind == TimerKind::preferred) continue;
+    if (kind == TimerKind::aside) {
+      m.take_back_in(m.workers.at(id));
+      continue;
+    }
+    const Lease lease = m.live.at(id).lease;
+    Stage& stage = m.stages.at(lease.stage);
+    Worker& worker = m.workers.at(lease.worker);
+    if (worker.hand.front() == id) {
+      m.learn(worker, stage.kind, [&](Throughput& t) { t.overran(lease.count, now - worker.hand_start, m.settings); });
+    }
+    m.end_lease(id, LeaseEnd::taken_back, false, now);
+    m.give_back(stage, lease.first);
+    m.put_aside(worker, ++worker.expiries_in_row, now);
+    out.push_back(lease);
+  }
+  return out;
+}
+
+std::optional<Seconds> Scheduler::next_expiry() const {
+  if (impl_->timers.empty()) return std::nullopt;
+  return std::get<0>(*impl_->timers.begin());
+}
+
+bool Scheduler::complete(StageId id) const {
+  const auto at = impl_->stages.find(id);
+  return at != impl_->stages.end() && at->second.done_items == at->second.spec.items;
+}
+
+std::uint64_t Scheduler::items_done(StageId id) const {
+  const auto at = impl_->stages.find(id);
+  return at == impl_->stages.end() ? 0 : at->second.done_items;
+}
+
+double Scheduler::items_per_second(WorkerId id, const std::string& kind) const {
+  const auto worker = impl_->workers.find(id);
+  const auto number = impl_->kinds.find(kind);
+  if (worker == impl_->workers.end() || number == impl_->kinds.end()) return 0;
+  const auto at = worker->second.throughput.find(number->second);
+  return at == worker->second.throughput.end() ? 0 : at->second.items_per_second();
+}
+
+std::map<WorkerId, WorkerProgress> Scheduler::progress(StageId id) const {
+  const auto at = impl_->stages.find(id);
+  return at == impl_->stages.end() ? std::map<WorkerId, WorkerProgress>{} : at->second.progress;
+}
+
+std::string Scheduler::why_waiting(StageId id, Seconds now) const {
+  const Impl& m = *impl_;
+  const auto at = m.stages.find(id);
+  if (at == m.stages.end() || at->second.state == StageState::complete) return {};
+  const Stage& stage = at->second;
+  if (stage.state == StageState::failed)
+    return "the same items failed " + std::to_string(m.settings.strikes) + " times";
+  if (stage.pool.items() == 0) return {};
+  if (m.joined == 0) return "no worker is connected";
+
+  for (const auto& [priority, other] : m.order) {
+    if (other == id) break;
+    if (m.stages.at(other).pool.items() == 0) continue;
+    return "stage " + std::to_string(other) +
+           " goes first: " + (-priority > stage.spec.priority ? "its priority is higher" : "it is older");
+  }
+
+  std::map<Refusal, std::vector<WorkerId>> refused;
+  for (const auto& [worker_id, worker] : m.workers) refused[m.offer(worker, stage, now).why_not].push_back(worker_id);
+  if (refused.contains(Refusal::none)) {
+    return m.describe(refused[Refusal::none], "can take a batch and was", "can take a batch and were") +
+           " not asked since";
+  }
+  const std::string leases = std::to_string(m.settings.in_flight) + (m.settings.in_flight == 1 ? " lease" : " leases");
+  std::string line;
+  for (const auto& [why, who] : refused) {
+    line += line.empty() ? "" : "; ";
+    switch (why) {
+      case Refusal::none:
+        break;
+      case Refusal::drains:
+        line += m.describe(who, "drains", "drain");
+        break;
+      case Refusal::aside:
+        line += m.describe_aside(who);
+        break;
+      case Refusal::runs_solo:
+        line += m.describe(who, "runs a solo stage", "run solo stages");
+        break;
+      case Refusal::full:
+        line += m.describe(who, "holds " + leases, "hold " + leases + " each");
+        break;
+      case Refusal::failed_it:
+        line += m.describe(who, "failed these items", "failed these items");
+        break;
+      case Refusal::others_preferred:
+        line += "it is kept for " + m.describe(stage.spec.preferred, "which holds its inputs", "which hold its inputs");
+        break;
+      case Refusal::not_measured:
+        line += m.describe(who, "runs its first batch of " + stage.spec.kind,
+                           "run their first batches of " + stage.spec.kind);
+        break;
+      case Refusal::has_its_share:
+        line += m.describe(who, "holds its share of what is left", "hold their shares of what is left");
+        break;
+    }
+  }
+  return line;
+}
+
+std::uint64_t Scheduler::steps() const { return impl_->steps; }
+
+}  // namespace gleaner::coordinator

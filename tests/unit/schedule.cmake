@@ -1,0 +1,1 @@
+gleaner_test(NAME schedule SOURCES ${CMAKE_CURRENT_LIST_DIR}/schedule_test.cpp LIBRARIES gleaner_schedule)
