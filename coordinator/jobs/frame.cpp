@@ -58,6 +58,7 @@ JobStatus status_of(const Job& job, Seconds now) {
   status.seconds = (ended(job.state) ? job.ended : now) - job.accepted;
   status.submitted_unix_seconds = job.submitted_unix_seconds;
   status.message = job.message;
+  status.exposure_stops = job.request.exposure_stops;
   status.preview_available = job.state == JobState::done;
   for (const auto& stage : job.stages) status.preview_available = status.preview_available || stage->items_done > 0;
   status.version = job.version;

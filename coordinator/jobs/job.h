@@ -43,6 +43,7 @@ struct JobStatus {
   double submitted_unix_seconds = 0;
   std::string message;  // why it failed
   bool preview_available = false;
+  double exposure_stops = 0;
   std::uint64_t version = 0;  // grows with every change
 };
 

@@ -1,0 +1,271 @@
+#include "coordinator/gateway/convert.h"
+
+#include <algorithm>
+#include <cmath>
+#include <new>
+
+#include "scene/model/error.h"
+
+namespace gleaner::gateway {
+
+using namespace gleaner::coordinator;
+
+namespace {
+
+void set(pb::Vector3* to, const float (&from)[3]) {
+  to->set_x(from[0]);
+  to->set_y(from[1]);
+  to->set_z(from[2]);
+}
+
+void get(const pb::Vector3& from, float (&to)[3]) {
+  to[0] = from.x();
+  to[1] = from.y();
+  to[2] = from.z();
+}
+
+bool finite(const float (&v)[3]) { return std::isfinite(v[0]) && std::isfinite(v[1]) && std::isfinite(v[2]); }
+
+bool unit(const float (&v)[3]) {
+  double length2 = double{v[0]} * v[0] + double{v[1]} * v[1] + double{v[2]} * v[2];
+  return length2 > 0.999 && length2 < 1.001;
+}
+
+void require(bool condition, const char* field, const char* expected) {
+  if (!condition) throw Error::bad_input("request", field, expected);
+}
+
+pb::JobState to_proto(JobState state) {
+  switch (state) {
+    case JobState::queued:
+      return pb::JOB_STATE_QUEUED;
+    case JobState::running:
+      return pb::JOB_STATE_RUNNING;
+    case JobState::done:
+      return pb::JOB_STATE_DONE;
+    case JobState::failed:
+      return pb::JOB_STATE_FAILED;
+    case JobState::cancelled:
+      return pb::JOB_STATE_CANCELLED;
+  }
+  return pb::JOB_STATE_UNSPECIFIED;
+}
+
+JobState from_proto(pb::JobState state) {
+  switch (state) {
+    case pb::JOB_STATE_RUNNING:
+      return JobState::running;
+    case pb::JOB_STATE_DONE:
+      return JobState::done;
+    case pb::JOB_STATE_FAILED:
+      return JobState::failed;
+    case pb::JOB_STATE_CANCELLED:
+      return JobState::cancelled;
+    default:
+      return JobState::queued;
+  }
+}
+
+}  // namespace
+
+pb::FrameSettings to_proto(const FrameSettings& settings) {
+  pb::FrameSettings out;
+  out.set_method(settings.method);
+  out.set_width(settings.width);
+  out.set_height(settings.height);
+  out.set_samples_per_pixel(settings.spp);
+  out.set_depth(settings.depth);
+  out.set_seed(settings.seed);
+  out.set_target_error(settings.target_error);
+  for (const auto& [key, value] : settings.set) (*out.mutable_set())[key] = value;
+  const scene::Camera& camera = settings.camera;
+  pb::Camera* to = out.mutable_camera();
+  to->set_type(camera.type == GLEANER_CAMERA_ORTHOGRAPHIC ? pb::CAMERA_TYPE_ORTHOGRAPHIC : pb::CAMERA_TYPE_PERSPECTIVE);
+  set(to->mutable_origin(), camera.origin);
+  set(to->mutable_right(), camera.right);
+  set(to->mutable_up(), camera.up);
+  set(to->mutable_forward(), camera.forward);
+  to->set_half_width(camera.half_width);
+  to->set_half_height(camera.half_height);
+  return out;
+}
+
+FrameSettings from_proto(const pb::FrameSettings& in) {
+  FrameSettings out;
+  require(in.method().size() <= 64, "settings.method", "at most 64 bytes");
+  require(in.width() > 0 && in.height() > 0, "settings.width, settings.height", "at least one pixel");
+  require(in.samples_per_pixel() > 0, "settings.samples_per_pixel", "at least 1");
+  require(std::isfinite(in.target_error()) && in.target_error() >= 0, "settings.target_error",
+          "a number that is not negative");
+  require(in.set_size() <= 256, "settings.set", "at most 256 entries");
+  out.method = in.method();
+  out.width = in.width();
+  out.height = in.height();
+  out.spp = in.samples_per_pixel();
+  out.depth = in.depth();
+  out.seed = in.seed();
+  out.target_error = in.target_error();
+  for (const auto& [key, value] : in.set()) {
+    require(key.size() <= 256 && value.size() <= 4096, "settings.set",
+            "keys of at most 256 bytes, values of at most 4096");
+    out.set[key] = value;
+  }
+  const pb::Camera& camera = in.camera();
+  require(camera.type() == pb::CAMERA_TYPE_PERSPECTIVE || camera.type() == pb::CAMERA_TYPE_ORTHOGRAPHIC,
+          "settings.camera.type", "perspective or orthographic");
+  out.camera.type =
+      camera.type() == pb::CAMERA_TYPE_ORTHOGRAPHIC ? GLEANER_CAMERA_ORTHOGRAPHIC : GLEANER_CAMERA_PERSPECTIVE;
+  get(camera.origin(), out.camera.origin);
+  get(camera.right(), out.camera.right);
+  get(camera.up(), out.camera.up);
+  get(camera.forward(), out.camera.forward);
+  out.camera.half_width = camera.half_width();
+  out.camera.half_height = camera.half_height();
+  require(finite(out.camera.origin), "settings.camera.origin", "finite coordinates");
+  require(unit(out.camera.right) && unit(out.camera.up) && unit(out.camera.forward), "settings.camera", "unit axes");
+  require(std::isfinite(camera.half_width()) && camera.half_width() > 0 && std::isfinite(camera.half_height()) &&
+              camera.half_height() > 0,
+          "settings.camera.half_width, settings.camera.half_height", "finite and positive");
+  return out;
+}
+
+pb::Job to_proto(const JobStatus& status) {
+  pb::Job out;
+  out.set_id(status.id);
+  out.set_state(to_proto(status.state));
+  out.set_scene_name(status.scene_name);
+  out.set_method(status.method);
+  out.set_width(status.width);
+  out.set_height(status.height);
+  out.set_frames(status.frames);
+  out.set_frames_done(status.frames_done);
+  for (const StageStatus& stage : status.stages) {
+    pb::StageProgress* to = out.add_stages();
+    to->set_name(stage.name);
+    to->set_kind(stage.kind);
+    to->set_items(stage.items);
+    to->set_items_done(stage.items_done);
+    to->set_items_per_second(stage.items_per_second);
+    to->set_seconds_left(stage.seconds_left);
+  }
+  out.set_seconds(status.seconds);
+  out.set_message(status.message);
+  out.set_preview_available(status.preview_available);
+  out.set_submitted_unix_seconds(status.submitted_unix_seconds);
+  return out;
+}
+
+JobStatus from_proto(const pb::Job& job) {
+  JobStatus out;
+  out.id = job.id();
+  out.state = from_proto(job.state());
+  out.scene_name = job.scene_name();
+  out.method = job.method();
+  out.width = job.width();
+  out.height = job.height();
+  out.frames = job.frames();
+  out.frames_done = job.frames_done();
+  for (const pb::StageProgress& stage : job.stages())
+    out.stages.push_back({stage.name(), stage.kind(), stage.items(), stage.items_done(), stage.items_per_second(),
+                          stage.seconds_left()});
+  out.seconds = job.seconds();
+  out.message = job.message();
+  out.preview_available = job.preview_available();
+  out.submitted_unix_seconds = job.submitted_unix_seconds();
+  return out;
+}
+
+pb::Device to_proto(const DeviceDescription& device) {
+  pb::Device out;
+  out.set_name(device.name);
+  out.set_platform(device.platform);
+  out.set_driver(device.driver);
+  out.set_version(device.version);
+  out.set_tracer(device.tracer);
+  out.set_cpu(device.cpu);
+  out.set_compute_units(device.compute_units);
+  out.set_threads(device.threads);
+  out.set_memory_bytes(device.memory_bytes);
+  return out;
+}
+
+DeviceDescription from_proto(const pb::Device& device) {
+  auto text = [](const std::string& words) { return words.substr(0, 256); };
+  return {.name = text(device.name()),
+          .platform = text(device.platform()),
+          .driver = text(device.driver()),
+          .version = text(device.version()),
+          .tracer = text(device.tracer()),
+          .cpu = device.cpu(),
+          .compute_units = device.compute_units(),
+          .threads = device.threads(),
+          .memory_bytes = device.memory_bytes()};
+}
+
+pb::Worker to_proto(const WorkerStatus& status) {
+  pb::Worker out;
+  out.set_id(status.id);
+  out.set_address(status.address);
+  *out.mutable_device() = to_proto(status.device);
+  out.set_leases(status.leases);
+  out.set_draining(status.draining);
+  out.set_connected_seconds(status.connected_seconds);
+  out.set_silent_seconds(status.silent_seconds);
+  for (const auto& [kind, rate] : status.items_per_second) (*out.mutable_items_per_second())[kind] = rate;
+  return out;
+}
+
+WorkerStatus from_proto(const pb::Worker& worker) {
+  WorkerStatus out{.id = worker.id(),
+                   .address = worker.address(),
+                   .device = from_proto(worker.device()),
+                   .leases = worker.leases(),
+                   .draining = worker.draining(),
+                   .connected_seconds = worker.connected_seconds(),
+                   .silent_seconds = worker.silent_seconds(),
+                   .items_per_second = {}};
+  for (const auto& [kind, rate] : worker.items_per_second()) out.items_per_second[kind] = rate;
+  return out;
+}
+
+WorkerHello from_proto(const pb::Hello& hello) {
+  const std::string& name = hello.name();
+  bool clean = !name.empty() && name.size() <= 64 && std::all_of(name.begin(), name.end(), [](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '.' || c == '_' ||
+           c == '-';
+  });
+  require(clean, "hello.name", "1 to 64 of [A-Za-z0-9._-]");
+  return {.name = name, .address = {}, .device = from_proto(hello.device()), .needs_bvh = hello.needs_bvh()};
+}
+
+BatchCost from_proto(const pb::BatchCost& cost) {
+  for (double seconds : {cost.seconds(), cost.trace_seconds(), cost.kernel_seconds()})
+    require(seconds >= 0 && seconds < 1e9, "result.cost", "seconds that are not negative");
+  require(cost.nonfinite_items_size() <= 1024, "result.cost.nonfinite_items", "at most 1024");
+  BatchCost out{.seconds = cost.seconds(),
+                .trace_seconds = cost.trace_seconds(),
+                .kernel_seconds = cost.kernel_seconds(),
+                .camera_rays = cost.camera_rays(),
+                .scatter_rays = cost.scatter_rays(),
+                .shadow_rays = cost.shadow_rays(),
+                .nonfinite = cost.nonfinite(),
+                .nonfinite_items = {},
+                .fetched_bytes = cost.fetched_bytes()};
+  out.nonfinite_items.assign(cost.nonfinite_items().begin(), cost.nonfinite_items().end());
+  return out;
+}
+
+grpc::Status guarded(const std::function<grpc::Status()>& body) {
+  try {
+    return body();
+  } catch (const Error& error) {
+    bool callers_fault = error.kind() == ErrorKind::usage || error.kind() == ErrorKind::bad_input;
+    return {callers_fault ? grpc::StatusCode::INVALID_ARGUMENT : grpc::StatusCode::INTERNAL, error.what()};
+  } catch (const std::bad_alloc&) {
+    return {grpc::StatusCode::RESOURCE_EXHAUSTED, "the coordinator is out of memory"};
+  } catch (const std::exception& error) {
+    return {grpc::StatusCode::INTERNAL, error.what()};
+  }
+}
+
+}  // namespace gleaner::gateway

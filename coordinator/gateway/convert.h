@@ -1,0 +1,39 @@
+#pragma once
+// Between the wire's messages and the farm's structs, both ways; what comes from the wire is checked here.
+
+#include <grpcpp/support/status.h>
+
+#include <functional>
+
+#include "coordinator/jobs/job.h"
+#include "gleaner/v1/farm.pb.h"
+#include "gleaner/v1/worker.pb.h"
+
+namespace gleaner::gateway {
+
+namespace pb = gleaner::v1;
+
+inline constexpr std::uint32_t protocol_version = 1;
+inline constexpr std::size_t piece_bytes = std::size_t{1} << 20;  // largest piece of a blob, a file or a result
+
+pb::FrameSettings to_proto(const coordinator::FrameSettings& settings);
+// Throws Error::bad_input naming the field.
+coordinator::FrameSettings from_proto(const pb::FrameSettings& settings);
+
+pb::Job to_proto(const coordinator::JobStatus& status);
+coordinator::JobStatus from_proto(const pb::Job& job);
+
+pb::Worker to_proto(const coordinator::WorkerStatus& status);
+coordinator::WorkerStatus from_proto(const pb::Worker& worker);
+
+pb::Device to_proto(const coordinator::DeviceDescription& device);
+coordinator::DeviceDescription from_proto(const pb::Device& device);
+
+// Throws Error::bad_input naming the field.
+coordinator::WorkerHello from_proto(const pb::Hello& hello);
+coordinator::BatchCost from_proto(const pb::BatchCost& cost);
+
+// Runs a handler's body; what it throws becomes the call's status.
+grpc::Status guarded(const std::function<grpc::Status()>& body);
+
+}  // namespace gleaner::gateway

@@ -1,0 +1,230 @@
+#include "coordinator/gateway/farm_service.h"
+
+#include <chrono>
+#include <cmath>
+#include <fstream>
+#include <thread>
+
+#include "coordinator/film/write.h"
+#include "coordinator/gateway/convert.h"
+#include "scene/model/error.h"
+
+namespace gleaner::gateway {
+
+using namespace gleaner::coordinator;
+namespace fs = std::filesystem;
+using grpc::Status;
+using grpc::StatusCode;
+
+namespace {
+
+constexpr int most_ids = 1024;  // in one MissingBlobs call
+
+Status no_job(const std::string& id) { return {StatusCode::NOT_FOUND, "no job " + id.substr(0, 80)}; }
+
+Bytes read_file(const fs::path& path) {
+  std::ifstream file(path, std::ios::binary | std::ios::ate);
+  if (!file) throw Error::failed(path.string() + ": cannot open");
+  Bytes bytes(static_cast<std::size_t>(file.tellg()));
+  file.seekg(0);
+  if (!file.read(reinterpret_cast<char*>(bytes.data()), static_cast<std::streamsize>(bytes.size())))
+    throw Error::failed(path.string() + ": cannot read");
+  return bytes;
+}
+
+}  // namespace
+
+Status FarmService::MissingBlobs(grpc::ServerContext*, const pb::MissingBlobsRequest* request,
+                                 pb::MissingBlobsReply* reply) {
+  if (request->ids_size() > most_ids) return {StatusCode::INVALID_ARGUMENT, "more than 1024 ids"};
+  for (const std::string& id : request->ids()) {
+    if (!is_sha256_hex(id))
+      return {StatusCode::INVALID_ARGUMENT,
+              "blob id: expected 64 lower-case hexadecimal digits, found \"" + id.substr(0, 80) + "\""};
+    if (!blobs_.has(id)) reply->add_ids(id);
+  }
+  return Status::OK;
+}
+
+Status FarmService::UploadBlob(grpc::ServerContext*, grpc::ServerReader<pb::UploadBlobRequest>* stream,
+                               pb::UploadBlobReply* reply) {
+  pb::UploadBlobRequest part;
+  if (!stream->Read(&part) || !part.has_header())
+    return {StatusCode::INVALID_ARGUMENT, "an upload begins with its header"};
+  const std::string id = part.header().id();
+  const std::uint64_t bytes = part.header().bytes();
+  if (!is_sha256_hex(id))
+    return {StatusCode::INVALID_ARGUMENT,
+            "blob id: expected 64 lower-case hexadecimal digits, found \"" + id.substr(0, 80) + "\""};
+  if (bytes > upload_bytes_)
+    return {StatusCode::RESOURCE_EXHAUSTED, "blob " + id + ": " + std::to_string(bytes) +
+                                                " bytes are over this coordinator's limit of " +
+                                                std::to_string(upload_bytes_)};
+  if (blobs_.has(id)) {
+    reply->set_held_before(true);
+    return Status::OK;
+  }
+  try {
+    BlobStore::Upload upload(blobs_, id, bytes);
+    while (stream->Read(&part)) {
+      if (part.part_case() != pb::UploadBlobRequest::kData)
+        return {StatusCode::INVALID_ARGUMENT, "blob " + id + ": a second header"};
+      if (part.data().size() > piece_bytes)
+        return {StatusCode::INVALID_ARGUMENT, "blob " + id + ": a piece is at most 1 MiB"};
+      upload.append(std::as_bytes(std::span(part.data())));
+    }
+    upload.commit();
+  } catch (const Error& error) {
+    bool callers_fault = error.kind() == ErrorKind::bad_input;
+    return {callers_fault ? StatusCode::INVALID_ARGUMENT : StatusCode::RESOURCE_EXHAUSTED, error.what()};
+  } catch (const std::bad_alloc&) {
+    return {StatusCode::RESOURCE_EXHAUSTED, "blob " + id + ": the coordinator is out of memory"};
+  }
+  return Status::OK;
+}
+
+SceneSummary FarmService::summary_of(const std::string& scene_blob, const std::string& scene_name) {
+  {
+    std::lock_guard lock(summaries_mutex_);
+    if (auto found = summaries_.find(scene_blob); found != summaries_.end()) return found->second;
+  }
+  Blob blob = blobs_.get(scene_blob);
+  if (!blob) throw Error::failed("blob " + scene_blob + " has gone");
+  SceneSummary summary = summarize(scene::parse_scene(*blob, scene_name));
+  std::lock_guard lock(summaries_mutex_);
+  if (summaries_.size() >= 1024) summaries_.clear();
+  return summaries_[scene_blob] = summary;
+}
+
+Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* request, pb::SubmitJobReply* reply) {
+  return guarded([&]() -> Status {
+    for (const std::string& id : {request->scene_blob(), request->bvh_blob()}) {
+      if (!is_sha256_hex(id))
+        return {StatusCode::INVALID_ARGUMENT,
+                "blob id: expected 64 lower-case hexadecimal digits, found \"" + id.substr(0, 80) + "\""};
+      if (!blobs_.has(id)) return {StatusCode::FAILED_PRECONDITION, "blob " + id + " must be uploaded first"};
+    }
+    if (request->scene_name().empty() || request->scene_name().size() > 256 || request->camera_name().size() > 256)
+      return {StatusCode::INVALID_ARGUMENT, "scene_name, camera_name: expected at most 256 bytes, and a scene name"};
+    if (!std::isfinite(request->exposure_stops()) || std::abs(request->exposure_stops()) > 100)
+      return {StatusCode::INVALID_ARGUMENT, "exposure_stops: expected -100 to 100"};
+    JobRequest job;
+    job.scene_name = request->scene_name();
+    job.scene_blob = request->scene_blob();
+    job.bvh_blob = request->bvh_blob();
+    job.camera_name = request->camera_name();
+    job.settings = from_proto(request->settings());
+    job.exposure_stops = request->exposure_stops();
+    if (request->first_frame() != 0 || request->last_frame() != 0) {
+      job.first_frame = request->first_frame();
+      job.last_frame = request->last_frame();
+    }
+    job.scene = summary_of(job.scene_blob, job.scene_name);
+    reply->set_job(farm_.submit(job));
+    return Status::OK;
+  });
+}
+
+Status FarmService::ListJobs(grpc::ServerContext*, const pb::ListJobsRequest*, pb::ListJobsReply* reply) {
+  for (const JobStatus& status : farm_.list()) *reply->add_jobs() = to_proto(status);
+  return Status::OK;
+}
+
+Status FarmService::GetJob(grpc::ServerContext*, const pb::GetJobRequest* request, pb::Job* reply) {
+  auto status = farm_.status(request->job());
+  if (!status) return no_job(request->job());
+  *reply = to_proto(*status);
+  return Status::OK;
+}
+
+Status FarmService::CancelJob(grpc::ServerContext*, const pb::CancelJobRequest* request, pb::Job* reply) {
+  auto status = farm_.cancel(request->job());
+  if (!status) return no_job(request->job());
+  *reply = to_proto(*status);
+  return Status::OK;
+}
+
+Status FarmService::WatchJob(grpc::ServerContext* context, const pb::WatchJobRequest* request,
+                             grpc::ServerWriter<pb::Job>* stream) {
+  using namespace std::chrono_literals;
+  std::uint64_t seen = 0;
+  while (!context->IsCancelled()) {
+    // Silence of a second is broken, so that seconds and rates keep moving; a farm that goes away ends the wait.
+    auto status = farm_.wait(request->job(), seen, 1.0);
+    if (!status) return no_job(request->job());
+    seen = status->version;
+    if (!stream->Write(to_proto(*status))) return Status::OK;
+    if (ended(status->state)) return Status::OK;
+    std::this_thread::sleep_for(100ms);
+  }
+  return Status::OK;
+}
+
+Status FarmService::GetPreview(grpc::ServerContext*, const pb::GetPreviewRequest* request, pb::GetPreviewReply* reply) {
+  return guarded([&]() -> Status {
+    auto status = farm_.status(request->job());
+    if (!status) return no_job(request->job());
+    Bytes png;
+    if (status->state == JobState::done) {
+      for (const fs::path& path : farm_.files(request->job()))
+        if (path.extension() == ".png") png = read_file(path);
+      reply->set_complete(true);
+    } else if (auto film = farm_.preview(request->job())) {
+      png = encode_png(*film, status->exposure_stops);
+    }
+    if (png.empty()) return {StatusCode::FAILED_PRECONDITION, "job " + request->job() + ": nothing to show yet"};
+    reply->set_png(png.data(), png.size());
+    return Status::OK;
+  });
+}
+
+Status FarmService::Why(grpc::ServerContext*, const pb::WhyRequest* request, pb::WhyReply* reply) {
+  auto reasons = farm_.why(request->job());
+  if (!reasons) return no_job(request->job());
+  for (const std::string& reason : *reasons) reply->add_reasons(reason);
+  return Status::OK;
+}
+
+Status FarmService::ListFiles(grpc::ServerContext*, const pb::ListFilesRequest* request, pb::ListFilesReply* reply) {
+  if (!farm_.status(request->job())) return no_job(request->job());
+  for (const fs::path& path : farm_.files(request->job())) {
+    std::error_code code;
+    std::uint64_t bytes = fs::file_size(path, code);
+    if (code) continue;
+    pb::File* file = reply->add_files();
+    file->set_name(path.filename().string());
+    file->set_bytes(bytes);
+  }
+  return Status::OK;
+}
+
+Status FarmService::FetchFile(grpc::ServerContext*, const pb::FetchFileRequest* request,
+                              grpc::ServerWriter<pb::FetchFileReply>* stream) {
+  if (!farm_.status(request->job())) return no_job(request->job());
+  // Only names that the job itself gave: nothing else of the disk can be asked for.
+  for (const fs::path& path : farm_.files(request->job())) {
+    if (path.filename() != request->name()) continue;
+    std::ifstream file(path, std::ios::binary | std::ios::ate);
+    if (!file) return {StatusCode::INTERNAL, path.filename().string() + ": cannot open"};
+    pb::FetchFileReply piece;
+    piece.set_total_bytes(static_cast<std::uint64_t>(file.tellg()));
+    std::uint64_t left = piece.total_bytes();
+    file.seekg(0);
+    do {
+      piece.mutable_data()->resize(std::min<std::uint64_t>(left, piece_bytes));
+      if (!file.read(piece.mutable_data()->data(), static_cast<std::streamsize>(piece.data().size())))
+        return {StatusCode::INTERNAL, path.filename().string() + ": cannot read"};
+      left -= piece.data().size();
+      if (!stream->Write(piece)) return Status::OK;
+    } while (left > 0);
+    return Status::OK;
+  }
+  return {StatusCode::NOT_FOUND, "job " + request->job() + " has no file " + request->name().substr(0, 80)};
+}
+
+Status FarmService::ListWorkers(grpc::ServerContext*, const pb::ListWorkersRequest*, pb::ListWorkersReply* reply) {
+  for (const WorkerStatus& status : farm_.workers()) *reply->add_workers() = to_proto(status);
+  return Status::OK;
+}
+
+}  // namespace gleaner::gateway

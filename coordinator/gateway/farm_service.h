@@ -1,0 +1,46 @@
+#pragma once
+// gleaner.v1.Farm: what people call.
+
+#include <map>
+#include <mutex>
+#include <string>
+
+#include "coordinator/blobs/store.h"
+#include "coordinator/jobs/farm.h"
+#include "gleaner/v1/farm.grpc.pb.h"
+
+namespace gleaner::gateway {
+
+namespace pb = gleaner::v1;
+
+class FarmService final : public pb::Farm::Service {
+ public:
+  FarmService(coordinator::Farm& farm, coordinator::BlobStore& blobs, std::uint64_t upload_bytes)
+      : farm_(farm), blobs_(blobs), upload_bytes_(upload_bytes) {}
+
+  grpc::Status MissingBlobs(grpc::ServerContext*, const pb::MissingBlobsRequest*, pb::MissingBlobsReply*) override;
+  grpc::Status UploadBlob(grpc::ServerContext*, grpc::ServerReader<pb::UploadBlobRequest>*,
+                          pb::UploadBlobReply*) override;
+  grpc::Status SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest*, pb::SubmitJobReply*) override;
+  grpc::Status ListJobs(grpc::ServerContext*, const pb::ListJobsRequest*, pb::ListJobsReply*) override;
+  grpc::Status GetJob(grpc::ServerContext*, const pb::GetJobRequest*, pb::Job*) override;
+  grpc::Status CancelJob(grpc::ServerContext*, const pb::CancelJobRequest*, pb::Job*) override;
+  grpc::Status WatchJob(grpc::ServerContext*, const pb::WatchJobRequest*, grpc::ServerWriter<pb::Job>*) override;
+  grpc::Status GetPreview(grpc::ServerContext*, const pb::GetPreviewRequest*, pb::GetPreviewReply*) override;
+  grpc::Status Why(grpc::ServerContext*, const pb::WhyRequest*, pb::WhyReply*) override;
+  grpc::Status ListFiles(grpc::ServerContext*, const pb::ListFilesRequest*, pb::ListFilesReply*) override;
+  grpc::Status FetchFile(grpc::ServerContext*, const pb::FetchFileRequest*,
+                         grpc::ServerWriter<pb::FetchFileReply>*) override;
+  grpc::Status ListWorkers(grpc::ServerContext*, const pb::ListWorkersRequest*, pb::ListWorkersReply*) override;
+
+ private:
+  coordinator::SceneSummary summary_of(const std::string& scene_blob, const std::string& scene_name);
+
+  coordinator::Farm& farm_;
+  coordinator::BlobStore& blobs_;
+  std::uint64_t upload_bytes_;  // largest blob
+  std::mutex summaries_mutex_;
+  std::map<std::string, coordinator::SceneSummary> summaries_;  // by scene blob
+};
+
+}  // namespace gleaner::gateway

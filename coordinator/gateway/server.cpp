@@ -1,0 +1,83 @@
+#include "coordinator/gateway/server.h"
+
+#include <grpcpp/ext/proto_server_reflection_plugin.h>
+#include <grpcpp/grpcpp.h>
+
+#include <chrono>
+
+#include "coordinator/gateway/convert.h"
+#include "coordinator/gateway/farm_service.h"
+#include "coordinator/gateway/worker_hub.h"
+#include "scene/model/error.h"
+
+namespace gleaner::gateway {
+
+namespace {
+
+void enable_plugins() {
+  static const bool once = [] {
+    grpc::EnableDefaultHealthCheckService(true);
+    grpc::reflection::InitProtoReflectionServerBuilderPlugin();
+    return true;
+  }();
+  static_cast<void>(once);
+}
+
+}  // namespace
+
+struct Server::Impl {
+  Impl(coordinator::Farm& farm, coordinator::BlobStore& blobs, const ServerSettings& settings)
+      : farm_service(farm, blobs, settings.upload_bytes),
+        hub(farm, blobs, settings.most_workers, settings.heartbeat_seconds) {}
+
+  FarmService farm_service;
+  WorkerHub hub;
+  std::unique_ptr<grpc::Server> server;
+  std::string address;
+};
+
+Server::Server(coordinator::Farm& farm, coordinator::BlobStore& blobs, const ServerSettings& settings)
+    : impl_(std::make_unique<Impl>(farm, blobs, settings)) {
+  enable_plugins();
+  grpc::ServerBuilder builder;
+  // By default gRPC lets several servers share a port: a second coordinator would take half of the first one's calls.
+  builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
+  // Workers behind NAT ping to keep their connection; a peer that vanished without a word is found the same way.
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, 20000);
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10000);
+  builder.AddChannelArgument(GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 5000);
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_PERMIT_WITHOUT_CALLS, 1);
+  builder.SetMaxReceiveMessageSize(static_cast<int>(2 * piece_bytes));
+  grpc::ResourceQuota quota("gleaner");
+  // A worker takes a thread while it is connected, a call while it runs.
+  quota.SetMaxThreads(static_cast<int>(settings.most_workers + 1024));
+  builder.SetResourceQuota(quota);
+  builder.RegisterService(&impl_->farm_service);
+  builder.RegisterService(&impl_->hub);
+  int port = 0;
+  if (!settings.listen.empty()) builder.AddListeningPort(settings.listen, grpc::InsecureServerCredentials(), &port);
+  impl_->server = builder.BuildAndStart();
+  if (!impl_->server || (!settings.listen.empty() && port == 0))
+    throw Error::failed("cannot listen on " + settings.listen +
+                        ": is the port taken, or the address not this machine's?");
+  if (!settings.listen.empty())
+    impl_->address = settings.listen.substr(0, settings.listen.rfind(':') + 1) + std::to_string(port);
+}
+
+Server::~Server() { shutdown(); }
+
+const std::string& Server::address() const { return impl_->address; }
+
+std::shared_ptr<grpc::Channel> Server::in_process_channel() {
+  grpc::ChannelArguments arguments;
+  arguments.SetMaxReceiveMessageSize(-1);
+  return impl_->server->InProcessChannel(arguments);
+}
+
+void Server::shutdown() {
+  if (!impl_->server) return;
+  impl_->server->Shutdown(std::chrono::system_clock::now() + std::chrono::milliseconds(500));
+  impl_->server->Wait();
+}
+
+}  // namespace gleaner::gateway
