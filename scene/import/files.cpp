@@ -1,0 +1,133 @@
+#include "scene/import/files.h"
+
+#include <array>
+#include <fstream>
+#include <system_error>
+
+#include "scene/model/error.h"
+
+namespace gleaner::scene {
+namespace fs = std::filesystem;
+namespace {
+
+int hex_digit(char c) {
+  if (c >= '0' && c <= '9') return c - '0';
+  if (c >= 'a' && c <= 'f') return c - 'a' + 10;
+  if (c >= 'A' && c <= 'F') return c - 'A' + 10;
+  return -1;
+}
+
+std::string shortened(std::string_view text) {
+  return "\"" + std::string(text.substr(0, 80)) + (text.size() > 80 ? "...\"" : "\"");
+}
+
+std::vector<std::byte> base64_decoded(std::string_view text, const std::string& file, const std::string& element) {
+  static constexpr int invalid = -1;
+  static const std::array<int, 256> digits = [] {
+    std::array<int, 256> table;
+    table.fill(invalid);
+    const std::string_view alphabet = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    for (std::size_t i = 0; i < alphabet.size(); ++i) table[static_cast<unsigned char>(alphabet[i])] = int(i);
+    return table;
+  }();
+  std::size_t length = text.size();
+  while (length > 0 && text[length - 1] == '=') --length;
+  if (text.size() - length > 2 || length % 4 == 1)
+    throw Error::bad_input(file, element, "base64 in groups of four characters", std::to_string(text.size()));
+  std::vector<std::byte> bytes;
+  bytes.reserve(length / 4 * 3 + 2);
+  std::uint32_t bits = 0;
+  int pending = 0;
+  for (std::size_t i = 0; i < length; ++i) {
+    const int digit = digits[static_cast<unsigned char>(text[i])];
+    if (digit == invalid)
+      throw Error::bad_input(
+          file, element, "base64",
+          "byte " + std::to_string(static_cast<unsigned char>(text[i])) + " at character " + std::to_string(i));
+    bits = bits << 6 | static_cast<std::uint32_t>(digit);
+    pending += 6;
+    if (pending >= 8) {
+      pending -= 8;
+      bytes.push_back(static_cast<std::byte>(bits >> pending & 0xff));
+    }
+  }
+  return bytes;
+}
+
+}  // namespace
+
+std::uint64_t file_bytes(const fs::path& path, const std::string& file, const std::string& element) {
+  const bool is_itself = path == fs::path(file);
+  const auto fail = [&](const std::string& found) {
+    throw Error::bad_input(file, element, is_itself ? "a readable file" : "the file " + shortened(path.string()),
+                           found);
+  };
+  std::error_code code;
+  const fs::file_status status = fs::status(path, code);
+  if (!fs::exists(status)) fail(status.type() == fs::file_type::not_found ? "none" : code.message());
+  if (fs::is_directory(status)) fail("a folder");
+  if (!fs::is_regular_file(status)) fail("something that is not a regular file");
+  const std::uint64_t bytes = fs::file_size(path, code);
+  if (code) fail(code.message());
+  if (bytes == 0) fail("0 bytes");
+  if (bytes > kMaxFileBytes)
+    throw Error::bad_input(file, element, "at most " + std::to_string(kMaxFileBytes) + " bytes", std::to_string(bytes));
+  return bytes;
+}
+
+std::vector<std::byte> read_file(const fs::path& path, std::uint64_t count, const std::string& file,
+                                 const std::string& element) {
+  std::ifstream stream(path, std::ios::binary);
+  if (!stream) throw Error::bad_input(file, element, "a readable file", shortened(path.string()));
+  std::vector<std::byte> bytes(count);
+  stream.read(reinterpret_cast<char*>(bytes.data()), static_cast<std::streamsize>(count));
+  if (static_cast<std::uint64_t>(stream.gcount()) != count)
+    throw Error::bad_input(file, element, std::to_string(count) + " bytes", std::to_string(stream.gcount()));
+  return bytes;
+}
+
+fs::path resolve_inside(const std::string& reference, const std::string& file, const std::string& element) {
+  const std::string expected = "a path inside the scene's folder";
+  const fs::path relative(reference);
+  if (reference.empty() || relative.is_absolute())
+    throw Error::bad_input(file, element, expected, shortened(reference));
+  std::error_code code;
+  const fs::path parent = fs::path(file).parent_path();
+  const fs::path folder = fs::canonical(parent.empty() ? fs::path(".") : parent, code);
+  if (code) throw Error::bad_input(file, element, "a readable folder", code.message());
+  const fs::path target = fs::weakly_canonical(folder / relative, code);
+  if (code) throw Error::bad_input(file, element, "the file " + shortened(reference), code.message());
+  const fs::path inside = target.lexically_relative(folder);
+  if (inside.empty() || *inside.begin() == ".." || inside == ".")
+    throw Error::bad_input(file, element, expected, shortened(reference));
+  return target;
+}
+
+std::string percent_decoded(std::string_view uri, const std::string& file, const std::string& element) {
+  std::string text;
+  text.reserve(uri.size());
+  for (std::size_t i = 0; i < uri.size(); ++i) {
+    char c = uri[i];
+    if (c == '%') {
+      const int high = i + 2 < uri.size() ? hex_digit(uri[i + 1]) : -1;
+      const int low = i + 2 < uri.size() ? hex_digit(uri[i + 2]) : -1;
+      if (high < 0 || low < 0) throw Error::bad_input(file, element, "two hexadecimal digits after %", shortened(uri));
+      c = static_cast<char>(high * 16 + low);
+      i += 2;
+    }
+    if (c == 0) throw Error::bad_input(file, element, "a URI without zero bytes", shortened(uri));
+    text += c;
+  }
+  return text;
+}
+
+std::vector<std::byte> data_uri_bytes(std::string_view uri, const std::string& file, const std::string& element) {
+  const std::size_t comma = uri.find(',');
+  if (comma == std::string_view::npos)
+    throw Error::bad_input(file, element, "a comma before the data of a data URI", shortened(uri));
+  if (!uri.substr(0, comma).ends_with(";base64"))
+    throw Error::bad_input(file, element, "a data URI in base64", shortened(uri.substr(0, comma)));
+  return base64_decoded(uri.substr(comma + 1), file, element);
+}
+
+}  // namespace gleaner::scene
