@@ -26,6 +26,9 @@ constexpr int kDuplicateCandidates = 4;
 // A worker that is put aside again and again waits twice as long each time, but at most so many times the first wait.
 constexpr double kLongestAside = 32;
 
+// A batch that runs so many times as long as expected is late: what waits behind it goes to others.
+constexpr double kLate = 3;
+
 // Leases are numbered from here on in the run of the coordinator that `incarnation` counts.
 constexpr unsigned kIncarnationShift = 32;
 
@@ -84,8 +87,10 @@ struct Worker {
   bool draining = false;
   bool aside = false;
   Seconds aside_until = 0;
-  std::vector<LeaseId> hand;  // the first one runs, the others wait
-  Seconds hand_start = 0;     // when the first one began to run
+  std::vector<LeaseId> hand;       // the first one runs, the others wait
+  Seconds hand_start = 0;          // when the first one began to run
+  bool late = false;               // the first one takes far longer than it should
+  std::optional<Seconds> late_at;  // when that would be so, while something waits behind it
   unsigned failures_in_row = 0, expiries_in_row = 0;
   std::map<Kind, Throughput> throughput;
 
@@ -98,12 +103,23 @@ struct KindTotals {
   std::uint64_t known = 0;
 };
 
-enum class TimerKind { lease, aside, preferred };
+enum class TimerKind { lease, late, aside, preferred };
 using Timer = std::tuple<Seconds, TimerKind, std::uint64_t>;
 
 // Why a worker gets none of a stage's unleased items.
 // The first ones hold for every stage.
-enum class Refusal { none, drains, aside, runs_solo, full, failed_it, others_preferred, not_measured, has_its_share };
+enum class Refusal {
+  none,
+  drains,
+  aside,
+  runs_solo,
+  late,
+  full,
+  failed_it,
+  others_preferred,
+  not_measured,
+  has_its_share
+};
 
 struct Offer {
   Refusal why_not = Refusal::none;
@@ -294,6 +310,19 @@ struct Scheduler::Impl {
       lease.planned = at;
       list_candidate(stage, lease, id == worker.hand.front());
     }
+    watch_lateness(worker);
+  }
+
+  void watch_lateness(Worker& worker) {
+    if (worker.late_at) timers.erase({*worker.late_at, TimerKind::late, worker.id});
+    worker.late_at.reset();
+    if (worker.hand.size() < 2 || worker.late) return;
+    const LiveLease& first = live.at(worker.hand.front());
+    const Seconds expected = first.planned - worker.hand_start;
+    // Short batches are late by little: what it costs to wait is a batch at most.
+    worker.late_at = worker.hand_start + std::max(kLate * expected, expected + settings.target_batch);
+    timers.insert({*worker.late_at, TimerKind::late, worker.id});
+    ++steps;
   }
 
   void unlist(Stage& stage, LiveLease& lease) {
@@ -368,13 +397,32 @@ struct Scheduler::Impl {
     leave_sums(worker);
     std::erase(worker.hand, id);
     enter_sums(worker);
-    if (ran) worker.hand_start = now;
+    if (ran) {
+      worker.hand_start = now;
+      worker.late = false;
+    }
     // The next one's time begins now, but only if the worker shows signs of life.
     if (ran && delivered && !worker.hand.empty()) {
       LiveLease& next = live.at(worker.hand.front());
       const Stage& next_stage_of = stages.at(next.lease.stage);
       const Seconds expected = expected_seconds(worker, next_stage_of, next.lease.count);
       set_expiry(next, std::max(next.lease.expires, now + lease_length(next_stage_of, expected)));
+    }
+    replan(worker);
+  }
+
+  // The worker is late: what waits for it is cut anew for the others.
+  void recall_waiting(Worker& worker, Seconds now, std::vector<Lease>& recalled) {
+    worker.late_at.reset();
+    worker.late = true;
+    const Lease running = live.at(worker.hand.front()).lease;
+    learn(worker, stages.at(running.stage).kind,
+          [&](Throughput& t) { t.overran(running.count, now - worker.hand_start, settings); });
+    while (worker.hand.size() > 1 && usable_workers() > 1) {
+      const Lease lease = live.at(worker.hand.back()).lease;
+      end_lease(lease.id, LeaseEnd::taken_back, false, now);
+      give_back(stages.at(lease.stage), lease.first);
+      recalled.push_back(lease);
     }
     replan(worker);
   }
@@ -450,6 +498,7 @@ struct Scheduler::Impl {
     if (!usable(worker)) return out.refuse(Refusal::aside);
     // Nobody knows how long a solo stage takes: whatever waited behind it would be late.
     if (holds_solo(worker)) return out.refuse(Refusal::runs_solo);
+    if (worker.late && usable_workers() > 1) return out.refuse(Refusal::late);
     if (worker.hand.size() >= settings.in_flight) return out.refuse(Refusal::full);
 
     out.piece = stage.pool.front([&](const FailureHistory& f) { return may_run(worker, f); }, steps);
@@ -765,6 +814,10 @@ std::vector<Lease> Scheduler::expire(Seconds now) {
       m.take_back_in(m.workers.at(id));
       continue;
     }
+    if (kind == TimerKind::late) {
+      m.recall_waiting(m.workers.at(id), now, out);
+      continue;
+    }
     const Lease lease = m.live.at(id).lease;
     Stage& stage = m.stages.at(lease.stage);
     Worker& worker = m.workers.at(lease.worker);
@@ -845,6 +898,9 @@ std::string Scheduler::why_waiting(StageId id, Seconds now) const {
         break;
       case Refusal::runs_solo:
         line += m.describe(who, "runs a solo stage", "run solo stages");
+        break;
+      case Refusal::late:
+        line += m.describe(who, "is late with its batch", "are late with their batches");
         break;
       case Refusal::full:
         line += m.describe(who, "holds " + leases, "hold " + leases + " each");

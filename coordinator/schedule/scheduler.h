@@ -108,7 +108,8 @@ class Scheduler {
   ResultOutcome result(WorkerId worker, LeaseId lease, Epoch epoch, Seconds seconds, Seconds now);
   // The worker could not do it: the items go back, preferably to another worker.
   FailureOutcome failed(WorkerId worker, LeaseId lease, Epoch epoch, Seconds now);
-  // Leases that ran out by `now`: their items are in the pool again, their epochs are stale.
+  // Leases that ran out by `now`, and those that waited behind a batch that takes far longer than it should: their
+  // items are in the pool again, their epochs are stale, their workers can be told.
   std::vector<Lease> expire(Seconds now);
   // When expire() has something to do next: a lease runs out, a worker that was put aside may work again, a solo stage
   // gives up on its preferred workers. None = never. Call expire() then, though it may return no lease.
