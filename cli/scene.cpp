@@ -1,0 +1,85 @@
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <filesystem>
+#include <iostream>
+#include <map>
+#include <memory>
+#include <nlohmann/json.hpp>
+
+#include "cli/commands.h"
+#include "scene/library/library.h"
+#include "scene/model/error.h"
+
+namespace gleaner::cli {
+namespace {
+
+struct SceneWords {
+  std::string name, output;
+  std::vector<std::string> settings;
+  bool list = false, json = false;
+};
+
+void print_list(bool json) {
+  if (json) {
+    nlohmann::ordered_json entries = nlohmann::ordered_json::array();
+    for (const scene::LibraryEntry& entry : scene::library()) {
+      nlohmann::ordered_json parameters = nlohmann::ordered_json::object();
+      for (const auto& [name, value] : entry.parameters)
+        parameters[name] = {{"default", std::stod(value)}, {"range", entry.ranges.at(name)}};
+      entries.push_back({{"name", entry.name}, {"description", entry.description}, {"parameters", parameters}});
+    }
+    std::cout << entries.dump(2) << '\n';
+    return;
+  }
+  for (const scene::LibraryEntry& entry : scene::library()) {
+    std::cout << fmt::format("{:<22} {}\n", entry.name, entry.description);
+    for (const auto& [name, value] : entry.parameters)
+      std::cout << fmt::format("{:<22}   --set {}={}   ({})\n", "", name, value, entry.ranges.at(name));
+  }
+}
+
+std::map<std::string, std::string> parse_settings(const std::vector<std::string>& settings) {
+  std::map<std::string, std::string> parameters;
+  for (const std::string& setting : settings) {
+    const std::size_t equals = setting.find('=');
+    if (equals == std::string::npos || equals == 0)
+      throw Error::usage(fmt::format("--set expects KEY=VALUE, found '{}'", setting));
+    parameters[setting.substr(0, equals)] = setting.substr(equals + 1);
+  }
+  return parameters;
+}
+
+int write_scene(const SceneWords& words) {
+  if (words.list) {
+    print_list(words.json);
+    return 0;
+  }
+  if (words.name.empty()) throw Error::usage("gleaner scene expects a NAME, or --list");
+  if (words.output.empty()) throw Error::usage("gleaner scene expects -o FILE.glb");
+  if (std::filesystem::path(words.output).extension() != ".glb")
+    throw Error::usage(fmt::format("-o expects a name that ends in .glb, found '{}'", words.output));
+  const scene::Scene made = scene::make_scene(words.name, parse_settings(words.settings));
+  scene::write_glb(made, words.output);
+  std::cerr << fmt::format("{}: {} triangles, {} camera{}\n", words.output, made.triangle_count(), made.cameras.size(),
+                           made.cameras.size() == 1 ? "" : "s");
+  if (!made.environment.empty())
+    std::cerr << fmt::format("{0}: the scene's light, which glTF cannot hold; render with --environment {0}\n",
+                             scene::environment_path(words.output));
+  return 0;
+}
+
+}  // namespace
+
+void add_scene(CLI::App& app, Run& run) {
+  CLI::App* command = app.add_subcommand("scene", "Write a scene of the procedural library");
+  const auto words = std::make_shared<SceneWords>();
+  command->add_option("name", words->name, "The scene's name (see --list)");
+  command->add_option("-o,--output", words->output, "The file to write (binary glTF)")->type_name("FILE.glb");
+  command->add_option("--set", words->settings, "A parameter of the scene; may be given again")->type_name("KEY=VALUE");
+  command->add_flag("--list", words->list, "Print the scenes and their parameters");
+  command->add_flag("--json", words->json, "With --list: for machines");
+  command->callback([words, &run] { run = [words] { return write_scene(*words); }; });
+}
+
+}  // namespace gleaner::cli

@@ -1,0 +1,420 @@
+// Binary glTF 2.0: a JSON chunk and one buffer. Everything stands in world space; one node a mesh, light and camera.
+
+#include <OpenImageIO/filesystem.h>
+#include <OpenImageIO/imageio.h>
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <filesystem>
+#include <limits>
+#include <map>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <set>
+#include <span>
+#include <system_error>
+
+#include "scene/library/library.h"
+#include "scene/model/error.h"
+
+namespace gleaner::scene {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+enum : int { kFloat = 5126, kUnsignedInt = 5125, kArrayBuffer = 34962, kElementArrayBuffer = 34963, kLinear = 9729 };
+
+[[noreturn]] void cannot_write(const std::string& path, const std::string& why) {
+  throw Error::failed(path + ": cannot be written: " + why);
+}
+
+// A file that appears under its name when commit() returns, whole and on disk; without commit() it leaves nothing.
+class AtomicFile {
+ public:
+  explicit AtomicFile(const std::string& path) : path_(path), temporary_(path + ".part" + std::to_string(getpid())) {}
+  AtomicFile(const AtomicFile&) = delete;
+  AtomicFile& operator=(const AtomicFile&) = delete;
+  ~AtomicFile() {
+    if (!committed_) unlink(temporary_.c_str());
+  }
+
+  const std::string& temporary() const { return temporary_; }
+
+  void commit() {
+    sync(temporary_, O_RDONLY);
+    if (rename(temporary_.c_str(), path_.c_str()) != 0) fail();
+    committed_ = true;
+    const std::string folder = std::filesystem::path(path_).parent_path().string();
+    sync(folder.empty() ? "." : folder, O_RDONLY | O_DIRECTORY);
+  }
+
+  [[noreturn]] void fail() const { cannot_write(path_, std::generic_category().message(errno)); }
+
+ private:
+  void sync(const std::string& name, int flags) const {
+    const int file = open(name.c_str(), flags | O_CLOEXEC);
+    if (file < 0) fail();
+    const int result = fsync(file);
+    const int error = errno;
+    close(file);
+    errno = error;
+    if (result != 0) fail();
+  }
+
+  std::string path_, temporary_;
+  bool committed_ = false;
+};
+
+// The radiometric values of glTF are a colour of at most 1 and a strength. A power of two as strength loses no bit.
+struct ColourAndStrength {
+  Json colour;
+  float strength;
+};
+
+ColourAndStrength split(const float value[3]) {
+  const float largest = std::max({value[0], value[1], value[2]});
+  float strength = 1;
+  while (strength < largest) strength *= 2;
+  return {Json::array({value[0] / strength, value[1] / strength, value[2] / strength}), strength};
+}
+
+Json numbers(const float* values, std::size_t count) { return Json(std::vector<float>(values, values + count)); }
+
+class GlbWriter {
+ public:
+  GlbWriter(const Scene& scene, const std::string& path) : scene_(scene), path_(path) {}
+
+  void write() {
+    json_["asset"] = {{"version", "2.0"}, {"generator", "Gleaner"}};
+    json_["scene"] = 0;
+    json_["scenes"] = Json::array({Json{{"name", scene_.name}}});
+    for (const Mesh& mesh : scene_.meshes) add_mesh(mesh);
+    add_textures();
+    for (std::size_t i = 0; i < scene_.materials.size(); ++i) add_material(i);
+    for (const Light& light : scene_.lights) add_light(light);
+    for (const NamedCamera& camera : scene_.cameras) add_camera(camera);
+    finish();
+  }
+
+ private:
+  // Views begin at multiples of 4: PNGs may end anywhere, what follows them must not.
+  std::size_t add_view(const void* data, std::size_t bytes, std::optional<int> target = {}) {
+    buffer_.resize((buffer_.size() + 3) / 4 * 4);
+    Json view{{"buffer", 0}, {"byteOffset", buffer_.size()}, {"byteLength", bytes}};
+    if (target) view["target"] = *target;
+    const auto* first = static_cast<const std::byte*>(data);
+    buffer_.insert(buffer_.end(), first, first + bytes);
+    return add("bufferViews", std::move(view));
+  }
+
+  template <class T>
+  std::size_t add_accessor(const std::vector<T>& values, int components, const char* type, int target) {
+    constexpr int component_type = std::is_same_v<T, float> ? kFloat : kUnsignedInt;
+    return add("accessors", {{"bufferView", add_view(values.data(), values.size() * sizeof(T), target)},
+                             {"componentType", component_type},
+                             {"count", values.size() / static_cast<std::size_t>(components)},
+                             {"type", type}});
+  }
+
+  // Returns the new element's index.
+  std::size_t add(const char* array, Json element) {
+    json_[array].push_back(std::move(element));
+    return json_[array].size() - 1;
+  }
+
+  void add_node(Json node) { json_["scenes"][0]["nodes"].push_back(add("nodes", std::move(node))); }
+
+  bool has_normals(std::size_t triangle) const {
+    for (int corner = 0; corner < 3; ++corner) {
+      const float* n = &scene_.normals[3 * std::size_t{scene_.indices[3 * triangle + corner]}];
+      if (n[0] != 0 || n[1] != 0 || n[2] != 0) return true;
+    }
+    return false;
+  }
+
+  // A primitive for every run of triangles of one material that all have normals, or all lack them.
+  void add_mesh(const Mesh& mesh) {
+    if (mesh.triangle_count == 0) return;
+    Json primitives = Json::array();
+    const std::size_t end = std::size_t{mesh.first_triangle} + mesh.triangle_count;
+    for (std::size_t first = mesh.first_triangle; first < end;) {
+      const std::uint32_t material = scene_.triangle_material[first];
+      const bool normals = has_normals(first);
+      std::size_t last = first + 1;
+      while (last < end && scene_.triangle_material[last] == material && has_normals(last) == normals) ++last;
+      primitives.push_back(primitive(first, last, material, normals));
+      first = last;
+    }
+    add_node({{"name", mesh.name}, {"mesh", add("meshes", {{"name", mesh.name}, {"primitives", primitives}})}});
+  }
+
+  Json primitive(std::size_t first, std::size_t last, std::uint32_t material, bool with_normals) {
+    const std::span<const std::uint32_t> corners(&scene_.indices[3 * first], 3 * (last - first));
+    // The vertices in use, in the scene's order, so that a reader gets the scene's arrays back.
+    const auto [least, greatest] = std::minmax_element(corners.begin(), corners.end());
+    const std::uint32_t lowest = *least;
+    std::vector<std::uint32_t> number(*greatest - lowest + 1, GLEANER_NONE);
+    for (std::uint32_t corner : corners) number[corner - lowest] = 0;
+    std::vector<float> positions, normals, uvs;
+    std::uint32_t count = 0;
+    for (std::size_t i = 0; i < number.size(); ++i) {
+      if (number[i] == GLEANER_NONE) continue;
+      number[i] = count++;
+      const std::size_t v = lowest + i;
+      positions.insert(positions.end(), &scene_.positions[3 * v], &scene_.positions[3 * v] + 3);
+      if (with_normals) normals.insert(normals.end(), &scene_.normals[3 * v], &scene_.normals[3 * v] + 3);
+      if (!scene_.uvs.empty()) uvs.insert(uvs.end(), &scene_.uvs[2 * v], &scene_.uvs[2 * v] + 2);
+    }
+    std::vector<std::uint32_t> indices;
+    indices.reserve(corners.size());
+    for (std::uint32_t corner : corners) indices.push_back(number[corner - lowest]);
+
+    const std::size_t position = add_accessor(positions, 3, "VEC3", kArrayBuffer);
+    std::array<float, 3> lower{positions[0], positions[1], positions[2]}, upper = lower;
+    for (std::size_t i = 0; i < positions.size(); ++i) {
+      lower[i % 3] = std::min(lower[i % 3], positions[i]);
+      upper[i % 3] = std::max(upper[i % 3], positions[i]);
+    }
+    json_["accessors"][position]["min"] = lower;
+    json_["accessors"][position]["max"] = upper;
+    Json attributes{{"POSITION", position}};
+    if (with_normals) attributes["NORMAL"] = add_accessor(normals, 3, "VEC3", kArrayBuffer);
+    if (!uvs.empty()) attributes["TEXCOORD_0"] = add_accessor(uvs, 2, "VEC2", kArrayBuffer);
+    return {{"attributes", attributes},
+            {"indices", add_accessor(indices, 1, "SCALAR", kElementArrayBuffer)},
+            {"material", material}};
+  }
+
+  void add_textures() {
+    std::map<std::array<std::uint32_t, 3>, std::size_t> images;
+    std::map<std::array<std::uint32_t, 2>, std::size_t> samplers;
+    constexpr int wrap[] = {10497, 33071, 33648};  // repeat, clamp, mirror
+    for (const Texture& t : scene_.textures) {
+      const auto [image, new_image] = images.try_emplace({t.first_texel, t.width, t.height}, images.size());
+      if (new_image) {
+        const std::vector<unsigned char> bytes = png(t);
+        add("images", {{"bufferView", add_view(bytes.data(), bytes.size())}, {"mimeType", "image/png"}});
+      }
+      const auto [sampler, new_sampler] = samplers.try_emplace({t.wrap_u, t.wrap_v}, samplers.size());
+      if (new_sampler)
+        add("samplers",
+            {{"magFilter", kLinear}, {"minFilter", kLinear}, {"wrapS", wrap[t.wrap_u]}, {"wrapT", wrap[t.wrap_v]}});
+      add("textures", {{"sampler", sampler->second}, {"source", image->second}});
+    }
+  }
+
+  std::vector<unsigned char> png(const Texture& t) const {
+    const std::unique_ptr<OIIO::ImageOutput> output = OIIO::ImageOutput::create("png");
+    if (!output) cannot_write(path_, "OpenImageIO has no PNG: " + OIIO::geterror());
+    std::vector<unsigned char> bytes;
+    OIIO::Filesystem::IOVecOutput memory(bytes);
+    OIIO::ImageSpec spec(static_cast<int>(t.width), static_cast<int>(t.height), 4, OIIO::TypeDesc::UINT8);
+    spec.alpha_channel = 3;
+    spec.attribute("oiio:UnassociatedAlpha", 1);  // our texels are, and must not be divided by their alpha
+    output->set_ioproxy(&memory);
+    if (!output->open("texture.png", spec) ||
+        !output->write_image(OIIO::TypeDesc::UINT8, &scene_.texels[t.first_texel]) || !output->close())
+      cannot_write(path_, output->geterror());
+    return bytes;
+  }
+
+  void use(const char* extension) { extensions_.insert(extension); }
+
+  static void set_texture(Json& object, const char* key, std::uint32_t texture) {
+    if (texture != GLEANER_NONE) object[key] = {{"index", texture}};
+  }
+
+  void add_material(std::size_t index) {
+    const Material& m = scene_.materials[index];
+    Json pbr{{"baseColorFactor", {m.base_color[0], m.base_color[1], m.base_color[2], m.alpha}},
+             {"metallicFactor", m.metallic},
+             {"roughnessFactor", m.roughness}};
+    set_texture(pbr, "baseColorTexture", m.base_color_texture);
+    set_texture(pbr, "metallicRoughnessTexture", m.metallic_roughness_texture);
+    Json json{{"name", scene_.material_names[index]}, {"pbrMetallicRoughness", pbr}};
+    if (m.normal_texture != GLEANER_NONE)
+      json["normalTexture"] = {{"index", m.normal_texture}, {"scale", m.normal_scale}};
+    if (m.flags & GLEANER_MATERIAL_ALPHA_BLEND) json["alphaMode"] = "BLEND";
+    if (m.flags & GLEANER_MATERIAL_ALPHA_MASK) {
+      json["alphaMode"] = "MASK";
+      json["alphaCutoff"] = m.alpha_cutoff;
+    }
+
+    Json extensions = Json::object();
+    const bool emits = m.emission[0] > 0 || m.emission[1] > 0 || m.emission[2] > 0;
+    if (emits) {
+      const auto [colour, strength] = split(m.emission);
+      json["emissiveFactor"] = colour;
+      if (strength > 1) extensions["KHR_materials_emissive_strength"]["emissiveStrength"] = strength;
+    }
+    set_texture(json, "emissiveTexture", m.emission_texture);
+    // Emitters shine from their front alone, and glTF says so by having one side.
+    json["doubleSided"] = !emits;
+
+    Json specular = Json::object();
+    if (m.specular != 1) specular["specularFactor"] = m.specular;
+    if (m.specular_color[0] != 1 || m.specular_color[1] != 1 || m.specular_color[2] != 1)
+      specular["specularColorFactor"] = numbers(m.specular_color, 3);
+    set_texture(specular, "specularTexture", m.specular_texture);
+    set_texture(specular, "specularColorTexture", m.specular_color_texture);
+    if (!specular.empty()) extensions["KHR_materials_specular"] = specular;
+    if (m.ior != 1.5f) extensions["KHR_materials_ior"]["ior"] = m.ior;
+    if (m.transmission != 0 || m.transmission_texture != GLEANER_NONE) {
+      Json transmission{{"transmissionFactor", m.transmission}};
+      set_texture(transmission, "transmissionTexture", m.transmission_texture);
+      extensions["KHR_materials_transmission"] = transmission;
+    }
+    if (m.flags & GLEANER_MATERIAL_SOLID) {
+      // The surface is a closed mesh: its thickness only has to differ from 0.
+      Json volume{{"thicknessFactor", 1}};
+      const double most = std::max({m.attenuation[0], m.attenuation[1], m.attenuation[2]});
+      if (most > 0) {
+        volume["attenuationDistance"] = 1 / most;
+        for (float a : m.attenuation) volume["attenuationColor"].push_back(std::exp(-a / most));
+      }
+      extensions["KHR_materials_volume"] = volume;
+    }
+    if (m.flags & GLEANER_MATERIAL_UNLIT) extensions["KHR_materials_unlit"] = Json::object();
+    if (!extensions.empty()) json["extensions"] = extensions;
+    for (const auto& [name, value] : extensions.items()) use(name.c_str());
+    add("materials", std::move(json));
+  }
+
+  // Columns of a node's matrix.
+  static Json matrix(const float x[3], const float y[3], const float z[3], const float origin[3]) {
+    return {x[0], x[1], x[2], 0, y[0], y[1], y[2], 0, z[0], z[1], z[2], 0, origin[0], origin[1], origin[2], 1};
+  }
+
+  void add_light(const Light& light) {
+    constexpr const char* types[] = {"point", "spot", "directional"};
+    const auto [colour, strength] = split(light.intensity);
+    Json json{{"type", types[light.type]}, {"color", colour}, {"intensity", strength}};
+    if (light.range > 0) json["range"] = light.range;
+    if (light.type == GLEANER_LIGHT_SPOT)
+      json["spot"] = {{"innerConeAngle", std::acos(static_cast<double>(light.cos_inner))},
+                      {"outerConeAngle", std::acos(static_cast<double>(light.cos_outer))}};
+    Json& lights = json_["extensions"]["KHR_lights_punctual"]["lights"];
+    const std::string name = std::string(types[light.type]) + " light " + std::to_string(lights.size() + 1);
+    json["name"] = name;
+    Json node{{"name", name}};
+    if (light.type == GLEANER_LIGHT_POINT) {
+      node["translation"] = numbers(light.position, 3);
+    } else {
+      const float z[3] = {-light.direction[0], -light.direction[1], -light.direction[2]};
+      // Any x and y will do that make a rotation (Duff et al. 2017, Building an Orthonormal Basis, Revisited).
+      const double sign = std::copysign(1.0, z[2]), a = -1 / (sign + z[2]), b = double{z[0]} * z[1] * a;
+      const float x[3] = {static_cast<float>(1 + sign * z[0] * z[0] * a), static_cast<float>(sign * b),
+                          static_cast<float>(-sign * z[0])};
+      const float y[3] = {static_cast<float>(b), static_cast<float>(sign + double{z[1]} * z[1] * a), -z[1]};
+      node["matrix"] = matrix(x, y, z, light.position);
+    }
+    node["extensions"]["KHR_lights_punctual"]["light"] = lights.size();
+    lights.push_back(std::move(json));
+    add_node(std::move(node));
+    use("KHR_lights_punctual");
+  }
+
+  void add_camera(const NamedCamera& named) {
+    const Camera& c = named.camera;
+    // glTF demands planes; nothing here is clipped by them.
+    constexpr double near = 0.001, far = 1e6;
+    Json json{{"name", named.name}};
+    if (c.type == GLEANER_CAMERA_PERSPECTIVE) {
+      json["type"] = "perspective";
+      json["perspective"] = {
+          {"yfov", 2 * std::atan(static_cast<double>(c.half_height))}, {"znear", near}, {"zfar", far}};
+      if (named.aspect > 0) json["perspective"]["aspectRatio"] = named.aspect;
+    } else {
+      json["type"] = "orthographic";
+      json["orthographic"] = {{"xmag", c.half_width}, {"ymag", c.half_height}, {"znear", near}, {"zfar", far}};
+    }
+    const float back[3] = {-c.forward[0], -c.forward[1], -c.forward[2]};
+    Json node{{"name", named.name},
+              {"camera", add("cameras", std::move(json))},
+              {"matrix", matrix(c.right, c.up, back, c.origin)}};
+    if (named.width > 0 && named.height > 0) node["extras"] = {{"width", named.width}, {"height", named.height}};
+    add_node(std::move(node));
+  }
+
+  void finish() {
+    if (!extensions_.empty()) json_["extensionsUsed"] = extensions_;
+    buffer_.resize((buffer_.size() + 3) / 4 * 4);
+    if (!buffer_.empty()) json_["buffers"] = Json::array({Json{{"byteLength", buffer_.size()}}});
+    std::string text = json_.dump();
+    text.resize((text.size() + 3) / 4 * 4, ' ');
+    const std::uint64_t bytes = 12 + 8 + text.size() + (buffer_.empty() ? 0 : 8 + buffer_.size());
+    if (bytes > std::numeric_limits<std::uint32_t>::max())
+      cannot_write(path_, "a binary glTF holds at most 4 GiB, the scene takes " + std::to_string(bytes) + " bytes");
+
+    AtomicFile file(path_);
+    const int descriptor = open(file.temporary().c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
+    if (descriptor < 0) file.fail();
+    const auto put = [&](const void* data, std::size_t count) {
+      const auto* next = static_cast<const char*>(data);
+      while (count > 0) {
+        const ssize_t written = ::write(descriptor, next, count);
+        if (written < 0 && errno == EINTR) continue;
+        if (written < 0) {
+          const int error = errno;
+          close(descriptor);
+          errno = error;
+          file.fail();
+        }
+        next += written;
+        count -= static_cast<std::size_t>(written);
+      }
+    };
+    constexpr std::uint32_t magic = 0x46546c67, version = 2, json_chunk = 0x4e4f534a, binary_chunk = 0x004e4942;
+    const std::uint32_t head[] = {magic, version, static_cast<std::uint32_t>(bytes),
+                                  static_cast<std::uint32_t>(text.size()), json_chunk};
+    put(head, sizeof head);
+    put(text.data(), text.size());
+    if (!buffer_.empty()) {
+      const std::uint32_t chunk[] = {static_cast<std::uint32_t>(buffer_.size()), binary_chunk};
+      put(chunk, sizeof chunk);
+      put(buffer_.data(), buffer_.size());
+    }
+    if (close(descriptor) != 0) file.fail();
+    file.commit();
+  }
+
+  const Scene& scene_;
+  const std::string& path_;
+  Json json_;
+  std::vector<std::byte> buffer_;
+  std::set<std::string> extensions_;
+};
+
+void write_environment(const Environment& environment, const std::string& path) {
+  AtomicFile file(path);
+  const std::unique_ptr<OIIO::ImageOutput> output = OIIO::ImageOutput::create("openexr");
+  if (!output) cannot_write(path, "OpenImageIO has no OpenEXR: " + OIIO::geterror());
+  OIIO::ImageSpec spec(static_cast<int>(environment.width), static_cast<int>(environment.height), 3,
+                       OIIO::TypeDesc::FLOAT);
+  spec.attribute("compression", "zip");
+  if (!output->open(file.temporary(), spec) ||
+      !output->write_image(OIIO::TypeDesc::FLOAT, environment.radiance.data()) || !output->close())
+    cannot_write(path, output->geterror());
+  file.commit();
+}
+
+}  // namespace
+
+void write_glb(const Scene& scene, const std::string& path) {
+  // The environment first: once the scene is there, all of it is.
+  if (!scene.environment.empty()) write_environment(scene.environment, environment_path(path));
+  GlbWriter(scene, path).write();
+}
+
+std::string environment_path(const std::string& glb_path) {
+  return std::filesystem::path(glb_path).replace_extension(".env.exr").string();
+}
+
+}  // namespace gleaner::scene
