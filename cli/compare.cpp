@@ -107,7 +107,23 @@ void print(const Options& options, const Comparison& comparison) {
   for (const auto& layer : comparison.layers) print(layer);
 }
 
+int tell_noise(const Options& options) {
+  const auto film = coordinator::read_exr(options.test);
+  const auto noise = coordinator::own_noise({film, options.test});
+  if (options.as_json) {
+    std::cout << json{{"mean", noise.mean}, {"standard_error", or_null(noise.standard_error)}}.dump(2) << '\n';
+    return 0;
+  }
+  fmt::print("mean           {:>13.6g}\n", noise.mean);
+  if (noise.standard_error)
+    fmt::print("standard error {:>11.4f} %   of the mean, as the variance layer tells\n", 100 * *noise.standard_error);
+  else
+    fmt::print("standard error   not known: there is no variance layer\n");
+  return 0;
+}
+
 int compare(const Options& options) {
+  if (options.reference.empty()) return tell_noise(options);
   const auto test = coordinator::read_exr(options.test);
   const auto reference = coordinator::read_exr(options.reference);
   Comparison result;
@@ -128,11 +144,12 @@ int compare(const Options& options) {
 }  // namespace
 
 void add_compare(CLI::App& app, Run& run) {
-  auto* command = app.add_subcommand("compare", "how far a picture is from a reference");
+  auto* command = app.add_subcommand("compare", "how far a picture is from a reference; alone: its own noise");
   auto options = std::make_shared<Options>();
   command->add_option("A.exr", options->test, "the picture that is judged")->required();
-  command->add_option("B.exr", options->reference, "the reference")->required();
-  command->add_option("--stderr", options->reference_error, "EXR with the standard error of the reference's R, G, B");
+  auto* reference = command->add_option("B.exr", options->reference, "the reference");
+  command->add_option("--stderr", options->reference_error, "EXR with the standard error of the reference's R, G, B")
+      ->needs(reference);
   command->add_flag("--json", options->as_json, "one JSON object on standard output");
   command->callback([options, &run] { run = [options] { return compare(*options); }; });
 }

@@ -14,6 +14,8 @@ constexpr std::size_t block_pixels = 16;
 constexpr double block_sigmas = 5, block_deviation = 0.01;
 constexpr std::size_t robust_part = 1000;  // one pixel in so many is left out of error_robust
 
+const std::vector<std::string> rgb{"R", "G", "B"};
+
 using Plane = const std::vector<float>*;
 using Planes = std::vector<Plane>;
 
@@ -213,8 +215,14 @@ void require_size(const Picture& picture, const Picture& reference) {
 
 }  // namespace
 
+OwnNoise own_noise(const Picture& picture) {
+  OwnNoise result{mean_of(planes_of(picture, rgb)), std::nullopt};
+  if (const auto variance = variance_planes(picture))
+    result.standard_error = over(std::sqrt(mean_of(*variance)), result.mean);
+  return result;
+}
+
 Comparison compare(const Picture& test, const Picture& reference, const Picture* reference_error) {
-  const std::vector<std::string> rgb{"R", "G", "B"};
   require_size(test, reference);
   const Planes seen = planes_of(test, rgb), expected = planes_of(reference, rgb);
 

@@ -62,6 +62,14 @@ struct Comparison {
   std::optional<double> variance_ratio, variance_ratio_robust;
 };
 
+// What a picture says of itself: the mean of its radiance, and the standard error that its variance layer tells, as
+// `error` counts (root of the mean variance, over the mean). Throws like compare().
+struct OwnNoise {
+  double mean = 0;
+  std::optional<double> standard_error;  // none without a variance layer
+};
+OwnNoise own_noise(const Picture& picture);
+
 // `reference_error` (may be null) holds the standard error of the reference's R, G, B. Throws Error::bad_input naming
 // the file where sizes differ, R, G or B is missing, or a value is not finite (with the first such pixel, and how
 // many).

@@ -7,7 +7,6 @@
 #include <ImfOutputFile.h>
 #include <ImfStringAttribute.h>
 #include <ImfThreading.h>
-#include <openssl/evp.h>
 #include <png.h>
 
 #include <algorithm>
@@ -17,8 +16,10 @@
 #include <cstring>
 #include <mutex>
 #include <set>
+#include <span>
 #include <thread>
 
+#include "coordinator/blobs/sha256.h"
 #include "coordinator/film/atomic_file.h"
 #include "scene/model/error.h"
 
@@ -143,24 +144,14 @@ void write_png(const Film& film, const std::string& path, double exposure_stops)
 
 std::string pixels_sha256(const Film& film) {
   const auto planes = rgb(film);
-  const std::unique_ptr<EVP_MD_CTX, decltype(&EVP_MD_CTX_free)> context(EVP_MD_CTX_new(), &EVP_MD_CTX_free);
-  bool ok = context && EVP_DigestInit_ex(context.get(), EVP_sha256(), nullptr) == 1;
+  Sha256 hash;
   std::vector<float> row(3 * std::size_t{film.width});
   for (std::size_t y = 0; y < film.height; ++y) {
     for (std::size_t x = 0; x < film.width; ++x)
       for (std::size_t c = 0; c < 3; ++c) row[3 * x + c] = planes[c][y * film.width + x];
-    ok = ok && EVP_DigestUpdate(context.get(), row.data(), row.size() * sizeof(float)) == 1;
+    hash.update(std::as_bytes(std::span(row)));
   }
-  std::array<unsigned char, 32> digest;
-  unsigned size = 0;
-  ok = ok && EVP_DigestFinal_ex(context.get(), digest.data(), &size) == 1 && size == digest.size();
-  if (!ok) throw Error::failed("OpenSSL cannot form a SHA-256");
-  std::string text;
-  for (const unsigned char byte : digest) {
-    text += "0123456789abcdef"[byte >> 4];
-    text += "0123456789abcdef"[byte & 15];
-  }
-  return text;
+  return hash.hex();
 }
 
 }  // namespace gleaner::coordinator

@@ -133,6 +133,15 @@ TEST(FilmMetrics, ReferenceNoiseIsTakenOff) {
   }
 }
 
+TEST(FilmMetrics, OwnNoiseIsWhatTheVarianceLayerTells) {
+  const NoisyPair pair;
+  const auto noise = own_noise({pair.test, "a.exr"});
+  EXPECT_NEAR(noise.mean, 1, 0.002);
+  ASSERT_TRUE(noise.standard_error);
+  EXPECT_NEAR(*noise.standard_error, 0.1 / noise.mean, 1e-6);
+  EXPECT_FALSE(own_noise({pair.reference, "b.exr"}).standard_error);
+}
+
 TEST(FilmMetrics, BiasedBlocksAreFound) {
   NoisyPair pair;
   for (std::size_t y = 32; y < 48; ++y)
