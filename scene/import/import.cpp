@@ -49,8 +49,10 @@ Scene import_scene(const std::string& path) {
   Scene scene;
   if (extension == ".gltf" || extension == ".glb")
     scene = read_gltf(path);
+  else if (extension == ".obj")
+    scene = read_obj(path);
   else
-    throw Error::bad_input(path, "", "a file whose name ends in .gltf or .glb");
+    throw Error::bad_input(path, "", "a file whose name ends in .gltf, .glb or .obj");
   scene.name = std::filesystem::path(path).stem().string();
   finish_materials(scene);
   validate(scene, path);
