@@ -1,0 +1,362 @@
+#include "worker/agent/agent.h"
+
+#include <grpcpp/grpcpp.h>
+
+#include <algorithm>
+#include <chrono>
+#include <condition_variable>
+#include <deque>
+#include <mutex>
+#include <optional>
+#include <random>
+#include <set>
+#include <span>
+#include <thread>
+#include <utility>
+
+#include "gleaner/v1/worker.grpc.pb.h"
+#include "scene/model/error.h"
+#include "worker/agent/blob_client.h"
+
+namespace gleaner::worker {
+
+namespace pb = gleaner::v1;
+
+namespace {
+
+constexpr std::uint32_t protocol_version = 1;
+constexpr std::size_t piece_bytes = std::size_t{1} << 20;
+constexpr std::size_t most_unsent = 2;  // results: a device faster than the network waits
+constexpr double first_backoff_seconds = 0.2, longest_backoff_seconds = 10;
+
+using Clock = std::chrono::steady_clock;
+
+double seconds_since(Clock::time_point begin) { return std::chrono::duration<double>(Clock::now() - begin).count(); }
+
+pb::Device describe(const DeviceInfo& info) {
+  pb::Device device;
+  device.set_name(info.name);
+  device.set_platform(info.platform);
+  device.set_driver(info.driver);
+  device.set_version(info.version);
+  device.set_tracer(info.tracer);
+  device.set_cpu(info.cpu);
+  device.set_compute_units(info.compute_units);
+  device.set_threads(info.threads);
+  device.set_memory_bytes(info.memory_bytes);
+  return device;
+}
+
+// A batch that was computed, or a message that is small.
+struct Outgoing {
+  std::optional<pb::WorkerMessage> message;
+  pb::Lease lease;
+  BatchResult result;
+  std::uint64_t fetched_bytes = 0;
+};
+
+using Stream = grpc::ClientReaderWriter<pb::WorkerMessage, pb::HubMessage>;
+
+}  // namespace
+
+std::shared_ptr<grpc::Channel> dial(const std::string& address) {
+  grpc::ChannelArguments arguments;
+  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 15000);
+  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10000);
+  arguments.SetInt(GRPC_ARG_HTTP2_MAX_PINGS_WITHOUT_DATA, 0);
+  arguments.SetInt(GRPC_ARG_KEEPALIVE_PERMIT_WITHOUT_CALLS, 1);
+  // The agent has a backoff of its own; gRPC's must not be longer.
+  arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, static_cast<int>(longest_backoff_seconds * 1000));
+  arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, static_cast<int>(first_backoff_seconds * 1000));
+  arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 1000);
+  arguments.SetMaxReceiveMessageSize(static_cast<int>(4 * piece_bytes));
+  return grpc::CreateCustomChannel(address, grpc::InsecureChannelCredentials(), arguments);
+}
+
+struct Agent::Impl {
+  Impl(std::shared_ptr<grpc::Channel> the_channel, std::unique_ptr<Runner> the_runner, AgentSettings the_settings)
+      : channel(std::move(the_channel)),
+        runner(std::move(the_runner)),
+        settings(std::move(the_settings)),
+        stub(pb::WorkerHub::NewStub(channel)),
+        blobs(channel, settings.cache_bytes) {
+    if (!settings.log) settings.log = [](const std::string&) {};
+  }
+
+  void run() {
+    std::mt19937_64 random{std::random_device{}()};
+    double backoff = first_backoff_seconds;
+    Clock::time_point lost = Clock::now();
+    bool said = false;
+    for (;;) {
+      grpc::Status status = serve();
+      std::unique_lock lock(mutex);
+      if (stopping || drained) return;
+      if (welcomed) {
+        backoff = first_backoff_seconds;
+        lost = Clock::now();
+        said = false;
+      }
+      std::string reason = status.error_message().empty() ? "the stream ended" : status.error_message();
+      if (status.error_code() == grpc::StatusCode::FAILED_PRECONDITION ||
+          status.error_code() == grpc::StatusCode::UNIMPLEMENTED ||
+          status.error_code() == grpc::StatusCode::INVALID_ARGUMENT)
+        throw Error::failed("the coordinator refuses this worker: " + reason);
+      if (!settings.reconnect) throw Error::connection("no connection to the coordinator: " + reason);
+      if (settings.give_up_seconds > 0 && seconds_since(lost) > settings.give_up_seconds)
+        throw Error::connection("no connection to the coordinator for " +
+                                std::to_string(static_cast<int>(seconds_since(lost))) + " s: " + reason);
+      if (!std::exchange(said, true)) settings.log("no connection to the coordinator (" + reason + "); trying again");
+      // Jitter: a farm's workers must not all come back in the same instant.
+      double wait = backoff * std::uniform_real_distribution<double>(0.5, 1.5)(random);
+      backoff = std::min(backoff * 2, longest_backoff_seconds);
+      changed.wait_for(lock, std::chrono::duration<double>(wait), [&] { return stopping; });
+      if (stopping) return;
+    }
+  }
+
+  // One connection, from Hello to its end.
+  grpc::Status serve() {
+    grpc::ClientContext context;
+    {
+      std::lock_guard lock(mutex);
+      if (stopping) return grpc::Status::CANCELLED;
+      welcomed = false;
+      connection_ended = false;
+      work_ended = false;
+      leases.clear();
+      outgoing.clear();
+      revoked.clear();
+      connection = &context;
+    }
+    auto stream = stub->Work(&context);
+    pb::WorkerMessage hello;
+    hello.mutable_hello()->set_protocol(protocol_version);
+    hello.mutable_hello()->set_name(settings.name);
+    *hello.mutable_hello()->mutable_device() = describe(runner->info());
+    hello.mutable_hello()->set_needs_bvh(runner->needs_bvh());
+    pb::HubMessage message;
+    if (stream->Write(hello) && stream->Read(&message) && message.has_welcome()) {
+      {
+        std::lock_guard lock(mutex);
+        welcomed = true;
+        heartbeat_seconds = std::clamp(message.welcome().heartbeat_seconds(), 0.1, 60.0);
+      }
+      settings.log("connected as " + message.welcome().worker());
+      std::thread executor([&] { execute(); });
+      std::thread sender([&] { send(*stream); });
+      while (stream->Read(&message)) obey(message);
+      {
+        std::lock_guard lock(mutex);
+        connection_ended = true;
+      }
+      changed.notify_all();
+      executor.join();
+      sender.join();
+    }
+    {
+      std::lock_guard lock(mutex);
+      connection = nullptr;
+    }
+    return stream->Finish();
+  }
+
+  void obey(pb::HubMessage& message) {
+    {
+      std::lock_guard lock(mutex);
+      switch (message.message_case()) {
+        case pb::HubMessage::kLease:
+          if (!stopping) leases.push_back(std::move(*message.mutable_lease()));
+          break;
+        case pb::HubMessage::kRevoke: {
+          std::uint64_t epoch = message.revoke().epoch();
+          if (std::erase_if(leases, [&](const pb::Lease& lease) { return lease.epoch() == epoch; }) == 0)
+            revoked.insert(epoch);
+          break;
+        }
+        case pb::HubMessage::kDrain:
+          drained = true;
+          break;
+        default:
+          break;  // a newer coordinator may say more than this worker knows
+      }
+    }
+    changed.notify_all();
+  }
+
+  // The executor's thread: one lease after another.
+  void execute() {
+    std::unique_lock lock(mutex);
+    for (;;) {
+      changed.wait(lock, [&] {
+        return connection_ended || stopping || drained || (!leases.empty() && outgoing.size() < most_unsent);
+      });
+      if (connection_ended || stopping || leases.empty()) {
+        if (!connection_ended && !stopping && !drained) continue;
+        work_ended = true;
+        lock.unlock();
+        changed.notify_all();
+        return;
+      }
+      if (outgoing.size() >= most_unsent) {
+        changed.wait(lock, [&] { return connection_ended || outgoing.size() < most_unsent; });
+        continue;
+      }
+      pb::Lease lease = std::move(leases.front());
+      leases.pop_front();
+      lock.unlock();
+      Outgoing done = run_lease(std::move(lease));
+      lock.lock();
+      if (revoked.erase(done.lease.epoch()) == 0) outgoing.push_back(std::move(done));
+      changed.notify_all();
+    }
+  }
+
+  Outgoing run_lease(pb::Lease lease) {
+    Outgoing out;
+    std::uint64_t fetched_before = blobs.fetched_bytes();
+    std::string failure;
+    try {
+      StageTask task;
+      task.kind = lease.kind();
+      auto parameters = std::as_bytes(std::span(lease.parameters()));
+      task.parameters.assign(parameters.begin(), parameters.end());
+      task.scene = lease.scene_blob();
+      prepare_scene(lease);
+      for (const pb::StageInput& input : lease.inputs()) task.inputs[input.name()] = blobs.fetch_and_keep(input.blob());
+      Clock::time_point begin = Clock::now();
+      out.result = runner->run(task, lease.first(), lease.count());
+      // The device's own clock leaves out what comes once, such as the kernels' compilation.
+      if (!(out.result.counters.seconds > 0)) out.result.counters.seconds = seconds_since(begin);
+    } catch (const std::exception& error) {
+      failure = error.what();
+    }
+    out.fetched_bytes = blobs.fetched_bytes() - fetched_before;
+    if (!failure.empty()) {
+      settings.log("stage " + lease.stage() + ", items " + std::to_string(lease.first()) + " to " +
+                   std::to_string(lease.first() + lease.count() - 1) + ": " + failure);
+      out.message.emplace();
+      out.message->mutable_failed()->set_lease(lease.lease());
+      out.message->mutable_failed()->set_epoch(lease.epoch());
+      out.message->mutable_failed()->set_message(failure.substr(0, 4096));
+    }
+    out.lease = std::move(lease);
+    return out;
+  }
+
+  void prepare_scene(const pb::Lease& lease) {
+    const std::string& id = lease.scene_blob();
+    if (runner->holds_scene(id)) return;
+    auto scene = std::make_shared<const scene::Scene>(scene::parse_scene(*blobs.fetch(id), "scene blob " + id));
+    std::shared_ptr<const scene::Bvh> bvh;
+    if (runner->needs_bvh()) {
+      if (lease.bvh_blob().empty()) throw Error::failed("this worker traces in OpenCL, and the job came without a BVH");
+      bvh = std::make_shared<const scene::Bvh>(
+          scene::parse_bvh(*blobs.fetch(lease.bvh_blob()), scene->triangle_count(), "BVH blob " + lease.bvh_blob()));
+    }
+    runner->load_scene(id, std::move(scene), std::move(bvh));
+  }
+
+  // The sender's thread: results as they come, a heartbeat where there are none.
+  void send(Stream& stream) {
+    bool said_leaving = false;
+    std::unique_lock lock(mutex);
+    for (;;) {
+      bool something = changed.wait_for(lock, std::chrono::duration<double>(heartbeat_seconds), [&] {
+        return connection_ended || !outgoing.empty() || work_ended || (stopping && !said_leaving);
+      });
+      if (connection_ended) return;
+      pb::WorkerMessage message;
+      if (!something) {
+        message.mutable_heartbeat();
+      } else if (stopping && !said_leaving) {
+        said_leaving = true;
+        message.mutable_leaving();
+      } else if (!outgoing.empty()) {
+        Outgoing out = std::move(outgoing.front());
+        outgoing.pop_front();
+        bool wanted = revoked.erase(out.lease.epoch()) == 0;
+        lock.unlock();
+        changed.notify_all();
+        if (wanted && !(out.message ? stream.Write(*out.message) : send_result(stream, out))) return;
+        lock.lock();
+        continue;
+      } else {  // all work is done and sent
+        lock.unlock();
+        stream.WritesDone();
+        return;
+      }
+      lock.unlock();
+      if (!stream.Write(message)) return;
+      lock.lock();
+    }
+  }
+
+  static bool send_result(Stream& stream, const Outgoing& out) {
+    const scene::Bytes& records = out.result.records;
+    pb::WorkerMessage message;
+    pb::Result& piece = *message.mutable_result();
+    piece.set_lease(out.lease.lease());
+    piece.set_epoch(out.lease.epoch());
+    for (std::size_t offset = 0;;) {
+      std::size_t bytes = std::min(piece_bytes, records.size() - offset);
+      piece.set_offset(offset);
+      piece.set_records(records.data() + offset, bytes);
+      offset += bytes;
+      bool last = offset == records.size();
+      if (last) {
+        const BatchCounters& counters = out.result.counters;
+        pb::BatchCost& cost = *piece.mutable_cost();
+        cost.set_seconds(counters.seconds);
+        cost.set_trace_seconds(counters.trace_seconds);
+        cost.set_kernel_seconds(counters.kernel_seconds);
+        cost.set_camera_rays(counters.camera_rays);
+        cost.set_scatter_rays(counters.scatter_rays);
+        cost.set_shadow_rays(counters.shadow_rays);
+        cost.set_nonfinite(counters.nonfinite);
+        for (std::uint64_t item : counters.nonfinite_items) cost.add_nonfinite_items(item);
+        cost.set_fetched_bytes(out.fetched_bytes);
+      }
+      if (!stream.Write(message)) return false;
+      if (last) return true;
+    }
+  }
+
+  void stop() {
+    {
+      std::lock_guard lock(mutex);
+      stopping = true;
+      leases.clear();  // not begun: they go to others when the stream ends
+      // Before the welcome there is nothing to finish.
+      if (connection && !welcomed) connection->TryCancel();
+    }
+    changed.notify_all();
+  }
+
+  std::shared_ptr<grpc::Channel> channel;
+  std::unique_ptr<Runner> runner;
+  AgentSettings settings;
+  std::unique_ptr<pb::WorkerHub::Stub> stub;
+  BlobClient blobs;  // the executor's thread
+
+  std::mutex mutex;  // guards what follows
+  std::condition_variable changed;
+  bool stopping = false, drained = false;
+  bool welcomed = false, connection_ended = false, work_ended = false;
+  double heartbeat_seconds = 5;
+  grpc::ClientContext* connection = nullptr;
+  std::deque<pb::Lease> leases;  // not begun
+  std::deque<Outgoing> outgoing;
+  std::set<std::uint64_t> revoked;  // epochs of what was already begun
+};
+
+Agent::Agent(std::shared_ptr<grpc::Channel> channel, std::unique_ptr<Runner> runner, AgentSettings settings)
+    : impl_(std::make_unique<Impl>(std::move(channel), std::move(runner), std::move(settings))) {}
+
+Agent::~Agent() = default;
+
+void Agent::run() { impl_->run(); }
+
+void Agent::stop() { impl_->stop(); }
+
+}  // namespace gleaner::worker
