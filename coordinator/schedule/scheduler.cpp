@@ -551,6 +551,23 @@ struct Scheduler::Impl {
     return now + (now - std::min(now, workers.at(lease.lease.worker).hand_start));
   }
 
+  Seconds when_free(const Worker& worker, Seconds now) const {
+    return worker.hand.empty() ? now : std::max(now, live.at(worker.hand.back()).planned);
+  }
+
+  // The most overdue lease, if it would outlast all the rest of the stage and so would its second copy if it began any
+  // later: the longest work must not begin last.
+  std::optional<Lease> rescue(Worker& worker, Stage& stage, Seconds now) {
+    if (stage.running.empty() || stage.running.begin()->first >= now) return std::nullopt;
+    const LiveLease& slow = live.at(stage.running.begin()->second);
+    const double all = totals[stage.kind].items_per_second;
+    if (!(all > 0)) return std::nullopt;
+    const Seconds end = now + static_cast<double>(stage.pool.items() + stage.held_items) / all;
+    const Seconds mine = when_free(worker, now) + expected_seconds(worker, stage, slow.lease.count);
+    if (mine < end || expected_finish(slow, now) <= end) return std::nullopt;
+    return duplicate_this(worker, stage, slow.lease.id, now);
+  }
+
   std::optional<Lease> duplicate(Worker& worker, Stage& stage, Seconds now) {
     // What waits comes before what runs: it has cost nothing yet.
     for (const Candidates* list : {&stage.waiting, &stage.running}) {
@@ -574,7 +591,8 @@ struct Scheduler::Impl {
     const LiveLease& slow = live.at(id);
     const std::uint64_t first = slow.lease.first, count = slow.lease.count;
     if (slow.lease.worker == worker.id || stage.held.at(first).failures.by(worker.id)) return std::nullopt;
-    if (expected_finish(slow, now) <= now + expected_seconds(worker, stage, count)) return std::nullopt;
+    if (expected_finish(slow, now) <= when_free(worker, now) + expected_seconds(worker, stage, count))
+      return std::nullopt;
     return issue(worker, stage, first, count, true, true, now);
   }
 
@@ -689,7 +707,10 @@ std::optional<Lease> Scheduler::next_lease(WorkerId id, Seconds now) {
     Stage& stage = m.stages.at(stage_id);
     if (stage.pool.items() == 0) continue;
     const Offer offer = m.offer(worker, stage, now);
-    if (offer.why_not == Refusal::none) return m.hand_out(worker, stage, offer, now);
+    if (offer.why_not == Refusal::none) {
+      if (auto lease = m.rescue(worker, stage, now)) return lease;
+      return m.hand_out(worker, stage, offer, now);
+    }
     if (offer.why_not <= Refusal::full) return std::nullopt;  // whatever the stage
   }
   if (!m.usable(worker)) return std::nullopt;
