@@ -14,6 +14,7 @@
 #include <utility>
 
 #include "scene/model/error.h"
+#include "scene/model/limits.h"
 
 namespace gleaner::scene {
 namespace {
@@ -23,9 +24,6 @@ namespace {
 constexpr unsigned kEmbreeMaxDepth = 48;
 constexpr std::uint32_t kSahLevels = kEmbreeMaxDepth - 8 - 1;
 static_assert(kSahLevels + std::bit_width((1u << 27) / kMaxLeafTriangles - 1) == kMaxBvhDepth);
-
-// Beyond this Embree's tracer takes a vertex for invalid (FLT_LARGE).
-constexpr float kLargestCoordinate = 1.844e18f;
 
 struct Box {
   std::array<float, 3> lower{FLT_MAX, FLT_MAX, FLT_MAX};
@@ -55,7 +53,7 @@ bool can_be_hit(const Scene& scene, std::uint32_t triangle) {
   for (int corner = 0; corner < 3; ++corner)
     for (int k = 0; k < 3; ++k) {
       const float x = scene.positions[3 * std::size_t{scene.indices[3 * std::size_t{triangle} + corner]} + k];
-      if (!(std::fabs(x) < kLargestCoordinate)) return false;  // in this form it refuses NaN too
+      if (!(std::fabs(x) <= kMaxCoordinate)) return false;  // in this form it refuses NaN too
       p[corner][k] = x;
     }
   for (int k = 0; k < 3; ++k) {
@@ -134,11 +132,10 @@ class Flattener {
     return node;
   }
 
-  // In ascending order: Embree's depends on how its threads shared the partitioning.
+  // In the order of their numbers, in which Embree leaves them.
   static std::vector<std::uint32_t> triangles_of(const BuildNode& node) {
     std::vector<std::uint32_t> triangles(node.count);
     for (std::size_t i = 0; i < node.count; ++i) triangles[i] = node.primitives[i].primID;
-    std::sort(triangles.begin(), triangles.end());
     return triangles;
   }
 
@@ -179,8 +176,8 @@ class Flattener {
     return triangles.size() <= kMaxLeafTriangles ? leaf(triangles, depth) : halve(triangles, depth);
   }
 
-  // Splits at the middle of the longest axis of the boxes' centres, into halves that differ by less than a leaf, so
-  // that n triangles take ceil(log2(n / kMaxLeafTriangles)) levels.
+  // Splits at the median of the boxes' centres along their longest axis, into halves that differ by less than a leaf,
+  // so that n triangles take ceil(log2(n / kMaxLeafTriangles)) levels.
   Child halve(std::vector<std::uint32_t> triangles, std::uint32_t depth) {
     Box centres;
     const auto centre = [&](std::uint32_t triangle, int k) {

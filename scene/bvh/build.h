@@ -13,8 +13,8 @@ inline constexpr std::uint32_t kMaxBvhDepth = 64;
 // threads). Nodes lie depth first, child 0 of an inner node right behind it. A box is the exact union of its triangles'
 // corners, neither padded nor clipped: a traversal must allow for its own rounding.
 //
-// Left out are triangles without area (the cross product of two edges, in double precision, is zero), with a non-finite
-// corner, or with one farther out than 1.8e18 m, where Embree's own tracer drops them as well.
+// Left out are triangles without area (the cross product of two edges, in double precision, is zero) and those with a
+// corner that no valid scene has: non-finite, or farther out than kMaxCoordinate (Embree aborts on them).
 //
 // There is always a root node. Where fewer than two leaves exist, the missing ones are empty: leaf bit set, first slot
 // 0, count 0, lower = FLT_MAX and upper = -FLT_MAX. max_depth counts edges from the root to the deepest leaf: at

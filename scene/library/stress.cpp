@@ -1,5 +1,6 @@
 // Geometry that is hard on acceleration structures and on floating point.
 
+#include <algorithm>
 #include <cmath>
 #include <string>
 
@@ -8,43 +9,42 @@
 namespace gleaner::scene {
 namespace {
 
-void add_stage(SceneBuilder& b, double half, double height) {
+void add_stage(SceneBuilder& b, double half, double floor, double height) {
   const std::uint32_t wall = b.material("stage", lambert(grey(0.65)));
   b.mesh("stage");
-  b.quad({-half, 0, half}, {half, 0, half}, {half, 0, -half}, {-half, 0, -half}, wall);
-  b.quad({-half, 0, -half}, {half, 0, -half}, {half, height, -half}, {-half, height, -half}, wall);
+  b.quad({-half, floor, half}, {half, floor, half}, {half, floor, -half}, {-half, floor, -half}, wall);
+  b.quad({-half, floor, -half}, {half, floor, -half}, {half, height, -half}, {-half, height, -half}, wall);
   b.mesh("light");
   const double x = 0.4 * half;
   b.quad({-x, height, -x}, {x, height, -x}, {x, height, x}, {-x, height, x}, b.material("light", emitter(grey(6))));
 }
 
-// Three teeth along the three axes at each of `depth` scales, each scale half the one before, all towards one corner:
-// whoever splits by surface area peels off scale after scale.
+// A row of teeth towards a corner, each so much smaller than the one before that a split by surface area always takes
+// one tooth off: cutting one of n costs about (n - 1) r^2, with r the ratio of their sizes, and two together about 1.7,
+// so that r = sqrt(1.3 / n) keeps a builder from sparing levels. 35 of them span 18 orders of magnitude; areas of
+// smaller ones would leave the range of float.
 Scene comb(const std::string& name, const Values& values) {
   SceneBuilder b(name);
-  add_stage(b, 2, 3);
+  // Well below the teeth, so that a builder parts it from them first.
+  add_stage(b, 2, -1, 3);
   const std::uint32_t tooth = b.material("tooth", lambert({0.2, 0.45, 0.65}));
   b.mesh("comb");
-  const Vec corner{0, 0, 0};
-  const Vec axes[3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
-  for (std::uint32_t i = 0; i < values.count("depth"); ++i) {
-    const double scale = std::exp2(-static_cast<double>(i));
-    for (int k = 0; k < 3; ++k) {
-      const Vec along = axes[k], side = axes[(k + 1) % 3], up = axes[(k + 2) % 3];
-      const std::uint32_t first = b.vertex(corner + scale * (0.55 * along + 0.02 * side));
-      b.vertex(corner + scale * (0.95 * along + 0.02 * side));
-      b.vertex(corner + scale * (0.75 * along + 0.3 * up + 0.02 * side));
-      b.triangle(first, first + 1, first + 2, tooth);
-    }
+  double size = 1;
+  for (std::uint32_t left = values.count("depth"); left > 0; --left) {
+    const std::uint32_t first = b.vertex({0.9 * size, 0, 0});
+    b.vertex({size, 0, 0});
+    b.vertex({0.95 * size, 0.8 * size, 0});
+    b.triangle(first, first + 1, first + 2, tooth);
+    size *= std::min(0.8, std::sqrt(1.3 / left));
   }
-  b.camera("camera", {1.9, 1.6, 2.6}, {0.15, 0.35, 0.1}, 36, 512, 512);
+  b.camera("camera", {1.2, 1.2, 3.2}, {0.45, 0.4, 0}, 36, 512, 512);
   return b.finish();
 }
 
 // Straws of 1 m: one long edge, and an opposite corner `aspect` times closer to it than the edge is long.
 Scene needles(const std::string& name, const Values& values) {
   SceneBuilder b(name);
-  add_stage(b, 2, 3);
+  add_stage(b, 2, 0, 3);
   const std::uint32_t needle = b.material("needle", lambert({0.7, 0.5, 0.2}));
   b.mesh("needles");
   const double width = 1 / values.number("aspect");

@@ -107,7 +107,8 @@ typedef struct {
 GLEANER_SIZE(Camera, 64);
 
 // Node of the wide-free binary BVH the OpenCL tracer walks: the boxes of both children. A child index with the top bit
-// set is a leaf: bits 0..26 first triangle slot, bits 27..30 count (1..15). 64 bytes.
+// set is a leaf: bits 0..26 first triangle slot, bits 27..30 count (1..15; 0 where a scene is too small for two leaves).
+// 64 bytes.
 #define GLEANER_BVH_LEAF 0x80000000u
 typedef struct {
   gl_float lower0[3], upper0[3];
