@@ -1,29 +1,19 @@
 #include "coordinator/film/write.h"
 
-#include <ImfChannelList.h>
-#include <ImfFrameBuffer.h>
-#include <ImfHeader.h>
-#include <ImfIO.h>
-#include <ImfOutputFile.h>
-#include <ImfStringAttribute.h>
-#include <ImfThreading.h>
 #include <png.h>
 
-#include <algorithm>
 #include <array>
 #include <bit>
 #include <cmath>
-#include <cstring>
-#include <mutex>
 #include <set>
 #include <span>
-#include <thread>
 
 #include "coordinator/blobs/sha256.h"
 #include "coordinator/film/atomic_file.h"
+#include "coordinator/film/encode_exr.h"
 #include "scene/model/error.h"
 
-static_assert(std::endian::native == std::endian::little, "pixels_sha256 and OpenEXR's rows are taken as they lie");
+static_assert(std::endian::native == std::endian::little, "pixels_sha256 takes the values as they lie");
 
 namespace gleaner::coordinator {
 namespace {
@@ -53,34 +43,6 @@ std::array<const float*, 3> rgb(const Film& film) {
   return planes;
 }
 
-// OpenEXR's own file stream loses errno; the file is formed in memory and written by write_atomically.
-class MemoryStream : public Imf::OStream {
- public:
-  MemoryStream() : OStream("film") {}
-  void write(const char data[], int size) override {
-    const auto end = position_ + static_cast<std::size_t>(size);
-    if (bytes_.size() < end) bytes_.resize(end);
-    std::memcpy(bytes_.data() + position_, data, static_cast<std::size_t>(size));
-    position_ = end;
-  }
-  std::uint64_t tellp() override { return position_; }
-  void seekp(std::uint64_t position) override { position_ = position; }
-  const scene::Bytes& bytes() const { return bytes_; }
-
- private:
-  scene::Bytes bytes_;
-  std::size_t position_ = 0;
-};
-
-int compression_threads() {
-  static std::once_flag once;
-  std::call_once(once, [] {
-    const int wanted = std::clamp(static_cast<int>(std::thread::hardware_concurrency()), 1, 16);
-    if (Imf::globalThreadCount() < wanted) Imf::setGlobalThreadCount(wanted);
-  });
-  return Imf::globalThreadCount();
-}
-
 std::uint8_t srgb8(double linear) {
   if (!(linear > 0)) return 0;  // accept form: what is not a number is black
   if (linear >= 1) return 255;
@@ -92,28 +54,13 @@ std::uint8_t srgb8(double linear) {
 
 void write_exr(const Film& film, const std::map<std::string, std::string>& metadata, const std::string& path) {
   require_whole(film);
-  Imf::Header header(static_cast<int>(film.width), static_cast<int>(film.height));
-  header.compression() = Imf::ZIP_COMPRESSION;
-  header.zipCompressionLevel() =
-      1;  // noise hardly shrinks: higher levels cost three times the time for 2 % of the size
-  Imf::FrameBuffer buffer;
-  const std::size_t row_bytes = sizeof(float) * film.width;
-  for (const auto& channel : film.channels) {
-    header.channels().insert(channel.name, Imf::Channel(Imf::FLOAT));
-    // OpenEXR's slices are not const because readers share the type; a writer only reads through them.
-    auto* values = const_cast<char*>(reinterpret_cast<const char*>(channel.values.data()));
-    buffer.insert(channel.name, Imf::Slice(Imf::FLOAT, values, sizeof(float), row_bytes));
-  }
-  MemoryStream stream;
+  scene::Bytes bytes;
   try {
-    for (const auto& [name, value] : metadata) header.insert(name, Imf::StringAttribute(value));
-    Imf::OutputFile file(stream, header, compression_threads());
-    file.setFrameBuffer(buffer);
-    file.writePixels(static_cast<int>(film.height));
+    bytes = encode_exr(film, metadata);
   } catch (const std::exception& error) {
     throw Error::failed(path + ": cannot be formed: " + error.what());
   }
-  write_atomically(path, stream.bytes());
+  write_atomically(path, bytes);
 }
 
 scene::Bytes encode_png(const Film& film, double exposure_stops) {

@@ -16,6 +16,7 @@
 #include <fstream>
 #include <functional>
 #include <limits>
+#include <random>
 #include <thread>
 
 #include "coordinator/film/atomic_file.h"
@@ -94,6 +95,24 @@ TEST_F(FilmFiles, ReadsBackEveryBit) {
   EXPECT_EQ(pixels_sha256(read), pixels_sha256(film));
   EXPECT_THAT(read_text(path("a.exr")), HasSubstr("gleaner.seed"));
   EXPECT_EQ(names(), std::vector<std::string>{"a.exr"});
+}
+
+// What does not shrink is stored as it is, and names over 31 letters need a flag: OpenEXR's own reader must take both.
+TEST_F(FilmFiles, RandomBitsAndLongNamesComeBack) {
+  Film film{33, 50, {}};
+  std::mt19937 bits(7);
+  const std::string long_name = "a.layer.with.a.name.of.more.than.thirty.one.letters.R";
+  for (const auto& name : {std::string("R"), std::string("G"), std::string("B"), long_name})
+    for (float& value : film.channel(name).values)
+      value = std::bit_cast<float>(static_cast<std::uint32_t>(bits()) & 0xbfffffffu);  // never infinite or NaN
+  write_exr(film, {{"gleaner.an.attribute.of.more.than.thirty.one.letters", "x"}}, path("a.exr"));
+  const Film read = read_exr(path("a.exr"));
+  for (const auto& channel : film.channels) {
+    const Channel* found = read.find(channel.name);
+    ASSERT_TRUE(found) << channel.name;
+    for (std::size_t i = 0; i < channel.values.size(); ++i)
+      ASSERT_EQ(std::bit_cast<std::uint32_t>(found->values[i]), std::bit_cast<std::uint32_t>(channel.values[i]));
+  }
 }
 
 // Computed apart with Python: hashlib.sha256(struct.pack('<6f', 0, 1, 2, 3, 4, 5)).
