@@ -55,7 +55,6 @@ Scene import_scene(const std::string& path) {
     throw Error::bad_input(path, "", "a file whose name ends in .gltf, .glb or .obj");
   scene.name = std::filesystem::path(path).stem().string();
   finish_materials(scene);
-  validate(scene, path);
   if (scene.triangle_count() == 0) scene.warnings.push_back("the scene has no triangles");
   if (scene.cameras.empty()) {
     scene.cameras.push_back(framing_camera(scene));
@@ -63,9 +62,6 @@ Scene import_scene(const std::string& path) {
         "the scene has no camera: one was added that frames it from the front (+z); --look-at sets another");
   }
   make_camera_names_unique(scene);
-  const SceneNeeds needs = needs_of(scene);
-  if (!needs.emissive_triangles && !needs.punctual_lights && !needs.unlit)
-    scene.warnings.push_back("the scene has no light: --environment FILE.exr lights it from all around");
   validate(scene, path);
   return scene;
 }

@@ -76,10 +76,10 @@ void add_material(const Scene& scene, const Material& m, SceneNeeds& needs) {
   needs.metallic |= opaque_part && m.metallic > 0;
   if (m.transmission > 0) {
     needs.transmissive = true;
-    needs.rough_transmissive |= rough;
     // A thin sheet lets light through unbent however rough it is.
-    if (!rough || !(m.flags & GLEANER_MATERIAL_SOLID)) needs.specular = true;
-    if (rough) needs.glossy = true;
+    const bool scatters = rough && (m.flags & GLEANER_MATERIAL_SOLID);
+    needs.rough_transmissive |= scatters;
+    (scatters ? needs.glossy : needs.specular) = true;
     needs.attenuation |= (m.flags & GLEANER_MATERIAL_ATTENUATES) != 0;
   }
 }

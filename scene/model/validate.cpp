@@ -212,8 +212,8 @@ class Checker {
     if (c.type > GLEANER_CAMERA_ORTHOGRAPHIC)
       fail(item("cameras", i, "type"), "a known type of camera", std::to_string(c.type));
     for (int k = 0; k < 3; ++k) {
-      if (!(std::abs(c.origin[k]) <= kMaxCoordinate))
-        fail(item("cameras", i, "origin"), "finite coordinates of at most " + number(kMaxCoordinate) + " m",
+      if (!(std::abs(c.origin[k]) <= kMaxCameraCoordinate))
+        fail(item("cameras", i, "origin"), "finite coordinates of at most " + number(kMaxCameraCoordinate) + " m",
              number(c.origin[k]));
     }
     unit(c.right, named("right"));
