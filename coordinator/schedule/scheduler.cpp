@@ -133,7 +133,7 @@ struct Offer {
   }
 };
 
-enum class LeaseEnd { accepted, twin_accepted, taken_back };
+enum class LeaseEnd { items_accepted, taken_back };
 
 }  // namespace
 
@@ -381,9 +381,12 @@ struct Scheduler::Impl {
     unlist(stage, live.at(id));
     timers.erase({lease.lease.expires, TimerKind::lease, id});
     live.erase(id);
-    ended.emplace(id, EndedLease{lease.lease.worker, lease.lease.epoch, stage.kind, lease.lease.count, lease.cut_short,
-                                 how != LeaseEnd::taken_back});
-    stage.ended.push_back(id);
+    if (stage.state == StageState::open) {
+      const bool accepted = how != LeaseEnd::taken_back;
+      ended.emplace(id, EndedLease{lease.lease.worker, lease.lease.epoch, stage.kind, lease.lease.count,
+                                   lease.cut_short, accepted});
+      stage.ended.push_back(id);
+    }
     steps += 3;
 
     if (const auto range = stage.held.find(lease.lease.first); range != stage.held.end()) {
@@ -780,9 +783,9 @@ ResultOutcome Scheduler::result(WorkerId id, LeaseId lease_id, Epoch epoch, Seco
   for (const LeaseId twin : stage.held.at(lease.first).leases) {
     if (twin == 0 || twin == lease_id) continue;
     outcome.revoke.push_back(m.live.at(twin).lease);
-    m.end_lease(twin, LeaseEnd::twin_accepted, false, now);
+    m.end_lease(twin, LeaseEnd::items_accepted, false, now);
   }
-  m.end_lease(lease_id, LeaseEnd::accepted, true, now);
+  m.end_lease(lease_id, LeaseEnd::items_accepted, true, now);
   stage.held.erase(lease.first);
   stage.held_items -= lease.count;
   stage.done_items += lease.count;
