@@ -1,0 +1,241 @@
+// The glTF 2.0 material: GGX with separable Smith masking and Schlick's Fresnel (appendix B), over a Lambert layer that gets
+// what the specular lobe leaves, reciprocally: f_d = base/pi (1 - s E(n.v)) (1 - s E(n.l)) / (1 - s M), so that a white
+// surface reflects exactly 1. Glass: exact Fresnel, smooth or GGX, solid or a thin sheet. Local frames: z is the normal.
+#ifndef GLEANER_KERNELS_BSDF_H
+#define GLEANER_KERNELS_BSDF_H
+
+#include "kernels/sampling.h"
+#include "kernels/scene_access.h"
+
+#if defined(NEED_SPECULAR) || defined(NEED_GLOSSY) || defined(NEED_METALLIC)
+#define NEED_LOBE
+#endif
+
+#define INV_PI 0.31830988618379067f
+
+// A point's material, evaluated.
+typedef struct {
+  v3 base;
+  vf opacity;
+#ifdef NEED_LOBE
+  vf metallic;
+  vf specular;
+  vf alpha2;          // roughness^4; 0 = a perfect mirror
+  vf alpha;
+  v3 f0;
+  vu table;           // of what the lobe leaves to the layer below, or GLEANER_NONE
+  vf table_row;       // fractional row
+  vf left_view;       // 1 - s E(n.v)
+  vf left_mean;       // 1 - s M
+  vf lobe_share;      // chance that sampling takes the specular lobe
+  vi mirror;
+#endif
+#ifdef NEED_TRANSMISSIVE
+  vf transmission;
+  vf ior;
+  vi solid;
+#if !defined(NEED_LOBE)
+  vf alpha;
+#endif
+#endif
+} Surface;
+
+#ifdef NEED_LOBE
+
+FN vf pow5(vf x) {
+  vf x2 = x * x;
+  return x2 * x2 * x;
+}
+
+FN vf table_lookup(const Scene* scene, vu first, vf row, vf mu) {
+  vf x = clamp_f(mu * (vf)(float)GLEANER_ALBEDO_NODES - 0.5f, zero_f(), (vf)(float)(GLEANER_ALBEDO_NODES - 1));
+  vu i = min(to_u(x), (vu)(GLEANER_ALBEDO_NODES - 2u));
+  vf t = x - to_f(i);
+#ifdef NEED_MATERIAL_TEXTURES
+  vu r = to_u(row);
+  vf s = row - to_f(r);
+  vu a = first + r * (GLEANER_ALBEDO_NODES + 1u) + i;
+  vu b = pick_u(a, a + (GLEANER_ALBEDO_NODES + 1u), s > zero_f());
+  vf lower = mix(gather_f(scene->albedo_tables, a), gather_f(scene->albedo_tables, a + 1u), t);
+  vf upper = mix(gather_f(scene->albedo_tables, b), gather_f(scene->albedo_tables, b + 1u), t);
+  return mix(lower, upper, s);
+#else
+  vu a = first + i;
+  return mix(gather_f(scene->albedo_tables, a), gather_f(scene->albedo_tables, a + 1u), t);
+#endif
+}
+
+// 1 - s E(mu): what the specular lobe leaves to the layer under it.
+FN vf left_to_layer(const Scene* scene, const Surface* m, vf mu) {
+  vi has = m->table != GLEANER_NONE;
+  return pick(one_f(), table_lookup(scene, pick_u((vu)0u, m->table, has), m->table_row, mu), has);
+}
+
+FN vf left_mean_of(const Scene* scene, const Surface* m) {
+  vi has = m->table != GLEANER_NONE;
+  vu first = pick_u((vu)0u, m->table, has) + GLEANER_ALBEDO_NODES;
+#ifdef NEED_MATERIAL_TEXTURES
+  vu r = to_u(m->table_row);
+  vf s = m->table_row - to_f(r);
+  vu a = first + r * (GLEANER_ALBEDO_NODES + 1u);
+  vu b = pick_u(a, a + (GLEANER_ALBEDO_NODES + 1u), s > zero_f());
+  vf mean = mix(gather_f(scene->albedo_tables, a), gather_f(scene->albedo_tables, b), s);
+#else
+  vf mean = gather_f(scene->albedo_tables, first);
+#endif
+  return pick(one_f(), mean, has);
+}
+
+// Colour of the specular lobe at half-vector cosine vh: dielectric and metal mixed linearly.
+FN v3 lobe_fresnel(const Surface* m, vf vh) {
+  vf s = pow5(max_f(one_f() - fabs(vh), zero_f()));
+  vf dielectric = m->specular * (one_f() - m->metallic);
+  v3 fd = make3(fma(one_f() - m->f0.x, s, m->f0.x), fma(one_f() - m->f0.y, s, m->f0.y), fma(one_f() - m->f0.z, s, m->f0.z));
+  v3 fm = make3(fma(one_f() - m->base.x, s, m->base.x), fma(one_f() - m->base.y, s, m->base.y),
+                fma(one_f() - m->base.z, s, m->base.z));
+  return mad3(fm, m->metallic, scale3(fd, dielectric));
+}
+
+// What does not depend on the outgoing direction; nv > 0.
+FN void prepare_lobe(const Scene* scene, Surface* m, vf nv) {
+  m->left_view = left_to_layer(scene, m, nv);
+  m->left_mean = left_mean_of(scene, m);
+  vi has = (m->metallic > zero_f()) | (m->specular > zero_f());
+  vf s = max_component(lobe_fresnel(m, nv));
+  vf d = max_component(m->base) * m->left_view * (one_f() - m->metallic);
+  vf share = clamp_f(s / max_f(s + d, (vf)1e-6f), (vf)0.1f, (vf)0.9f);
+  share = pick(share, one_f(), m->metallic >= one_f());
+  m->lobe_share = pick(zero_f(), share, has);
+  m->mirror = has & (m->alpha2 <= zero_f());
+}
+
+#endif
+
+// BSDF times n.l and the solid-angle density of sample_bsdf() for local directions on the same side (v.z, l.z > 0).
+// A perfect mirror lobe and glass count as zero here.
+FN v3 eval_bsdf(const Scene* scene, const Surface* m, v3 v, v3 l, vf* pdf) {
+  vf nl = l.z;
+  vf diffuse_pdf = nl * INV_PI;
+#ifdef NEED_LOBE
+  vf layer = m->left_view * left_to_layer(scene, m, nl) * (one_f() - m->metallic) / m->left_mean;
+  v3 f = scale3(m->base, layer * INV_PI);
+  vf p = (one_f() - m->lobe_share) * diffuse_pdf;
+  vi rough = none(m->mirror) & (m->lobe_share > zero_f());
+  if (any_lane(rough)) {
+    v3 h = normalize3(add3(v, l));
+    vf a2 = pick(one_f(), m->alpha2, rough);
+    vf t = (h.x * h.x + h.y * h.y) / a2 + h.z * h.z;
+    vf d = INV_PI / (a2 * t * t);
+    vf gv = v.z + sqrt(fma(one_f() - a2, v.z * v.z, a2));
+    vf gl = nl + sqrt(fma(one_f() - a2, nl * nl, a2));
+    v3 lobe = scale3(lobe_fresnel(m, dot3(v, h)), d / (gv * gl));
+    f = pick3(f, add3(f, lobe), rough);
+    // Visible-normal sampling: D G1(v) / (4 v.z) = D / (2 gv).
+    p += pick(zero_f(), m->lobe_share * d / (2.0f * gv), rough);
+  }
+  *pdf = p;
+  return scale3(f, nl);
+#else
+  *pdf = diffuse_pdf;
+  return scale3(m->base, diffuse_pdf);
+#endif
+}
+
+// Exact unpolarized Fresnel reflectance from cos_i > 0 with eta = n_t / n_i; cos_t = 0 on total reflection.
+FN vf fresnel_dielectric(vf cos_i, vf eta, vf* cos_t) {
+  vf sin2_t = (one_f() - cos_i * cos_i) / (eta * eta);
+  vi total = sin2_t >= one_f();
+  vf ct = safe_sqrt(one_f() - sin2_t);
+  vf rs = (cos_i - eta * ct) / (cos_i + eta * ct);
+  vf rp = (eta * cos_i - ct) / (eta * cos_i + ct);
+  *cos_t = pick(ct, zero_f(), total);
+  return pick(0.5f * (rs * rs + rp * rp), one_f(), total);
+}
+
+// A visible normal of GGX (Dupuy & Benyoub 2023, spherical caps), v.z > 0.
+FN v3 sample_visible_normal(v3 v, vf alpha, vf u0, vf u1) {
+  v3 s = normalize3(make3(alpha * v.x, alpha * v.y, v.z));
+  vf sp, cp;
+  sincos_2pi(u0, &sp, &cp);
+  vf z = fma(one_f() - u1, one_f() + s.z, -s.z);
+  vf r = safe_sqrt(one_f() - z * z);
+  v3 c = make3(fma(r, cp, s.x), fma(r, sp, s.y), z + s.z);
+  return normalize3(make3(alpha * c.x, alpha * c.y, max_f(c.z, zero_f())));
+}
+
+typedef struct {
+  v3 direction;  // local
+  v3 weight;     // BSDF n.l / pdf
+  vf pdf;        // per steradian; 0 = the direction was not drawn from a density that light sampling could share
+  vf eta;        // n_t / n_i of a refraction, else 1
+} BsdfSample;
+
+// Draws a direction: u_lobe chooses, (u0, u1) aim. Weight 0: the path ends. `v` is local, v.z > 0; `inside`: v came from
+// within a solid.
+FN BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vi inside, vf u_lobe, vf u_glass, vf u0, vf u1) {
+  BsdfSample b;
+  b.eta = one_f();
+  b.direction = sample_cosine(u0, u1);
+#ifdef NEED_LOBE
+  vi specular = u_lobe < m->lobe_share;
+  if (any_lane(specular)) {
+    v3 h = sample_visible_normal(v, m->alpha, u0, u1);
+    h = pick3(h, uniform3(0.0f, 0.0f, 1.0f), m->mirror);
+    vf vh = dot3(v, h);
+    v3 r = sub3(scale3(h, 2.0f * vh), v);
+    b.direction = pick3(b.direction, r, specular);
+  }
+  vf pdf;
+  v3 f = eval_bsdf(scene, m, v, b.direction, &pdf);
+  vi ok = (b.direction.z > (vf)1e-6f) & (pdf > zero_f());
+  b.weight = pick3(splat3(zero_f()), scale3(f, one_f() / pdf), ok);
+  b.pdf = pick(zero_f(), pdf, ok);
+  vi mirrored = specular & m->mirror;
+  b.weight = pick3(b.weight, scale3(lobe_fresnel(m, v.z), one_f() / m->lobe_share), mirrored);
+  b.pdf = pick(b.pdf, zero_f(), mirrored);
+#else
+  b.pdf = b.direction.z * INV_PI;
+  b.weight = pick3(splat3(zero_f()), m->base, b.direction.z > (vf)1e-6f);
+#endif
+#ifdef NEED_TRANSMISSIVE
+  vi glass = u_glass < m->transmission;
+  if (any_lane(glass)) {
+    v3 h = uniform3(0.0f, 0.0f, 1.0f);
+    vf masking = one_f();
+#ifdef NEED_ROUGH_TRANSMISSIVE
+    vi rough = (m->alpha > zero_f()) & m->solid;
+    h = pick3(h, sample_visible_normal(v, pick(one_f(), m->alpha, rough), u0, u1), rough);
+#endif
+    vf eta = pick(m->ior, one_f() / m->ior, inside & m->solid);
+    vf vh = dot3(v, h);
+    vf ct;
+    vf fresnel = fresnel_dielectric(min_f(vh, one_f()), eta, &ct);
+    // A thin sheet sums its inner reflections and lets light go on unbent.
+    fresnel = pick(2.0f * fresnel / (one_f() + fresnel), fresnel, m->solid);
+    vi reflected = u_lobe < fresnel;
+    v3 mirror = sub3(scale3(h, 2.0f * vh), v);
+    v3 refracted = sub3(scale3(h, vh / eta - ct), scale3(v, one_f() / eta));
+    refracted = pick3(negate3(v), refracted, m->solid);
+    v3 direction = pick3(refracted, mirror, reflected);
+#ifdef NEED_ROUGH_TRANSMISSIVE
+    {
+      vf nl = fabs(direction.z);
+      vf a2 = m->alpha * m->alpha;
+      masking = pick(one_f(), 2.0f * nl / (nl + sqrt(fma(one_f() - a2, nl * nl, a2))), rough);
+      vi wrong_side = pick(direction.z, -direction.z, reflected) > zero_f();
+      masking = pick(masking, zero_f(), rough & wrong_side);
+    }
+#endif
+    // Radiance is squeezed into a smaller solid angle on its way into the denser side: (n_i / n_t)^2.
+    vf squeeze = pick(one_f(), one_f() / (eta * eta), m->solid);
+    v3 weight = pick3(scale3(m->base, squeeze), splat3(one_f()), reflected);
+    b.direction = pick3(b.direction, direction, glass);
+    b.weight = pick3(b.weight, scale3(weight, masking), glass);
+    b.pdf = pick(b.pdf, zero_f(), glass);
+    b.eta = pick(b.eta, eta, glass & none(reflected) & m->solid);
+  }
+#endif
+  return b;
+}
+
+#endif

@@ -1,0 +1,237 @@
+// Choosing a light: first a cluster, by the irradiance it could cause here (power, distance, the cone of its normals, after
+// Conty Estevez & Kulla 2018), then one of its emitters by power, then a point on it. Cluster 0..count-1 are few, so that all
+// are looked at: no tree is walked and every lane does the same.
+#ifndef GLEANER_KERNELS_LIGHTS_H
+#define GLEANER_KERNELS_LIGHTS_H
+
+#include "kernels/sampling.h"
+#include "kernels/scene_access.h"
+
+#if defined(NEED_EMISSIVE_TRIANGLES) || defined(NEED_PUNCTUAL_LIGHTS) || defined(NEED_ENVIRONMENT)
+#define NEED_LIGHTS
+
+// Bound of the irradiance at a point, the cluster's fields given (varying or uniform).
+FN vf cluster_importance_of(v3 offset, vf radius, v3 axis, vf cosine, vf sine, vf power, vi anywhere) {
+  vf d2 = dot3(offset, offset);
+  vf r2 = radius * radius;
+  vf inverse = one_f() / sqrt(d2);
+  vf cos_t = dot3(axis, offset) * inverse;
+  vf sin_t = safe_sqrt(one_f() - cos_t * cos_t);
+  vf sin_u = radius * inverse;
+  vf cos_u = safe_sqrt(one_f() - sin_u * sin_u);
+  // cos of the angle left after the cone's half angle and the sphere's are taken off, each not below 0.
+  vi in_cone = cos_t > cosine;
+  vf cos_a = pick(cos_t * cosine + sin_t * sine, one_f(), in_cone);
+  vf sin_a = pick(sin_t * cosine - cos_t * sine, zero_f(), in_cone);
+  vf cos_b = pick(cos_a * cos_u + sin_a * sin_u, one_f(), cos_a > cos_u);
+  vf inside = pick(power * max_f(cos_b, zero_f()) / d2, power / r2, d2 <= r2);
+  return pick(inside, power, anywhere);
+}
+
+FN vf cluster_importance(const Scene* scene, uint k, v3 p) {
+  global const float* c = scene->clusters + CLUSTER_WORDS * k;
+  uint kind = ((global const uint*)c)[CLUSTER_KIND];
+  if (kind >= CLUSTER_DIRECTIONAL) return (vf)c[CLUSTER_POWER];
+  v3 offset = make3(p.x - c[CLUSTER_CENTER], p.y - c[CLUSTER_CENTER + 1], p.z - c[CLUSTER_CENTER + 2]);
+  return cluster_importance_of(offset, (vf)c[CLUSTER_RADIUS], uniform3(c[CLUSTER_AXIS], c[CLUSTER_AXIS + 1], c[CLUSTER_AXIS + 2]),
+                               (vf)c[CLUSTER_COS], (vf)c[CLUSTER_SIN], (vf)c[CLUSTER_POWER], no_lanes());
+}
+
+// The same for a cluster that varies over the lanes.
+FN vf cluster_importance_at(const Scene* scene, vu k, v3 p) {
+#if CLUSTERS == 1
+  return one_f();
+#else
+  vu row = k * CLUSTER_WORDS;
+  v3 offset = sub3(p, gather3(scene->clusters + CLUSTER_CENTER, row));
+  vi anywhere = gather_u((global const uint*)scene->clusters + CLUSTER_KIND, row) >= CLUSTER_DIRECTIONAL;
+  return cluster_importance_of(offset, gather_f(scene->clusters + CLUSTER_RADIUS, row),
+                               gather3(scene->clusters + CLUSTER_AXIS, row), gather_f(scene->clusters + CLUSTER_COS, row),
+                               gather_f(scene->clusters + CLUSTER_SIN, row), gather_f(scene->clusters + CLUSTER_POWER, row),
+                               anywhere);
+#endif
+}
+
+typedef struct {
+  v3 direction;   // unit, to the light
+  v3 target;      // the point on it, moved off its surface (not for `infinite`)
+  v3 radiance;    // incoming radiance (delta lights: irradiance on a facing surface)
+  vf pdf;         // per steradian, chance of the choice included (delta lights: of the choice alone)
+  vi infinite;
+  vi delta;       // scattering can never find it
+  vf total;       // sum of the clusters' importances here: what light_choice_pdf() needs
+} LightSample;
+
+FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1) {
+  LightSample light;
+  light.infinite = no_lanes();
+  light.delta = no_lanes();
+  vu cluster = (vu)0u;
+  vf chance = one_f();
+  vf rest = u_choice;
+#if CLUSTERS == 1
+  light.total = one_f();
+#else
+  vf importance[CLUSTERS];
+  vf total = zero_f();
+  for (uint k = 0; k < CLUSTERS; ++k) {
+    importance[k] = cluster_importance(scene, k, p);
+    total += importance[k];
+  }
+  light.total = total;
+  vf aim = u_choice * total;
+  vf sum = zero_f(), chosen = zero_f(), below = zero_f();
+  for (uint k = 0; k < CLUSTERS; ++k) {
+    // The last cluster with any importance stands where rounding leaves the sum short of the aim.
+    vi take = (sum <= aim) & (importance[k] > zero_f());
+    cluster = pick_u(cluster, (vu)k, take);
+    chosen = pick(chosen, importance[k], take);
+    below = pick(below, sum, take);
+    sum += importance[k];
+  }
+  vi any = chosen > zero_f();
+  chance = pick(zero_f(), chosen / total, any);
+  rest = clamp_f(pick(zero_f(), (aim - below) / chosen, any), zero_f(), (vf)0.99999994f);
+#endif
+  vu row = cluster * CLUSTER_WORDS;
+  global const uint* cluster_words = (global const uint*)scene->clusters;
+  vu kind = gather_u(cluster_words + CLUSTER_KIND, row);
+  light.pdf = zero_f();
+  light.radiance = splat3(zero_f());
+  light.direction = uniform3(0.0f, 0.0f, 1.0f);
+  light.target = p;
+#if defined(NEED_EMISSIVE_TRIANGLES) || defined(NEED_PUNCTUAL_LIGHTS)
+  vu first = gather_u(cluster_words + CLUSTER_FIRST, row);
+  vu count = gather_u(cluster_words + CLUSTER_COUNT, row);
+  vu low = (vu)0u;
+  for (uint step = cluster_words[CLUSTERS * CLUSTER_WORDS]; step > 0u; step >>= 1) {
+    vu probe = low + step;
+    vi inside = probe < count;
+    vu at = first + pick_u((vu)0u, probe - 1u, inside);
+    low = pick_u(low, probe, inside & (gather_f(scene->emitters + EMITTER_CDF, at * EMITTER_WORDS) <= rest));
+  }
+  vu emitter = (first + low) * EMITTER_WORDS;
+  chance *= gather_f(scene->emitters + EMITTER_PMF, emitter);
+#endif
+#ifdef NEED_EMISSIVE_TRIANGLES
+  {
+    vi here = kind == CLUSTER_TRIANGLES;
+    v3 corner = gather3(scene->emitters + EMITTER_P0, emitter);
+    v3 e1 = gather3(scene->emitters + EMITTER_E1, emitter);
+    v3 e2 = gather3(scene->emitters + EMITTER_E2, emitter);
+    v3 radiance = gather3(scene->emitters + EMITTER_RADIANCE, emitter);
+    vf b1, b2;
+    sample_triangle(u0, u1, &b1, &b2);
+    v3 q = mad3(e1, b1, mad3(e2, b2, corner));
+    v3 n = cross3(e1, e2);  // its length is twice the area
+    v3 d = sub3(q, p);
+    vf d2 = dot3(d, d);
+    vf distance = sqrt(d2);
+    v3 w = scale3(d, one_f() / distance);
+    vf projected = -dot3(n, w);  // front face alone
+    vf pdf = chance * 2.0f * d2 / projected;
+    vi ok = here & (projected > zero_f()) & (d2 > zero_f()) & finite_f(pdf);
+#ifdef NEED_EMISSION_TEXTURES
+    vu triangle = gather_u((global const uint*)scene->emitters + EMITTER_TRIANGLE, emitter);
+    triangle = pick_u((vu)0u, triangle, ok) * TRIANGLE_WORDS;
+    vu material = gather_u((global const uint*)scene->triangles + TRIANGLE_MATERIAL, triangle);
+    vu texture = material_u(scene, material, MATERIAL_EMISSION_TEXTURE);
+    vi textured = ok & (texture != GLEANER_NONE);
+    if (any_lane(textured)) {
+      vf b0 = one_f() - b1 - b2;
+      global const float* t = scene->triangles;
+      vf u = b0 * gather_f(t + TRIANGLE_UV0, triangle) + b1 * gather_f(t + TRIANGLE_UV1, triangle) +
+             b2 * gather_f(t + TRIANGLE_UV2, triangle);
+      vf v = b0 * gather_f(t + TRIANGLE_UV0 + 1, triangle) + b1 * gather_f(t + TRIANGLE_UV1 + 1, triangle) +
+             b2 * gather_f(t + TRIANGLE_UV2 + 1, triangle);
+      vf unused;
+      radiance = pick3(radiance, mul3(radiance, texture_lookup(scene, texture, u, v, textured, &unused)), textured);
+    }
+#endif
+    vf reach = 3.0f * 5.9604645e-8f;
+    v3 error = make3((fabs(corner.x) + fabs(e1.x) + fabs(e2.x)) * reach, (fabs(corner.y) + fabs(e1.y) + fabs(e2.y)) * reach,
+                     (fabs(corner.z) + fabs(e1.z) + fabs(e2.z)) * reach);
+    light.target = pick3(light.target, leave_surface(q, error, normalize3(n), negate3(w)), ok);
+    light.direction = pick3(light.direction, w, ok);
+    light.radiance = pick3(light.radiance, radiance, ok);
+    light.pdf = pick(light.pdf, pdf, ok);
+  }
+#endif
+#ifdef NEED_PUNCTUAL_LIGHTS
+  {
+    vi here = kind == CLUSTER_POSITIONAL;
+    v3 position = gather3(scene->emitters + EMITTER_POSITION, emitter);
+    v3 axis = gather3(scene->emitters + EMITTER_DIRECTION, emitter);
+    v3 intensity = gather3(scene->emitters + EMITTER_RADIANCE, emitter);
+    vf inner = gather_f(scene->emitters + EMITTER_COS_INNER, emitter);
+    vf outer = gather_f(scene->emitters + EMITTER_COS_OUTER, emitter);
+    vf range = gather_f(scene->emitters + EMITTER_RANGE, emitter);
+    v3 d = sub3(position, p);
+    vf d2 = dot3(d, d);
+    vf distance = sqrt(d2);
+    v3 w = scale3(d, one_f() / distance);
+    // KHR_lights_punctual: the cone's falloff and the window that ends at the range.
+    vf cone = clamp_f((-dot3(axis, w) - outer) / max_f((vf)1e-4f, inner - outer), zero_f(), one_f());
+    cone = pick(cone * cone, one_f(), outer <= (vf)-1.0f);
+    vf ratio = distance / range;
+    vf window = clamp_f(one_f() - ratio * ratio * ratio * ratio, zero_f(), one_f());
+    vf factor = cone * pick(one_f(), window, range > zero_f()) / d2;
+    vi ok = here & (d2 > zero_f()) & finite_f(factor);
+    light.target = pick3(light.target, position, ok);
+    light.direction = pick3(light.direction, w, ok);
+    light.radiance = pick3(light.radiance, scale3(intensity, factor), ok);
+    light.pdf = pick(light.pdf, chance, ok);
+    vi far = kind == CLUSTER_DIRECTIONAL;
+    light.direction = pick3(light.direction, negate3(axis), far);
+    light.radiance = pick3(light.radiance, intensity, far);
+    light.pdf = pick(light.pdf, chance, far);
+    light.infinite = light.infinite | far;
+    light.delta = here | far;
+  }
+#endif
+#ifdef NEED_ENVIRONMENT
+  {
+    vi here = kind == CLUSTER_ENVIRONMENT;
+    if (any_lane(here)) {
+      vf pdf;
+      v3 radiance;
+      v3 w = environment_sample(scene, u0, u1, &pdf, &radiance);
+      light.direction = pick3(light.direction, w, here);
+      light.radiance = pick3(light.radiance, radiance, here);
+      light.pdf = pick(light.pdf, pdf * chance, here);
+      light.infinite = light.infinite | here;
+    }
+  }
+#endif
+  return light;
+}
+
+#ifdef NEED_EMISSIVE_TRIANGLES
+// Density, per steradian, with which sample_light() at `p` would have come upon the point of emitter `emitter` at `distance`
+// along unit `w`; `total` is LightSample::total at p.
+FN vf light_pdf(const Scene* scene, vu emitter, v3 p, v3 w, vf distance, vf total) {
+  vu row = emitter * EMITTER_WORDS;
+  v3 n = cross3(gather3(scene->emitters + EMITTER_E1, row), gather3(scene->emitters + EMITTER_E2, row));
+  vf projected = -dot3(n, w);
+  vf chance = gather_f(scene->emitters + EMITTER_PMF, row);
+#if CLUSTERS > 1
+  chance *= cluster_importance_at(scene, gather_u((global const uint*)scene->emitters + EMITTER_CLUSTER, row), p) / total;
+#endif
+  vf pdf = chance * 2.0f * distance * distance / projected;
+  return pick(zero_f(), pdf, (projected > zero_f()) & finite_f(pdf));
+}
+#endif
+
+#ifdef NEED_ENVIRONMENT
+// The chance that sample_light() at `p` chooses the environment (its cluster is the last).
+FN vf environment_chance(const Scene* scene, vf total) {
+#if CLUSTERS == 1
+  return one_f();
+#else
+  return (vf)scene->clusters[CLUSTER_WORDS * (CLUSTERS - 1) + CLUSTER_POWER] / total;
+#endif
+}
+#endif
+
+#endif
+#endif

@@ -1,0 +1,94 @@
+// The scene as the kernels read it: tables of 32-bit words, derived from the blob when a device loads it. A word is named by
+// its offset in a row, so that a varying row index gathers one column. Compiled by OpenCL C and by C++.
+#ifndef GLEANER_KERNELS_SCENE_LAYOUT_H
+#define GLEANER_KERNELS_SCENE_LAYOUT_H
+
+#include "scene/model/records.h"
+
+// Triangles: all that shading reads of one, in two cache lines; the second only where normals or uvs are needed.
+#define TRIANGLE_WORDS 32u
+#define TRIANGLE_P0 0u
+#define TRIANGLE_P1 3u
+#define TRIANGLE_P2 6u
+#define TRIANGLE_MATERIAL 9u
+#define TRIANGLE_EMITTER 10u  // row of the emitter table, or GLEANER_NONE
+#define TRIANGLE_N0 16u
+#define TRIANGLE_N1 19u
+#define TRIANGLE_N2 22u
+#define TRIANGLE_UV0 25u
+#define TRIANGLE_UV1 27u
+#define TRIANGLE_UV2 29u
+
+// Materials: the words of gleaner::scene::Material (static_asserts in worker/stages/device_scene.cpp).
+#define MATERIAL_WORDS 36u
+#define MATERIAL_BASE_COLOR 0u
+#define MATERIAL_ALPHA 3u
+#define MATERIAL_EMISSION 4u
+#define MATERIAL_ALPHA_CUTOFF 7u
+#define MATERIAL_SPECULAR_COLOR 8u
+#define MATERIAL_SPECULAR 11u
+#define MATERIAL_F0 12u
+#define MATERIAL_IOR 15u
+#define MATERIAL_ATTENUATION 16u
+#define MATERIAL_METALLIC 19u
+#define MATERIAL_ROUGHNESS 20u
+#define MATERIAL_TRANSMISSION 21u
+#define MATERIAL_NORMAL_SCALE 22u
+#define MATERIAL_FLAGS 23u
+#define MATERIAL_BASE_COLOR_TEXTURE 24u
+#define MATERIAL_METALLIC_ROUGHNESS_TEXTURE 25u
+#define MATERIAL_NORMAL_TEXTURE 26u
+#define MATERIAL_EMISSION_TEXTURE 27u
+#define MATERIAL_TRANSMISSION_TEXTURE 28u
+#define MATERIAL_SPECULAR_TEXTURE 29u
+#define MATERIAL_SPECULAR_COLOR_TEXTURE 30u
+#define MATERIAL_ALBEDO_TABLE 31u
+#define MATERIAL_ALBEDO_ROWS 32u
+
+// Textures: the words of gleaner::scene::Texture.
+#define TEXTURE_WORDS 8u
+#define TEXTURE_FIRST_TEXEL 0u
+#define TEXTURE_WIDTH 1u
+#define TEXTURE_HEIGHT 2u
+#define TEXTURE_WRAP_U 3u
+#define TEXTURE_WRAP_V 4u
+#define TEXTURE_FLAGS 5u
+
+// Emitters, sorted by cluster. Triangle: corner, two edges, radiance. Point and spot: position, direction, cosines, intensity.
+// Directional: direction, irradiance. The environment has no row.
+#define EMITTER_WORDS 16u
+#define EMITTER_P0 0u
+#define EMITTER_E1 3u
+#define EMITTER_E2 6u
+#define EMITTER_RADIANCE 9u
+#define EMITTER_CDF 12u        // upper end of its share in its cluster
+#define EMITTER_PMF 13u        // its share in its cluster
+#define EMITTER_TRIANGLE 14u   // GLEANER_NONE for lights without one
+#define EMITTER_CLUSTER 15u
+#define EMITTER_POSITION 0u
+#define EMITTER_DIRECTION 3u   // the way the light travels
+#define EMITTER_COS_INNER 6u
+#define EMITTER_COS_OUTER 7u
+#define EMITTER_RANGE 8u
+
+// Clusters of emitters of one kind: bounding sphere, cone of normals, power; read at uniform indices.
+#define CLUSTER_WORDS 16u
+#define CLUSTER_CENTER 0u
+#define CLUSTER_RADIUS 3u
+#define CLUSTER_AXIS 4u
+#define CLUSTER_COS 7u
+#define CLUSTER_SIN 8u
+#define CLUSTER_POWER 9u  // irradiance it causes at distance 1 m facing it; directional, environment: anywhere
+#define CLUSTER_FIRST 10u
+#define CLUSTER_COUNT 11u
+#define CLUSTER_KIND 12u
+#define CLUSTER_TRIANGLES 0u
+#define CLUSTER_POSITIONAL 1u
+#define CLUSTER_DIRECTIONAL 2u
+#define CLUSTER_ENVIRONMENT 3u
+#define MAX_CLUSTERS 64
+
+// Environment: texels (3 words each), then the sampling density of each texel row by row (cumulated in u), then of the rows.
+#define ENVIRONMENT_HEADER 4u  // width, height, row-search steps, column-search steps
+
+#endif

@@ -1,0 +1,246 @@
+#include "worker/device/device.h"
+
+#include <unistd.h>
+
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <mutex>
+#include <set>
+#include <sstream>
+#include <thread>
+
+#include "scene/model/error.h"
+#include "worker/device/kernel_sources.h"
+#include "worker/trace/tracer.h"
+
+namespace gleaner::worker {
+namespace {
+
+constexpr const char* kPoclPlatform = "Portable Computing Language";
+
+// PoCL's "basic" driver runs a kernel in the thread that asks for it. Our lanes are threads already, so its other driver,
+// with a pool of its own, only adds a hand-over per kernel (measured: 60 us against 0.7 us) and a barrier between the lanes.
+// Must come before the first OpenCL call; who sets POCL_DEVICES decides.
+void prefer_basic_pocl() {
+  static std::once_flag once;
+  std::call_once(once, [] { setenv("POCL_DEVICES", "basic", /*overwrite=*/0); });
+}
+
+struct Found {
+  cl::Device device;
+  DeviceInfo info;
+};
+
+unsigned default_threads(const DeviceInfo& info) {
+  if (info.platform == kPoclPlatform) {
+    // The basic driver reports one compute unit whatever the machine; PoCL's own variable limits us as it would its pool.
+    if (const char* text = std::getenv("POCL_MAX_PTHREAD_COUNT")) {
+      int n = std::atoi(text);
+      if (n > 0) return static_cast<unsigned>(n);
+    }
+    return std::max(1u, std::thread::hardware_concurrency());
+  }
+  return std::max(1u, info.compute_units);
+}
+
+std::vector<Found> find_devices() {
+  prefer_basic_pocl();
+  std::vector<Found> found;
+  std::vector<cl::Platform> platforms;
+  try {
+    cl::Platform::get(&platforms);
+  } catch (const cl::Error&) {
+    return found;  // the loader knows no platform
+  }
+  for (auto& platform : platforms) {
+    std::vector<cl::Device> devices;
+    try {
+      platform.getDevices(CL_DEVICE_TYPE_ALL, &devices);
+    } catch (const cl::Error&) {
+      continue;  // CL_DEVICE_NOT_FOUND
+    }
+    for (auto& device : devices) {
+      Found one;
+      one.device = device;
+      DeviceInfo& info = one.info;
+      info.index = static_cast<int>(found.size());
+      info.name = device.getInfo<CL_DEVICE_NAME>();
+      info.platform = platform.getInfo<CL_PLATFORM_NAME>();
+      info.driver = device.getInfo<CL_DRIVER_VERSION>();
+      info.version = device.getInfo<CL_DEVICE_VERSION>();
+      info.cpu = (device.getInfo<CL_DEVICE_TYPE>() & CL_DEVICE_TYPE_CPU) != 0;
+      info.compute_units = device.getInfo<CL_DEVICE_MAX_COMPUTE_UNITS>();
+      info.memory_bytes = device.getInfo<CL_DEVICE_GLOBAL_MEM_SIZE>();
+      info.threads = info.cpu ? default_threads(info) : 1;
+      info.trace = info.cpu && embree_available() ? TraceKind::embree : TraceKind::opencl;
+      info.tracer = tracer_description(info.trace);
+      found.push_back(one);
+    }
+  }
+  return found;
+}
+
+// FNV-1a, 64 bits: names a file of the cache, decides nothing else.
+std::uint64_t fingerprint(std::uint64_t hash, std::string_view text) {
+  for (unsigned char c : text) hash = (hash ^ c) * 0x100000001b3ull;
+  return hash;
+}
+
+std::filesystem::path cache_folder() {
+  if (const char* folder = std::getenv("GLEANER_CACHE")) return folder;
+  if (const char* folder = std::getenv("XDG_CACHE_HOME")) return std::filesystem::path(folder) / "gleaner";
+  if (const char* home = std::getenv("HOME")) return std::filesystem::path(home) / ".cache" / "gleaner";
+  return {};
+}
+
+// The text of `file` with its #includes put in, each once.
+void flatten(const std::string& file, std::set<std::string>& seen, std::string& out) {
+  if (!seen.insert(file).second) return;
+  for (const auto& source : kernel_sources()) {
+    if (source.path != file) continue;
+    std::istringstream lines{std::string(source.text)};
+    std::string line;
+    while (std::getline(lines, line)) {
+      if (line.starts_with("#include \"")) {
+        auto end = line.find('"', 10);
+        flatten(line.substr(10, end - 10), seen, out);
+      } else if (!line.starts_with("#include <")) {
+        out += line + "\n";
+      }
+    }
+    return;
+  }
+  throw Error::failed("no kernel source named " + file);
+}
+
+}  // namespace
+
+std::vector<DeviceInfo> list_devices() {
+  std::vector<DeviceInfo> infos;
+  for (auto& found : find_devices()) infos.push_back(found.info);
+  return infos;
+}
+
+TraceKind parse_trace_kind(const std::string& word) {
+  if (word == "auto") return TraceKind::automatic;
+  if (word == "embree") return TraceKind::embree;
+  if (word == "opencl") return TraceKind::opencl;
+  throw Error::usage("--trace: expected auto, embree or opencl, found " + word);
+}
+
+const char* trace_kind_name(TraceKind kind) {
+  switch (kind) {
+    case TraceKind::embree: return "embree";
+    case TraceKind::opencl: return "opencl";
+    case TraceKind::automatic: break;
+  }
+  return "auto";
+}
+
+Device::Device(const DeviceChoice& choice) {
+  auto found = find_devices();
+  if (found.empty())
+    throw Error::failed("no OpenCL device found: install a driver (on Debian: pocl-opencl-icd for the CPU)");
+  int index = choice.device;
+  if (index < 0) {
+    index = 0;
+    for (auto& one : found)
+      if (!one.info.cpu) {
+        index = one.info.index;
+        break;
+      }
+  }
+  if (index >= static_cast<int>(found.size()))
+    throw Error::failed("no OpenCL device " + std::to_string(index) + ": there are " + std::to_string(found.size()) +
+                        " (see gleaner devices)");
+  device_ = found[index].device;
+  info_ = found[index].info;
+  if (choice.threads > 0 && info_.cpu) info_.threads = static_cast<unsigned>(choice.threads);
+  if (choice.trace == TraceKind::embree && !(info_.cpu && embree_available()))
+    throw Error::failed("device " + info_.name + " cannot trace with Embree: " +
+                        (info_.cpu ? "this program was built without it" : "it is no CPU"));
+  if (choice.trace != TraceKind::automatic) info_.trace = choice.trace;
+  info_.tracer = tracer_description(info_.trace);
+  context_ = cl::Context(device_);
+}
+
+cl::Buffer Device::make_buffer(std::size_t bytes, cl_mem_flags flags) const {
+  if (info_.cpu) flags |= CL_MEM_ALLOC_HOST_PTR;
+  return cl::Buffer(context_, flags, std::max<std::size_t>(bytes, 1));
+}
+
+cl::Program Device::build(const std::string& file, const std::string& options) const {
+  std::string text;
+  std::set<std::string> seen;
+  flatten(file, seen, text);
+  const std::string all_options = "-cl-std=CL1.2 " + options;
+  std::uint64_t hash = 0xcbf29ce484222325ull;
+  for (const std::string& part : {info_.platform, info_.name, info_.driver, info_.version, all_options, text})
+    hash = fingerprint(fingerprint(hash, part), std::string_view("\0", 1));
+  std::filesystem::path cached;
+  if (auto folder = cache_folder(); !folder.empty()) {
+    char name[40];
+    std::snprintf(name, sizeof name, "%016llx.clbin", static_cast<unsigned long long>(hash));
+    cached = folder / name;
+    std::ifstream in(cached, std::ios::binary);
+    if (in) {
+      std::vector<unsigned char> binary((std::istreambuf_iterator<char>(in)), {});
+      try {
+        cl::Program program(context_, {device_}, cl::Program::Binaries{binary});
+        program.build(std::vector<cl::Device>{device_}, all_options.c_str());
+        return program;
+      } catch (const cl::Error&) {
+        // A binary of another driver's making: built anew below, and replaced.
+      }
+    }
+  }
+  cl::Program program(context_, text);
+  try {
+    program.build(std::vector<cl::Device>{device_}, all_options.c_str());
+  } catch (const cl::Error& error) {
+    throw Error::failed("building " + file + " for " + info_.name + " with " + all_options + ": " + describe(error) + "\n" +
+                        program.getBuildInfo<CL_PROGRAM_BUILD_LOG>(device_));
+  }
+  if (!cached.empty()) {
+    // A cache that cannot be written costs the next run its compile time, nothing else.
+    std::error_code ignored;
+    std::filesystem::create_directories(cached.parent_path(), ignored);
+    auto binaries = program.getInfo<CL_PROGRAM_BINARIES>();
+    if (!binaries.empty() && !binaries[0].empty()) {
+      auto temporary = cached;
+      temporary += "." + std::to_string(::getpid());
+      std::ofstream out(temporary, std::ios::binary);
+      out.write(reinterpret_cast<const char*>(binaries[0].data()), static_cast<std::streamsize>(binaries[0].size()));
+      out.close();
+      if (out)
+        std::filesystem::rename(temporary, cached, ignored);
+      else
+        std::filesystem::remove(temporary, ignored);
+    }
+  }
+  return program;
+}
+
+std::string describe(const cl::Error& error) {
+  static const std::map<cl_int, const char*> names = {
+      {CL_DEVICE_NOT_AVAILABLE, "CL_DEVICE_NOT_AVAILABLE"},
+      {CL_COMPILER_NOT_AVAILABLE, "CL_COMPILER_NOT_AVAILABLE"},
+      {CL_MEM_OBJECT_ALLOCATION_FAILURE, "CL_MEM_OBJECT_ALLOCATION_FAILURE"},
+      {CL_OUT_OF_RESOURCES, "CL_OUT_OF_RESOURCES"},
+      {CL_OUT_OF_HOST_MEMORY, "CL_OUT_OF_HOST_MEMORY"},
+      {CL_MAP_FAILURE, "CL_MAP_FAILURE"},
+      {CL_BUILD_PROGRAM_FAILURE, "CL_BUILD_PROGRAM_FAILURE"},
+      {CL_INVALID_VALUE, "CL_INVALID_VALUE"},
+      {CL_INVALID_MEM_OBJECT, "CL_INVALID_MEM_OBJECT"},
+      {CL_INVALID_KERNEL_ARGS, "CL_INVALID_KERNEL_ARGS"},
+      {CL_INVALID_WORK_GROUP_SIZE, "CL_INVALID_WORK_GROUP_SIZE"},
+      {CL_INVALID_BUFFER_SIZE, "CL_INVALID_BUFFER_SIZE"},
+  };
+  auto name = names.find(error.err());
+  return std::string(error.what()) + " failed" + (name == names.end() ? "" : std::string(": ") + name->second) + " (" +
+         std::to_string(error.err()) + ")";
+}
+
+}  // namespace gleaner::worker

@@ -1,0 +1,41 @@
+#pragma once
+// One OpenCL device: its context, what it is, and the programs built for it.
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "worker/device/opencl.h"
+#include "worker/stages/executor.h"
+
+namespace gleaner::worker {
+
+class Device {
+ public:
+  // Throws Error::failed where there is no such device.
+  explicit Device(const DeviceChoice& choice);
+
+  const DeviceInfo& info() const { return info_; }
+  const cl::Context& context() const { return context_; }
+  const cl::Device& device() const { return device_; }
+  cl::CommandQueue make_queue() const { return cl::CommandQueue(context_, device_); }
+  // Rays that a work-item handles at once (kernels/lanes.h).
+  unsigned lanes() const { return info_.cpu ? 16 : 1; }
+
+  // Builds `file` of the kernels with `options`, or takes the binary that an earlier run left in the cache folder
+  // ($GLEANER_CACHE, else $XDG_CACHE_HOME/gleaner, else ~/.cache/gleaner). Thread-safe. Throws Error::failed with the compiler's log.
+  cl::Program build(const std::string& file, const std::string& options) const;
+
+  // A buffer of at least one byte. On CPU devices it lies in memory that host and kernels share.
+  cl::Buffer make_buffer(std::size_t bytes, cl_mem_flags flags = CL_MEM_READ_WRITE) const;
+
+ private:
+  DeviceInfo info_;
+  cl::Device device_;
+  cl::Context context_;
+};
+
+// "clEnqueueNDRangeKernel failed: CL_OUT_OF_RESOURCES (-5)".
+std::string describe(const cl::Error& error);
+
+}  // namespace gleaner::worker

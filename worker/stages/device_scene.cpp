@@ -1,0 +1,158 @@
+#include "worker/stages/device_scene.h"
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstring>
+
+#include "kernels/scene_layout.h"
+#include "scene/model/error.h"
+#include "worker/stages/light_clusters.h"
+
+namespace gleaner::worker {
+namespace {
+
+#define SAME_WORD(type, field, word) static_assert(offsetof(scene::type, field) == 4 * (word))
+SAME_WORD(Material, base_color, MATERIAL_BASE_COLOR);
+SAME_WORD(Material, alpha, MATERIAL_ALPHA);
+SAME_WORD(Material, emission, MATERIAL_EMISSION);
+SAME_WORD(Material, alpha_cutoff, MATERIAL_ALPHA_CUTOFF);
+SAME_WORD(Material, specular_color, MATERIAL_SPECULAR_COLOR);
+SAME_WORD(Material, specular, MATERIAL_SPECULAR);
+SAME_WORD(Material, f0, MATERIAL_F0);
+SAME_WORD(Material, ior, MATERIAL_IOR);
+SAME_WORD(Material, attenuation, MATERIAL_ATTENUATION);
+SAME_WORD(Material, metallic, MATERIAL_METALLIC);
+SAME_WORD(Material, roughness, MATERIAL_ROUGHNESS);
+SAME_WORD(Material, transmission, MATERIAL_TRANSMISSION);
+SAME_WORD(Material, normal_scale, MATERIAL_NORMAL_SCALE);
+SAME_WORD(Material, flags, MATERIAL_FLAGS);
+SAME_WORD(Material, base_color_texture, MATERIAL_BASE_COLOR_TEXTURE);
+SAME_WORD(Material, metallic_roughness_texture, MATERIAL_METALLIC_ROUGHNESS_TEXTURE);
+SAME_WORD(Material, normal_texture, MATERIAL_NORMAL_TEXTURE);
+SAME_WORD(Material, emission_texture, MATERIAL_EMISSION_TEXTURE);
+SAME_WORD(Material, transmission_texture, MATERIAL_TRANSMISSION_TEXTURE);
+SAME_WORD(Material, specular_texture, MATERIAL_SPECULAR_TEXTURE);
+SAME_WORD(Material, specular_color_texture, MATERIAL_SPECULAR_COLOR_TEXTURE);
+SAME_WORD(Material, albedo_table, MATERIAL_ALBEDO_TABLE);
+SAME_WORD(Material, albedo_rows, MATERIAL_ALBEDO_ROWS);
+static_assert(sizeof(scene::Material) == 4 * MATERIAL_WORDS && sizeof(scene::Texture) == 4 * TEXTURE_WORDS);
+SAME_WORD(Texture, first_texel, TEXTURE_FIRST_TEXEL);
+SAME_WORD(Texture, width, TEXTURE_WIDTH);
+SAME_WORD(Texture, height, TEXTURE_HEIGHT);
+SAME_WORD(Texture, wrap_u, TEXTURE_WRAP_U);
+SAME_WORD(Texture, wrap_v, TEXTURE_WRAP_V);
+SAME_WORD(Texture, flags, TEXTURE_FLAGS);
+#undef SAME_WORD
+
+// 256 sRGB bytes decoded, then i / 255 for data that is linear already.
+std::array<float, 512> decode_table() {
+  std::array<float, 512> table{};
+  for (int i = 0; i < 256; ++i) {
+    const double c = i / 255.0;
+    table[i] = static_cast<float>(c <= 0.04045 ? c / 12.92 : std::pow((c + 0.055) / 1.055, 2.4));
+    table[256 + i] = static_cast<float>(c);
+  }
+  return table;
+}
+
+void write_triangles(const scene::Scene& scene, const std::vector<std::uint32_t>& emitters, float* out) {
+  for (std::size_t t = 0; t < scene.triangle_count(); ++t, out += TRIANGLE_WORDS) {
+    std::memset(out, 0, 4 * TRIANGLE_WORDS);
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::size_t vertex = scene.indices[3 * t + k];
+      std::memcpy(out + TRIANGLE_P0 + 3 * k, &scene.positions[3 * vertex], 12);
+      if (!scene.normals.empty()) std::memcpy(out + TRIANGLE_N0 + 3 * k, &scene.normals[3 * vertex], 12);
+      if (!scene.uvs.empty()) std::memcpy(out + TRIANGLE_UV0 + 2 * k, &scene.uvs[2 * vertex], 8);
+    }
+    std::memcpy(out + TRIANGLE_MATERIAL, &scene.triangle_material[t], 4);
+    std::memcpy(out + TRIANGLE_EMITTER, &emitters[t], 4);
+  }
+}
+
+}  // namespace
+
+cl::Buffer DeviceScene::upload(const Device& device, cl::CommandQueue& queue, const void* data, std::size_t bytes) {
+  // Kernels of lanes with nothing to read take row 0: no table is ever empty.
+  constexpr std::size_t least = 256;
+  cl::Buffer buffer = device.make_buffer(std::max(bytes, least), CL_MEM_READ_ONLY);
+  if (bytes < least) {
+    const std::array<std::byte, least> zero{};
+    queue.enqueueWriteBuffer(buffer, CL_TRUE, 0, least, zero.data());
+  }
+  if (bytes) queue.enqueueWriteBuffer(buffer, CL_TRUE, 0, bytes, data);
+  bytes_ += std::max(bytes, least);
+  return buffer;
+}
+
+DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scene> scene, const scene::Bvh* bvh) {
+  scene::SceneNeeds needs = scene::needs_of(*scene);
+  cl::CommandQueue queue = device.make_queue();
+  LightTables lights = make_light_tables(*scene);
+
+  const std::size_t triangle_bytes = std::max<std::size_t>(scene->triangle_count(), 1) * 4 * TRIANGLE_WORDS;
+  triangles_ = device.make_buffer(triangle_bytes, CL_MEM_READ_ONLY);
+  // Written in place: a copy of the largest table would double the scene's memory for a moment.
+  auto* rows = static_cast<float*>(queue.enqueueMapBuffer(triangles_, CL_TRUE, CL_MAP_WRITE, 0, triangle_bytes));
+  std::memset(rows, 0, 4 * TRIANGLE_WORDS);
+  write_triangles(*scene, lights.triangle_emitter, rows);
+  queue.enqueueUnmapMemObject(triangles_, rows);
+  queue.finish();
+  bytes_ += triangle_bytes;
+
+  const auto bytes_of = [](const auto& v) { return v.size() * sizeof(v[0]); };
+  materials_ = upload(device, queue, scene->materials.data(), bytes_of(scene->materials));
+  textures_ = upload(device, queue, scene->textures.data(), bytes_of(scene->textures));
+  texels_ = upload(device, queue, scene->texels.data(), bytes_of(scene->texels));
+  const auto srgb = decode_table();
+  srgb_ = upload(device, queue, srgb.data(), sizeof srgb);
+  albedo_tables_ = upload(device, queue, scene->albedo_tables.data(), bytes_of(scene->albedo_tables));
+  emitters_ = upload(device, queue, lights.emitters.data(), bytes_of(lights.emitters));
+  clusters_ = upload(device, queue, lights.clusters.data(), bytes_of(lights.clusters));
+  environment_ = upload(device, queue, lights.environment.data(), bytes_of(lights.environment));
+
+  if (device.info().trace == TraceKind::embree) {
+    tracer_ = make_embree_tracer(*scene, device.info().threads);
+  } else {
+    if (!bvh) throw Error::failed("the OpenCL tracer needs the scene's BVH");
+    tracer_ = make_opencl_tracer(device, *bvh, triangles_);
+  }
+
+  bool emission_textures = false;
+  for (const auto& material : scene->materials)
+    emission_textures = emission_textures || (material.emission_texture != GLEANER_NONE && needs.emissive_triangles);
+  const std::pair<bool, const char*> words[] = {
+      {needs.specular, "SPECULAR"},
+      {needs.glossy, "GLOSSY"},
+      {needs.metallic, "METALLIC"},
+      {needs.transmissive, "TRANSMISSIVE"},
+      {needs.rough_transmissive, "ROUGH_TRANSMISSIVE"},
+      {needs.attenuation, "ATTENUATION"},
+      {needs.alpha, "ALPHA"},
+      {needs.unlit, "UNLIT"},
+      {needs.textures, "TEXTURES"},
+      {needs.material_textures, "MATERIAL_TEXTURES"},
+      {needs.normal_maps, "NORMAL_MAPS"},
+      {emission_textures, "EMISSION_TEXTURES"},
+      {needs.smooth_normals, "SMOOTH_NORMALS"},
+      {needs.punctual_lights, "PUNCTUAL_LIGHTS"},
+      {needs.emissive_triangles, "EMISSIVE_TRIANGLES"},
+      {needs.environment, "ENVIRONMENT"},
+  };
+  options_ = "-D LANES=" + std::to_string(device.lanes());
+  // Lights of no power make no clusters: the scene is as good as without lights.
+  for (auto [need, word] : words)
+    if (need && (lights.cluster_slots || (std::strcmp(word, "PUNCTUAL_LIGHTS") && std::strcmp(word, "EMISSIVE_TRIANGLES") &&
+                                          std::strcmp(word, "ENVIRONMENT"))))
+      options_ += std::string(" -D NEED_") + word;
+  if (lights.cluster_slots) options_ += " -D CLUSTERS=" + std::to_string(lights.cluster_slots);
+}
+
+unsigned DeviceScene::set_arguments(cl::Kernel& kernel, unsigned first) const {
+  for (const cl::Buffer* buffer :
+       {&triangles_, &materials_, &textures_, &texels_, &srgb_, &albedo_tables_, &emitters_, &clusters_, &environment_})
+    kernel.setArg(first++, *buffer);
+  return first;
+}
+
+}  // namespace gleaner::worker

@@ -1,0 +1,34 @@
+#pragma once
+// A scene on a device: the tables that kernels read, the tracer, and which kernel variant the scene needs.
+
+#include <memory>
+#include <string>
+
+#include "scene/model/blob.h"
+#include "worker/device/device.h"
+#include "worker/trace/tracer.h"
+
+namespace gleaner::worker {
+
+class DeviceScene {
+ public:
+  // `bvh` is needed where the device traces in OpenCL. Throws Error::failed.
+  DeviceScene(const Device& device, std::shared_ptr<const scene::Scene> scene, const scene::Bvh* bvh);
+
+  // Compiler options that select the variant: one NEED_... a need, and how many light clusters there are.
+  const std::string& kernel_options() const { return options_; }
+  Tracer& tracer() { return *tracer_; }
+  // Sets the scene's buffers as arguments from `first` on, in the order of SCENE_PARAMETERS; returns the next index.
+  unsigned set_arguments(cl::Kernel& kernel, unsigned first) const;
+  std::size_t bytes() const { return bytes_; }
+
+ private:
+  cl::Buffer upload(const Device& device, cl::CommandQueue& queue, const void* data, std::size_t bytes);
+
+  std::string options_;
+  std::unique_ptr<Tracer> tracer_;
+  cl::Buffer triangles_, materials_, textures_, texels_, srgb_, albedo_tables_, emitters_, clusters_, environment_;
+  std::size_t bytes_ = 0;
+};
+
+}  // namespace gleaner::worker

@@ -1,0 +1,12 @@
+#include "scene/model/error.h"
+#include "worker/trace/tracer.h"
+
+namespace gleaner::worker {
+
+bool embree_available() { return false; }
+
+std::unique_ptr<Tracer> make_embree_tracer(const scene::Scene&, unsigned) {
+  throw Error::failed("this program was built without Embree");
+}
+
+}  // namespace gleaner::worker

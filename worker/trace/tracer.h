@@ -1,0 +1,37 @@
+#pragma once
+// Ray queries against one scene: closest hit and any hit, over blocks of 16 rays (kernels/rays.h).
+
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "scene/model/blob.h"
+#include "worker/device/device.h"
+
+namespace gleaner::worker {
+
+bool embree_available();
+std::string tracer_description(TraceKind kind);
+
+// A run of rays in a buffer of blocks of `rows` rows of 16. Rays [0, incoherent) answer one by one; blocks from
+// `coherent_base` (a multiple of 16) on, `coherent_count` rays, hold 16 neighbours each and may answer as packets.
+struct RayRange {
+  unsigned rows = 0;
+  std::uint32_t incoherent = 0, coherent_base = 0, coherent_count = 0;
+  std::uint32_t end() const { return coherent_count ? coherent_base + coherent_count : incoherent; }
+};
+
+class Tracer {
+ public:
+  virtual ~Tracer() = default;
+  // Both block until the answers are in the buffer. Rays whose far is not positive are left alone. Thread-safe.
+  // Throw Error::failed where the device fails or a traversal stack was too small.
+  virtual void closest(cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) = 0;
+  virtual void any(cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) = 0;
+};
+
+std::unique_ptr<Tracer> make_embree_tracer(const scene::Scene& scene, unsigned threads);
+// `triangles`: the table of kernels/scene_layout.h.
+std::unique_ptr<Tracer> make_opencl_tracer(const Device& device, const scene::Bvh& bvh, const cl::Buffer& triangles);
+
+}  // namespace gleaner::worker
