@@ -1,6 +1,7 @@
 #pragma once
-// One function a command, each in a file of its own: it adds the command's words to the parser, and `run` is set to what
-// the command does where it was the one called. The run function returns the exit status; errors are thrown (gleaner::Error).
+// One function a command, each in a file of its own: it adds the command's words to the parser, and `run` is set to
+// what the command does where it was the one called. The run function returns the exit status; errors are thrown
+// (gleaner::Error).
 
 #include <functional>
 
@@ -20,6 +21,7 @@ void add_show(CLI::App& app, Run& run);
 void add_list(CLI::App& app, Run& run);
 void add_cancel(CLI::App& app, Run& run);
 void add_workers(CLI::App& app, Run& run);
+void add_why(CLI::App& app, Run& run);
 void add_replay(CLI::App& app, Run& run);
 void add_explain(CLI::App& app, Run& run);
 void add_info(CLI::App& app, Run& run);

@@ -1,0 +1,208 @@
+#include "cli/client.h"
+
+#include <grpcpp/grpcpp.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <chrono>
+
+#include "coordinator/gateway/convert.h"
+#include "scene/model/error.h"
+
+namespace gleaner::cli {
+
+namespace pb = gleaner::v1;
+using coordinator::JobStatus;
+using gateway::from_proto;
+
+namespace {
+
+constexpr std::chrono::seconds connect_patience{3};
+constexpr std::chrono::seconds call_patience{60};  // calls that do not stream; a submission parses its scene
+
+void set_deadline(grpc::ClientContext& context) {
+  context.set_deadline(std::chrono::system_clock::now() + call_patience);
+}
+
+}  // namespace
+
+void add_coordinator_option(CLI::App& command, std::string& address) {
+  command.add_option("--coordinator", address, "HOST:PORT (default: $GLEANER_COORDINATOR)")
+      ->envname("GLEANER_COORDINATOR");
+}
+
+Client::Client(const std::string& address) : address_(address) {
+  if (address_.empty()) throw Error::usage("which coordinator? --coordinator HOST:PORT, or $GLEANER_COORDINATOR");
+  grpc::ChannelArguments arguments;
+  arguments.SetMaxReceiveMessageSize(256 << 20);  // previews are whole
+  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 15000);
+  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10000);
+  auto channel = grpc::CreateCustomChannel(address_, grpc::InsecureChannelCredentials(), arguments);
+  if (!channel->WaitForConnected(std::chrono::system_clock::now() + connect_patience))
+    throw Error::connection("no coordinator answers at " + address_);
+  stub_ = pb::Farm::NewStub(channel);
+}
+
+void Client::check(const grpc::Status& status) const {
+  switch (status.error_code()) {
+    case grpc::StatusCode::OK:
+      return;
+    case grpc::StatusCode::UNAVAILABLE:
+    case grpc::StatusCode::DEADLINE_EXCEEDED:
+      throw Error::connection("the coordinator at " + address_ + " does not answer: " + status.error_message());
+    case grpc::StatusCode::INVALID_ARGUMENT:
+    case grpc::StatusCode::NOT_FOUND:
+      throw Error(ErrorKind::bad_input, status.error_message());
+    default:
+      throw Error::failed("the coordinator at " + address_ + ": " + status.error_message());
+  }
+}
+
+void Client::upload_missing(const std::vector<std::pair<std::string, const scene::Bytes*>>& blobs) {
+  pb::MissingBlobsRequest request;
+  for (const auto& [id, bytes] : blobs) request.add_ids(id);
+  pb::MissingBlobsReply missing;
+  {
+    grpc::ClientContext context;
+    set_deadline(context);
+    check(stub_->MissingBlobs(&context, request, &missing));
+  }
+  for (const auto& [id, bytes] : blobs) {
+    if (std::find(missing.ids().begin(), missing.ids().end(), id) == missing.ids().end()) continue;
+    grpc::ClientContext context;
+    pb::UploadBlobReply reply;
+    auto writer = stub_->UploadBlob(&context, &reply);
+    pb::UploadBlobRequest part;
+    part.mutable_header()->set_id(id);
+    part.mutable_header()->set_bytes(bytes->size());
+    bool open = writer->Write(part);
+    for (std::size_t offset = 0; open && offset < bytes->size(); offset += gateway::piece_bytes) {
+      part.set_data(bytes->data() + offset, std::min(gateway::piece_bytes, bytes->size() - offset));
+      open = writer->Write(part);
+    }
+    writer->WritesDone();
+    check(writer->Finish());
+  }
+}
+
+std::string Client::submit(const pb::SubmitJobRequest& request) {
+  grpc::ClientContext context;
+  set_deadline(context);
+  pb::SubmitJobReply reply;
+  check(stub_->SubmitJob(&context, request, &reply));
+  return reply.job();
+}
+
+std::vector<JobStatus> Client::list() {
+  grpc::ClientContext context;
+  set_deadline(context);
+  pb::ListJobsReply reply;
+  check(stub_->ListJobs(&context, {}, &reply));
+  std::vector<JobStatus> jobs;
+  for (const pb::Job& job : reply.jobs()) jobs.push_back(from_proto(job));
+  return jobs;
+}
+
+JobStatus Client::show(const std::string& job) {
+  grpc::ClientContext context;
+  set_deadline(context);
+  pb::GetJobRequest request;
+  request.set_job(job);
+  pb::Job reply;
+  check(stub_->GetJob(&context, request, &reply));
+  return from_proto(reply);
+}
+
+JobStatus Client::cancel(const std::string& job) {
+  grpc::ClientContext context;
+  set_deadline(context);
+  pb::CancelJobRequest request;
+  request.set_job(job);
+  pb::Job reply;
+  check(stub_->CancelJob(&context, request, &reply));
+  return from_proto(reply);
+}
+
+JobStatus Client::watch(const std::string& job, const std::function<bool(const JobStatus&)>& on_change) {
+  grpc::ClientContext context;
+  pb::WatchJobRequest request;
+  request.set_job(job);
+  auto reader = stub_->WatchJob(&context, request);
+  pb::Job change;
+  JobStatus last;
+  while (reader->Read(&change)) {
+    last = from_proto(change);
+    if (!on_change(last)) {
+      context.TryCancel();
+      reader->Finish();
+      return last;
+    }
+  }
+  check(reader->Finish());
+  if (!ended(last.state)) throw Error::connection("the coordinator at " + address_ + " went away while the job ran");
+  return last;
+}
+
+std::string Client::preview(const std::string& job) {
+  grpc::ClientContext context;
+  set_deadline(context);
+  pb::GetPreviewRequest request;
+  request.set_job(job);
+  pb::GetPreviewReply reply;
+  grpc::Status status = stub_->GetPreview(&context, request, &reply);
+  if (status.error_code() == grpc::StatusCode::FAILED_PRECONDITION) return {};
+  check(status);
+  return std::move(*reply.mutable_png());
+}
+
+std::vector<std::string> Client::why(const std::string& job) {
+  grpc::ClientContext context;
+  set_deadline(context);
+  pb::WhyRequest request;
+  request.set_job(job);
+  pb::WhyReply reply;
+  check(stub_->Why(&context, request, &reply));
+  return {reply.reasons().begin(), reply.reasons().end()};
+}
+
+std::vector<pb::File> Client::files(const std::string& job) {
+  grpc::ClientContext context;
+  set_deadline(context);
+  pb::ListFilesRequest request;
+  request.set_job(job);
+  pb::ListFilesReply reply;
+  check(stub_->ListFiles(&context, request, &reply));
+  return {reply.files().begin(), reply.files().end()};
+}
+
+void Client::fetch_file(const std::string& job, const std::string& name,
+                        const std::function<void(const std::string&)>& on_piece) {
+  grpc::ClientContext context;
+  pb::FetchFileRequest request;
+  request.set_job(job);
+  request.set_name(name);
+  auto reader = stub_->FetchFile(&context, request);
+  pb::FetchFileReply piece;
+  std::uint64_t expected = 0, received = 0;
+  while (reader->Read(&piece)) {
+    expected = piece.total_bytes();
+    received += piece.data().size();
+    on_piece(piece.data());
+  }
+  check(reader->Finish());
+  if (received != expected)
+    throw Error::failed("file " + name + ": expected " + std::to_string(expected) + " bytes, found " +
+                        std::to_string(received));
+}
+
+std::vector<coordinator::WorkerStatus> Client::workers() {
+  grpc::ClientContext context;
+  set_deadline(context);
+  pb::ListWorkersReply reply;
+  check(stub_->ListWorkers(&context, {}, &reply));
+  std::vector<coordinator::WorkerStatus> workers;
+  for (const pb::Worker& worker : reply.workers()) workers.push_back(from_proto(worker));
+  return workers;
+}
+
+}  // namespace gleaner::cli

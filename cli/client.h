@@ -1,0 +1,51 @@
+#pragma once
+// A coordinator, as the commands call it. Every call throws: Error::connection where it cannot be reached,
+// Error::bad_input where it refuses what it was asked, Error::failed otherwise.
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "coordinator/jobs/job.h"
+#include "gleaner/v1/farm.grpc.pb.h"
+#include "scene/model/blob.h"
+
+namespace CLI {
+class App;
+}
+
+namespace gleaner::cli {
+
+// --coordinator HOST:PORT, or $GLEANER_COORDINATOR.
+void add_coordinator_option(CLI::App& command, std::string& address);
+
+class Client {
+ public:
+  // Empty address: what $GLEANER_COORDINATOR says. Throws Error::usage where neither is given, Error::connection where
+  // nobody answers within a few seconds.
+  explicit Client(const std::string& address);
+
+  void upload_missing(const std::vector<std::pair<std::string, const scene::Bytes*>>& blobs);  // (id, bytes)
+  std::string submit(const gleaner::v1::SubmitJobRequest& request);
+  std::vector<coordinator::JobStatus> list();
+  coordinator::JobStatus show(const std::string& job);
+  coordinator::JobStatus cancel(const std::string& job);
+  // Calls `on_change` for every change until the job has ended or it returns false; returns the last status.
+  coordinator::JobStatus watch(const std::string& job,
+                               const std::function<bool(const coordinator::JobStatus&)>& on_change);
+  std::string preview(const std::string& job);  // PNG bytes; empty: nothing to show yet
+  std::vector<std::string> why(const std::string& job);
+  std::vector<gleaner::v1::File> files(const std::string& job);
+  void fetch_file(const std::string& job, const std::string& name,
+                  const std::function<void(const std::string&)>& on_piece);
+  std::vector<coordinator::WorkerStatus> workers();
+
+ private:
+  void check(const grpc::Status& status) const;
+
+  std::string address_;
+  std::unique_ptr<gleaner::v1::Farm::Stub> stub_;
+};
+
+}  // namespace gleaner::cli

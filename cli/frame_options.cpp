@@ -1,0 +1,190 @@
+#include "cli/frame_options.h"
+
+#include <CLI/CLI.hpp>
+#include <charconv>
+#include <cmath>
+#include <filesystem>
+#include <iostream>
+#include <numbers>
+#include <optional>
+
+#include "scene/import/import.h"
+#include "scene/model/error.h"
+
+namespace gleaner::cli {
+
+namespace {
+
+constexpr std::uint32_t default_width = 1280, default_height = 720;  // pixels; what has no size is fitted into it
+constexpr double default_fov_degrees = 45;
+
+// The whole of `text` as a number, or none.
+template <typename Number>
+std::optional<Number> number(std::string_view text) {
+  Number value{};
+  auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (error != std::errc{} || end != text.data() + text.size()) return std::nullopt;
+  return value;
+}
+
+std::vector<std::string_view> split(std::string_view text, char at) {
+  std::vector<std::string_view> parts;
+  for (std::size_t begin = 0;;) {
+    std::size_t end = text.find(at, begin);
+    parts.push_back(text.substr(begin, end - begin));
+    if (end == std::string_view::npos) return parts;
+    begin = end + 1;
+  }
+}
+
+Error malformed(const std::string& option, const std::string& expected, const std::string& found) {
+  return Error::usage(option + ": expected " + expected + ", found \"" + found + "\"");
+}
+
+void parse_size(const std::string& text, std::uint32_t& width, std::uint32_t& height) {
+  auto parts = split(text, 'x');
+  auto w = parts.size() == 2 ? number<std::uint32_t>(parts[0]) : std::nullopt;
+  auto h = parts.size() == 2 ? number<std::uint32_t>(parts[1]) : std::nullopt;
+  if (!w || !h || *w == 0 || *h == 0) throw malformed("--size", "WIDTHxHEIGHT in pixels", text);
+  width = *w;
+  height = *h;
+}
+
+void parse_frames(const std::string& text, std::uint32_t& first, std::uint32_t& last) {
+  auto parts = split(text, '-');
+  auto a = number<std::uint32_t>(parts[0]);
+  auto b = parts.size() == 2 ? number<std::uint32_t>(parts[1]) : a;
+  if (parts.size() > 2 || !a || !b || *a > *b) throw malformed("--frames", "FIRST-LAST with FIRST <= LAST", text);
+  first = *a;
+  last = *b;
+}
+
+scene::NamedCamera parse_look_at(const std::string& text) {
+  auto parts = split(text, ',');
+  std::vector<float> values;
+  for (std::string_view part : parts)
+    if (auto value = number<float>(part); value && std::isfinite(*value)) values.push_back(*value);
+  if ((parts.size() != 6 && parts.size() != 7) || values.size() != parts.size())
+    throw malformed("--look-at", "EX,EY,EZ,TX,TY,TZ[,FOV]: metres, and the vertical field of view in degrees", text);
+  float fov = values.size() == 7 ? values[6] : static_cast<float>(default_fov_degrees);
+  if (!(fov > 0 && fov < 180)) throw malformed("--look-at", "a field of view between 0 and 180 degrees", text);
+  return scene::look_at({values[0], values[1], values[2]}, {values[3], values[4], values[5]},
+                        fov * std::numbers::pi_v<float> / 180);
+}
+
+scene::NamedCamera choose_camera(const FrameOptions& options, const scene::Scene& scene,
+                                 std::vector<std::string>& words) {
+  if (!options.look_at.empty()) {
+    if (!options.camera.empty()) throw Error::usage("--camera and --look-at exclude each other");
+    auto camera = parse_look_at(options.look_at);
+    camera.name = "look-at";
+    return camera;
+  }
+  if (!options.camera.empty()) {
+    std::string known;
+    for (const auto& camera : scene.cameras) {
+      if (camera.name == options.camera) return camera;
+      known += (known.empty() ? "" : ", ") + camera.name;
+    }
+    throw Error::bad_input(options.scene, "camera \"" + options.camera + "\"",
+                           known.empty() ? "no name: the scene has no camera" : "one of " + known);
+  }
+  if (!scene.cameras.empty()) return scene.cameras.front();
+  words.push_back(options.scene + ": no camera; using one that frames the scene (--look-at chooses another)");
+  return scene::framing_camera(scene);
+}
+
+void settle_size(const FrameOptions& options, const scene::NamedCamera& camera, coordinator::FrameSettings& settings) {
+  if (!options.size.empty()) {
+    parse_size(options.size, settings.width, settings.height);
+  } else if (camera.width > 0 && camera.height > 0) {
+    settings.width = camera.width;
+    settings.height = camera.height;
+  } else {
+    settings.width = default_width;
+    settings.height = default_height;
+    if (camera.aspect > 0) {
+      double fitting = double{default_width} / default_height;
+      if (camera.aspect < fitting)
+        settings.width = std::max(1u, static_cast<std::uint32_t>(std::lround(default_height * double{camera.aspect})));
+      else
+        settings.height = std::max(1u, static_cast<std::uint32_t>(std::lround(default_width / double{camera.aspect})));
+    }
+  }
+  settings.camera = camera.camera;
+  settings.camera.half_width =
+      settings.camera.half_height * static_cast<float>(settings.width) / static_cast<float>(settings.height);
+}
+
+}  // namespace
+
+void add_frame_options(CLI::App& command, FrameOptions& options) {
+  command.add_option("SCENE", options.scene, "scene: .gltf, .glb or .obj")->required();
+  command.add_option("--method", options.method, "path (others come)")->capture_default_str();
+  command.add_option("--size", options.size, "film in pixels, e.g. 1280x720 (default: the camera's)");
+  command.add_option("--spp", options.spp, "mean number of samples a pixel")
+      ->capture_default_str()
+      ->check(CLI::Range(1u, 1u << 24));
+  command.add_option("--camera", options.camera, "a camera of the scene (default: its first)");
+  command.add_option("--frames", options.frames, "A-B: frames to render, numbered files");
+  command.add_option("--seed", options.seed, "of the random numbers")->capture_default_str();
+  command
+      .add_option("--target-error", options.target_error,
+                  "stop when the RMSE over the mean radiance is below it, e.g. 0.02")
+      ->check(CLI::PositiveNumber);
+  command
+      .add_option("--time-limit", options.time_limit, "seconds after which the frame is finished with what there is")
+      ->check(CLI::PositiveNumber);
+  command.add_option("--set", options.set, "KEY=VALUE: a method's parameter")->take_all()->allow_extra_args(false);
+  command.add_option("--environment", options.environment,
+                     "lat-long .exr or .hdr that lights the scene from all around");
+  command.add_option("--look-at", options.look_at,
+                     "EX,EY,EZ,TX,TY,TZ[,FOV]: eye and target in metres, vertical field of view in degrees");
+  command.add_option("--exposure", options.exposure_stops, "of the PNG, in stops")
+      ->capture_default_str()
+      ->check(CLI::Range(-100.0, 100.0));
+  command.add_flag("--quiet", options.quiet, "no progress, no remarks");
+}
+
+LoadedFrame load_frame(const FrameOptions& options) {
+  LoadedFrame frame;
+  // Words are checked before files are read: a typing error should not cost the time of an import.
+  coordinator::FrameSettings& settings = frame.settings;
+  settings.method = options.method;
+  settings.spp = options.spp;
+  settings.seed = options.seed;
+  settings.target_error = options.target_error;
+  for (const std::string& entry : options.set) {
+    auto equals = entry.find('=');
+    if (equals == std::string::npos || equals == 0) throw malformed("--set", "KEY=VALUE", entry);
+    std::string key = entry.substr(0, equals), value = entry.substr(equals + 1);
+    if (key == "depth") {
+      auto depth = number<std::uint32_t>(value);
+      if (!depth) throw malformed("--set depth", "a whole number that is not negative", value);
+      settings.depth = *depth;
+    } else {
+      settings.set[key] = value;
+    }
+  }
+  if (!options.size.empty()) parse_size(options.size, settings.width, settings.height);
+  frame.numbered = !options.frames.empty();
+  if (frame.numbered) parse_frames(options.frames, frame.first_frame, frame.last_frame);
+  if (!options.look_at.empty()) parse_look_at(options.look_at);
+
+  std::vector<std::string> words;
+  frame.scene = scene::import_scene(options.scene);
+  if (!options.environment.empty()) frame.scene.environment = scene::import_environment(options.environment);
+  frame.scene_name = std::filesystem::path(options.scene).filename().string();
+  words.insert(words.end(), frame.scene.warnings.begin(), frame.scene.warnings.end());
+  scene::NamedCamera camera = choose_camera(options, frame.scene, words);
+  frame.camera_name = camera.name;
+  settle_size(options, camera, settings);
+  scene::SceneNeeds needs = scene::needs_of(frame.scene);
+  if (!needs.punctual_lights && !needs.emissive_triangles && !needs.environment && !needs.unlit)
+    words.push_back(options.scene + ": no light; the picture will be black (--environment FILE lights a scene)");
+  if (!options.quiet)
+    for (const std::string& word : words) std::cerr << "gleaner: " << word << "\n";
+  return frame;
+}
+
+}  // namespace gleaner::cli

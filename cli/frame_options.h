@@ -1,0 +1,49 @@
+#pragma once
+// The words that say which frame of which scene is wanted: the same for render, submit and explain.
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "coordinator/plan/plan.h"
+#include "scene/model/scene.h"
+
+namespace CLI {
+class App;
+}
+
+namespace gleaner::cli {
+
+struct FrameOptions {
+  std::string scene;  // path
+  std::string method = "path";
+  std::string size;  // WxH; empty: the camera's own
+  std::uint32_t spp = 64;
+  std::string camera;  // name; empty: the first
+  std::string frames;  // A-B; empty: one
+  std::uint64_t seed = 0;
+  double target_error = 0;
+  double time_limit = 0;         // seconds
+  std::vector<std::string> set;  // KEY=VALUE
+  std::string environment;       // path
+  std::string look_at;           // EX,EY,EZ,TX,TY,TZ[,FOV]
+  double exposure_stops = 0;
+  bool quiet = false;
+};
+
+void add_frame_options(CLI::App& command, FrameOptions& options);
+
+struct LoadedFrame {
+  scene::Scene scene;
+  std::string scene_name;  // the file's name
+  std::string camera_name;
+  coordinator::FrameSettings settings;
+  bool numbered = false;  // --frames was given
+  std::uint32_t first_frame = 1, last_frame = 1;
+};
+
+// Reads the scene and settles camera and size; words for people (on what was assumed) go to standard error unless
+// quiet. Throws Error::usage for malformed words, Error::bad_input for what the files say.
+LoadedFrame load_frame(const FrameOptions& options);
+
+}  // namespace gleaner::cli

@@ -1,0 +1,20 @@
+# `gleaner`: all of cli/*.cpp but the other programs' mains. The commands are those whose files are there.
+find_package(nlohmann_json REQUIRED)
+find_package(CLI11 REQUIRED)
+find_package(fmt REQUIRED)
+
+file(GLOB gleaner_sources CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/*.cpp)
+list(FILTER gleaner_sources EXCLUDE REGEX "/gleaner_(coordinator|worker)\\.cpp$")
+
+set(gleaner_commands "")
+foreach(command render submit watch fetch show list cancel workers why replay explain info compare scene devices)
+  if(EXISTS ${CMAKE_CURRENT_SOURCE_DIR}/${command}.cpp)
+    string(APPEND gleaner_commands " X(${command})")
+  endif()
+endforeach()
+file(CONFIGURE OUTPUT ${CMAKE_BINARY_DIR}/generated/cli/present_commands.h
+     CONTENT "#define GLEANER_COMMANDS(X)@gleaner_commands@\n" @ONLY)
+
+add_executable(gleaner ${gleaner_sources})
+target_link_libraries(gleaner PRIVATE gleaner_gateway gleaner_agent gleaner_import gleaner_bvh gleaner_library CLI11::CLI11 fmt::fmt
+                                      nlohmann_json::nlohmann_json)

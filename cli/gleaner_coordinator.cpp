@@ -1,0 +1,93 @@
+// `gleaner-coordinator`: jobs in, leases out, files on disk.
+
+#include <spdlog/sinks/stdout_sinks.h>
+#include <spdlog/spdlog.h>
+
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <filesystem>
+#include <future>
+#include <iostream>
+#include <random>
+
+#include "cli/program.h"
+#include "cli/signals.h"
+#include "coordinator/blobs/store.h"
+#include "coordinator/gateway/server.h"
+#include "coordinator/jobs/farm.h"
+#include "scene/model/error.h"
+
+namespace gleaner::cli {
+
+namespace fs = std::filesystem;
+using namespace gleaner::coordinator;
+
+namespace {
+
+struct CoordinatorOptions {
+  std::string listen = "127.0.0.1:8780";
+  std::string data;
+  unsigned active_jobs = 2;
+  double upload_gib = 64;
+  std::uint64_t batch_items = 0;
+};
+
+int coordinate(const CoordinatorOptions& options) {
+  Signals signals;
+  auto log = std::make_shared<spdlog::logger>("gleaner-coordinator", std::make_shared<spdlog::sinks::stderr_sink_mt>());
+  log->set_pattern("%Y-%m-%dT%H:%M:%S.%e %v");
+
+  const fs::path data = fs::absolute(options.data);
+  BlobStore blobs(data / "blobs");
+  FarmSettings settings;
+  settings.scheduler.fixed_batch_items = options.batch_items;
+  // A worker's first batch of a scene includes fetching and loading it.
+  settings.scheduler.lease_floor = 30;
+  settings.scheduler.incarnation = std::random_device{}();
+  settings.active_jobs = options.active_jobs;
+  settings.log = [log](const std::string& line) { log->info(line); };
+  settings.paths = [data](const std::string& job, std::uint32_t frame) {
+    char stem[32];
+    std::snprintf(stem, sizeof stem, "frame_%04u", frame);
+    fs::path base = data / "jobs" / job / stem;
+    return FramePaths{base.string() + ".exr", base.string() + ".png", base.string() + ".json"};
+  };
+  Farm farm(settings, blobs);
+  gateway::ServerSettings server_settings;
+  server_settings.listen = options.listen;
+  server_settings.upload_bytes = static_cast<std::uint64_t>(options.upload_gib * 1024 * 1024 * 1024);
+  gateway::Server server(farm, blobs, server_settings);
+  // Alone on standard output, so that scripts that ask for port 0 learn what they got.
+  std::cout << server.address() << std::endl;
+  log->info("listening on " + server.address() + ", data in " + data.string());
+
+  std::promise<void> asked_to_end;
+  signals.watch([&] { asked_to_end.set_value(); });
+  asked_to_end.get_future().wait();
+  log->info("ending");
+  server.shutdown();
+  return 0;
+}
+
+}  // namespace
+
+}  // namespace gleaner::cli
+
+int main(int argc, char** argv) {
+  using namespace gleaner::cli;
+  silence_grpc();
+  CLI::App app{"Takes jobs, splits their frames among workers, writes the pictures", "gleaner-coordinator"};
+  app.set_version_flag("--version", "gleaner-coordinator 0.1.0");
+  CoordinatorOptions options;
+  app.add_option("--listen", options.listen, "HOST:PORT; port 0 takes a free one. Prints HOST:PORT on standard output")
+      ->capture_default_str();
+  app.add_option("--data", options.data, "folder of blobs and pictures; made where it is not there")->required();
+  app.add_option("--active-jobs", options.active_jobs, "jobs that run at the same time")
+      ->capture_default_str()
+      ->check(CLI::Range(1u, 64u));
+  app.add_option("--upload-limit", options.upload_gib, "largest blob, in GiB")
+      ->capture_default_str()
+      ->check(CLI::PositiveNumber);
+  app.add_option("--batch-items", options.batch_items, "every batch of this size")->group("");
+  return run_program(app, argc, argv, [&] { return coordinate(options); });
+}

@@ -1,0 +1,42 @@
+// `gleaner list`: all jobs, oldest first.
+
+#include <CLI/CLI.hpp>
+#include <iostream>
+#include <memory>
+
+#include "cli/client.h"
+#include "cli/commands.h"
+#include "cli/status_words.h"
+
+namespace gleaner::cli {
+
+namespace {
+
+struct ListOptions {
+  std::string coordinator;
+  bool json = false;
+};
+
+int list(const ListOptions& options) {
+  auto jobs = Client(options.coordinator).list();
+  if (options.json) {
+    nlohmann::json all = nlohmann::json::array();
+    for (const auto& status : jobs) all.push_back(job_json(status));
+    std::cout << dump(all) << "\n";
+  } else {
+    for (const auto& status : jobs) std::cout << job_line(status) << "\n";
+  }
+  return 0;
+}
+
+}  // namespace
+
+void add_list(CLI::App& app, Run& run) {
+  auto options = std::make_shared<ListOptions>();
+  CLI::App* command = app.add_subcommand("list", "List the jobs");
+  command->add_flag("--json", options->json, "as JSON");
+  add_coordinator_option(*command, options->coordinator);
+  command->callback([options, &run] { run = [options] { return list(*options); }; });
+}
+
+}  // namespace gleaner::cli

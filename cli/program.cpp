@@ -1,0 +1,40 @@
+#include "cli/program.h"
+
+#include <CLI/CLI.hpp>
+#include <cstdlib>
+#include <iostream>
+#include <new>
+
+#include "scene/model/error.h"
+
+namespace gleaner::cli {
+
+int run_program(CLI::App& app, int argc, char** argv, const std::function<int()>& run) {
+  const std::string error_words = app.get_name() + ": error: ";
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    if (error.get_exit_code() == 0) return app.exit(error);  // --help, --version
+    std::cerr << error_words << error.what() << "\n";
+    const CLI::App* asked = &app;
+    for (const auto& sub : app.get_subcommands()) asked = sub;
+    std::cerr << "usage: " << app.get_name() << (asked == &app ? "" : " " + asked->get_name())
+              << " --help tells the options\n";
+    return static_cast<int>(ErrorKind::usage);
+  }
+  try {
+    return run();
+  } catch (const Error& error) {
+    std::cerr << error_words << error.what() << "\n";
+    return static_cast<int>(error.kind());
+  } catch (const std::bad_alloc&) {
+    std::cerr << error_words << "out of memory\n";
+  } catch (const std::exception& error) {
+    std::cerr << error_words << error.what() << "\n";
+  }
+  return static_cast<int>(ErrorKind::failed);
+}
+
+void silence_grpc() { ::setenv("GRPC_VERBOSITY", "NONE", 0); }
+
+}  // namespace gleaner::cli

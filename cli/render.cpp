@@ -1,0 +1,130 @@
+// `gleaner render`: one frame (or a few) with a farm of this process's own.
+
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <filesystem>
+#include <iostream>
+#include <memory>
+
+#include "cli/commands.h"
+#include "cli/embedded.h"
+#include "cli/frame_options.h"
+#include "cli/progress.h"
+#include "cli/signals.h"
+#include "scene/bvh/build.h"
+#include "scene/model/error.h"
+
+namespace gleaner::cli {
+
+namespace fs = std::filesystem;
+using coordinator::FramePaths;
+using coordinator::JobState;
+using coordinator::JobStatus;
+
+namespace {
+
+struct RenderOptions {
+  FrameOptions frame;
+  std::string output, report, trace = "auto";
+  unsigned workers = 1;
+  int device = -1;
+  std::uint64_t batch_items = 0;
+};
+
+// OUT.exr, or OUT_0007.exr where frames are numbered.
+fs::path numbered(const fs::path& path, bool number, std::uint32_t frame) {
+  if (!number || path.empty()) return path;
+  char text[16];
+  std::snprintf(text, sizeof text, "_%04u", frame);
+  return path.parent_path() / (path.stem().string() + text + path.extension().string());
+}
+
+void check_folder(const fs::path& file) {
+  if (file.empty()) return;
+  fs::path folder = file.parent_path().empty() ? fs::path(".") : file.parent_path();
+  std::error_code code;
+  if (!fs::is_directory(folder, code)) throw Error::failed(file.string() + ": there is no folder " + folder.string());
+  if (::access(folder.c_str(), W_OK) != 0)
+    throw Error::failed(file.string() + ": cannot write into " + folder.string());
+  if (fs::is_directory(file, code)) throw Error::failed(file.string() + ": is a folder");
+}
+
+int render(const RenderOptions& options) {
+  if (fs::path(options.output).extension() != ".exr")
+    throw Error::usage("-o: expected a name that ends in .exr, found \"" + options.output + "\"");
+  if (fs::path(options.output).stem().empty()) throw Error::usage("-o: expected a name before .exr");
+  check_folder(options.output);
+  check_folder(options.report);
+  EmbeddedSettings settings;
+  settings.workers = options.workers;
+  settings.device.device = options.device;
+  settings.device.trace = worker::parse_trace_kind(options.trace);
+  settings.batch_items = options.batch_items;
+
+  Signals signals;
+  LoadedFrame frame = load_frame(options.frame);
+  settings.paths = [&, number = frame.numbered](const std::string&, std::uint32_t at) {
+    FramePaths paths;
+    paths.exr = numbered(options.output, number, at);
+    paths.png = fs::path(paths.exr).replace_extension(".png");
+    paths.report = numbered(options.report, number, at);
+    return paths;
+  };
+  coordinator::JobRequest request;
+  request.scene_name = frame.scene_name;
+  request.camera_name = frame.camera_name;
+  request.settings = frame.settings;
+  request.scene = coordinator::summarize(frame.scene);
+  request.first_frame = frame.first_frame;
+  request.last_frame = frame.last_frame;
+  request.exposure_stops = options.frame.exposure_stops;
+  // What no plan takes is refused before devices are opened.
+  coordinator::make_plan(request.settings, request.scene);
+
+  EmbeddedFarm embedded(settings);
+  coordinator::Farm& farm = embedded.farm();
+  request.scene_blob = embedded.blobs().put(scene::serialize(frame.scene));
+  if (embedded.needs_bvh()) request.bvh_blob = embedded.blobs().put(scene::serialize(scene::build_bvh(frame.scene)));
+  frame.scene = {};
+  const std::string job = farm.submit(request);
+  signals.watch([&] { farm.cancel(job); });
+
+  ProgressDisplay progress(options.frame.quiet);
+  JobStatus status;
+  do {
+    // Often enough for a bar; the job's end is told at once.
+    status = *farm.wait(job, ~std::uint64_t{0}, 0.1);
+    progress.show(status);
+  } while (!ended(status.state));
+  progress.clear();
+  signals.watch({});
+  if (status.state == JobState::cancelled) throw Error::failed("cancelled; nothing was written");
+  if (status.state == JobState::failed) throw Error::failed(status.message);
+  if (!options.frame.quiet) {
+    for (const fs::path& file : farm.files(job)) std::cerr << "gleaner: wrote " << file.string() << "\n";
+    std::fprintf(stderr, "gleaner: %.2f s\n", status.seconds);
+  }
+  return 0;
+}
+
+}  // namespace
+
+void add_render(CLI::App& app, Run& run) {
+  auto options = std::make_shared<RenderOptions>();
+  CLI::App* command = app.add_subcommand("render", "Render a scene here and now");
+  add_frame_options(*command, options->frame);
+  command->add_option("-o,--output", options->output, "OUT.exr; a PNG is written beside it")->required();
+  command->add_option("--workers", options->workers, "workers of the embedded farm")
+      ->capture_default_str()
+      ->check(CLI::Range(1u, 256u));
+  command->add_option("--device", options->device,
+                      "OpenCL device, as `gleaner devices` counts (default: the first GPU, else the first)");
+  command->add_option("--trace", options->trace, "auto, embree or opencl")->capture_default_str();
+  command->add_option("--report", options->report, "REPORT.json: what the frame cost");
+  command->add_option("--batch-items", options->batch_items, "every batch of this size")->group("");
+  command->callback([options, &run] { run = [options] { return render(*options); }; });
+}
+
+}  // namespace gleaner::cli

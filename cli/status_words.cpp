@@ -1,0 +1,78 @@
+#include "cli/status_words.h"
+
+#include <fmt/format.h>
+
+#include "cli/progress.h"
+#include "scene/model/error.h"
+
+namespace gleaner::cli {
+
+using coordinator::JobState;
+using coordinator::JobStatus;
+using coordinator::WorkerStatus;
+using nlohmann::json;
+
+json job_json(const JobStatus& status) {
+  json stages = json::array();
+  for (const auto& stage : status.stages) {
+    json entry = {{"name", stage.name},
+                  {"kind", stage.kind},
+                  {"items", stage.items},
+                  {"items_done", stage.items_done},
+                  {"items_per_second", stage.items_per_second}};
+    if (stage.seconds_left >= 0) entry["seconds_left"] = stage.seconds_left;
+    stages.push_back(std::move(entry));
+  }
+  json out = {{"job", status.id},
+              {"state", job_state_name(status.state)},
+              {"scene", status.scene_name},
+              {"method", status.method},
+              {"size", {status.width, status.height}},
+              {"frames", status.frames},
+              {"frames_done", status.frames_done},
+              {"stages", std::move(stages)},
+              {"seconds", status.seconds},
+              {"submitted_unix_seconds", status.submitted_unix_seconds},
+              {"preview_available", status.preview_available}};
+  if (!status.message.empty()) out["message"] = status.message;
+  return out;
+}
+
+json worker_json(const WorkerStatus& status) {
+  return {{"worker", status.id},
+          {"address", status.address},
+          {"device", status.device.name},
+          {"platform", status.device.platform},
+          {"tracer", status.device.tracer},
+          {"cpu", status.device.cpu},
+          {"threads", status.device.threads},
+          {"memory_bytes", status.device.memory_bytes},
+          {"leases", status.leases},
+          {"draining", status.draining},
+          {"connected_seconds", status.connected_seconds},
+          {"silent_seconds", status.silent_seconds},
+          {"items_per_second", status.items_per_second}};
+}
+
+std::string dump(const json& value) { return value.dump(-1, ' ', false, json::error_handler_t::replace); }
+
+std::string job_line(const JobStatus& status) {
+  std::uint64_t items = 0, done = 0;
+  for (const auto& stage : status.stages) {
+    items += stage.items;
+    done += stage.items_done;
+  }
+  std::string state = job_state_name(status.state);
+  if (status.state == JobState::running && items > 0) state += fmt::format(" {} %", 100 * done / items);
+  std::string line = fmt::format("{}  {}  {}  {}  {}x{}  {}", status.id, state, status.scene_name, status.method,
+                                 status.width, status.height, format_duration(status.seconds));
+  if (!status.message.empty()) line += fmt::format("  {}", status.message);
+  return line;
+}
+
+void require_done(const JobStatus& status) {
+  if (status.state == JobState::failed) throw Error::failed("job " + status.id + " failed: " + status.message);
+  if (status.state == JobState::cancelled) throw Error::failed("job " + status.id + " was cancelled");
+}
+
+}  // namespace gleaner::cli

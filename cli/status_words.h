@@ -1,0 +1,18 @@
+#pragma once
+// Jobs and workers as text and as JSON, for the commands that list, show and watch them.
+
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "coordinator/jobs/job.h"
+
+namespace gleaner::cli {
+
+nlohmann::json job_json(const coordinator::JobStatus& status);
+nlohmann::json worker_json(const coordinator::WorkerStatus& status);
+std::string dump(const nlohmann::json& value);  // one line; bytes that are not UTF-8 are replaced
+std::string job_line(const coordinator::JobStatus& status);
+// Throws Error::failed where the job failed or was cancelled.
+void require_done(const coordinator::JobStatus& status);
+
+}  // namespace gleaner::cli

@@ -1,0 +1,56 @@
+// `gleaner submit`: hands a frame to a farm and prints the job's id.
+
+#include <CLI/CLI.hpp>
+#include <iostream>
+#include <memory>
+
+#include "cli/client.h"
+#include "cli/commands.h"
+#include "cli/frame_options.h"
+#include "coordinator/blobs/sha256.h"
+#include "coordinator/gateway/convert.h"
+#include "scene/bvh/build.h"
+
+namespace gleaner::cli {
+
+namespace {
+
+struct SubmitOptions {
+  FrameOptions frame;
+  std::string coordinator;
+};
+
+int submit(const SubmitOptions& options) {
+  Client client(options.coordinator);
+  LoadedFrame frame = load_frame(options.frame);
+  // What no plan takes is refused before anything is uploaded.
+  coordinator::make_plan(frame.settings, coordinator::summarize(frame.scene));
+  scene::Bytes scene_blob = scene::serialize(frame.scene);
+  // Which devices will work on it is not known here, so the BVH goes along; those that trace with Embree never fetch
+  // it.
+  scene::Bytes bvh_blob = scene::serialize(scene::build_bvh(frame.scene));
+  gleaner::v1::SubmitJobRequest request;
+  request.set_scene_name(frame.scene_name);
+  request.set_camera_name(frame.camera_name);
+  request.set_scene_blob(coordinator::sha256_hex(scene_blob));
+  request.set_bvh_blob(coordinator::sha256_hex(bvh_blob));
+  *request.mutable_settings() = gateway::to_proto(frame.settings);
+  request.set_first_frame(frame.first_frame);
+  request.set_last_frame(frame.last_frame);
+  request.set_exposure_stops(options.frame.exposure_stops);
+  client.upload_missing({{request.scene_blob(), &scene_blob}, {request.bvh_blob(), &bvh_blob}});
+  std::cout << client.submit(request) << std::endl;
+  return 0;
+}
+
+}  // namespace
+
+void add_submit(CLI::App& app, Run& run) {
+  auto options = std::make_shared<SubmitOptions>();
+  CLI::App* command = app.add_subcommand("submit", "Hand a scene to a farm; prints the job's id");
+  add_frame_options(*command, options->frame);
+  add_coordinator_option(*command, options->coordinator);
+  command->callback([options, &run] { run = [options] { return submit(*options); }; });
+}
+
+}  // namespace gleaner::cli
