@@ -174,7 +174,7 @@ Scene hall(const std::string& name, const Values& values) {
       b.quad({x, 2, z - side * 0.6}, {x, 2, z + side * 0.6}, {x, 5, z + side * 0.6}, {x, 5, z - side * 0.6}, window);
     }
 
-  b.camera("camera", {-1.3, 1.7, half_length - 0.4}, {0.6, 3, -half_length}, 62, 960, 540);
+  b.camera("camera", {-0.7, 1.7, half_length - 0.4}, {0.4, 3, -half_length}, 62, 960, 540);
   b.camera("aisle", {-4.6, 1.7, half_length - 0.4}, {-2.2, 2.6, -half_length}, 62, 960, 540);
   return b.finish();
 }

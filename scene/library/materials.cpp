@@ -60,14 +60,14 @@ Scene glossy_range(const std::string& name, const Values&) {
                b.material(label,
                           row == 0 ? dielectric({0.25, 0.04, 0.03}, roughness) : metal({0.95, 0.76, 0.45}, roughness)));
     }
-  // One broad light and three strips that grow narrow, for highlights to blur.
+  // One broad light above and, behind the camera, three strips that grow narrow: highlights to blur.
   b.mesh("lights");
   const std::uint32_t broad = b.material("broad light", emitter(grey(4)));
   b.quad({-3, 4.5, -1}, {3, 4.5, -1}, {3, 4.5, 1}, {-3, 4.5, 1}, broad);
   for (int i = 0; i < 3; ++i) {
-    const double half = 0.16 / (1 << (2 * i)), x = 2.4 * (i - 1);
+    const double half = 0.32 / (1 << (2 * i)), x = 4 * (i - 1);
     const std::uint32_t strip = b.material("strip " + std::to_string(i + 1), emitter(grey(10 << (2 * i))));
-    b.quad({x + half, 0.5, 5}, {x - half, 0.5, 5}, {x - half, 3, 5}, {x + half, 3, 5}, strip);
+    b.quad({x + half, 1, 9.5}, {x - half, 1, 9.5}, {x - half, 6, 9.5}, {x + half, 6, 9.5}, strip);
   }
   b.camera("camera", {0, 2, 8.5}, {0, 0.85, 0}, 32, 1280, 480);
   return b.finish();

@@ -1,0 +1,6 @@
+if(TARGET gleaner_library)
+  gleaner_test(NAME library SOURCES library_test.cpp LIBRARIES gleaner_library gleaner_model)
+  if(TARGET gleaner_import)
+    gleaner_test(NAME library_glb SOURCES library_glb_test.cpp LIBRARIES gleaner_library gleaner_import gleaner_model)
+  endif()
+endif()
