@@ -192,13 +192,9 @@ void SceneBuilder::grid(std::uint32_t nu, std::uint32_t nv,
     }
 }
 
-void SceneBuilder::sphere(Vec centre, double radius, std::uint32_t segments, std::uint32_t material, bool inward,
-                          bool smooth) {
+void SceneBuilder::sphere(Vec centre, double radius, std::uint32_t segments, std::uint32_t material, bool inward) {
   const std::uint32_t rings = segments / 2;
-  const auto add = [&](Vec direction) {
-    const Vec normal = !smooth ? Vec{} : inward ? -1.0 * direction : direction;
-    return vertex(centre + radius * direction, normal);
-  };
+  const auto add = [&](Vec direction) { return vertex(centre + radius * direction, inward ? Vec{} : direction); };
   const auto face = [&](std::uint32_t a, std::uint32_t b, std::uint32_t c) {
     if (inward)
       triangle(a, c, b, material);

@@ -76,9 +76,9 @@ class SceneBuilder {
   void grid(std::uint32_t nu, std::uint32_t nv, const std::function<Vec(std::uint32_t i, std::uint32_t j)>& position,
             std::uint32_t material, GridOptions options);
 
-  // Latitude-longitude sphere, one vertex a pole: 2 * segments * (segments / 2 - 1) triangles, segments even and >= 4.
-  void sphere(Vec centre, double radius, std::uint32_t segments, std::uint32_t material, bool inward = false,
-              bool smooth = true);
+  // Latitude-longitude sphere, one vertex a pole: 2 * segments * (segments / 2 - 1) triangles, segments >= 4. Smooth;
+  // but flat where it faces inward, because a furnace is exact only with the normals of its polyhedron.
+  void sphere(Vec centre, double radius, std::uint32_t segments, std::uint32_t material, bool inward = false);
   // Around a vertical axis.
   void torus(Vec centre, double ring_radius, double tube_radius, std::uint32_t segments, std::uint32_t material);
 

@@ -26,12 +26,12 @@ Scene furnace(const std::string& name, const Values& values) {
   return b.finish();
 }
 
-// Flat normals: a closed polyhedron of uniform albedo and emission is as exact a furnace as the sphere it stands for.
+// A closed polyhedron of uniform albedo and emission is as exact a furnace as the sphere it stands for.
 Scene furnace_sphere(const std::string& name, const Values& values) {
   SceneBuilder b(name);
   const std::uint32_t wall = b.material("wall", glowing(values.number("albedo"), values.number("emission")));
   b.mesh("sphere");
-  b.sphere({}, 1, values.count("segments"), wall, true, false);
+  b.sphere({}, 1, values.count("segments"), wall, true);
   add_inside_cameras(b);
   return b.finish();
 }
@@ -42,7 +42,7 @@ Scene furnace_point(const std::string& name, const Values& values) {
   SceneBuilder b(name);
   const std::uint32_t wall = b.material("wall", lambert(grey(values.number("albedo"))));
   b.mesh("sphere");
-  b.sphere({}, 1, values.count("segments"), wall, true, false);
+  b.sphere({}, 1, values.count("segments"), wall, true);
   b.point_light({}, grey(pi));
   add_inside_cameras(b);
   return b.finish();
