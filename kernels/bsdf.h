@@ -1,6 +1,7 @@
-// The glTF 2.0 material: GGX with separable Smith masking and Schlick's Fresnel (appendix B), over a Lambert layer that gets
-// what the specular lobe leaves, reciprocally: f_d = base/pi (1 - s E(n.v)) (1 - s E(n.l)) / (1 - s M), so that a white
-// surface reflects exactly 1. Glass: exact Fresnel, smooth or GGX, solid or a thin sheet. Local frames: z is the normal.
+// The glTF 2.0 material: GGX with separable Smith masking and Schlick's Fresnel (appendix B), over a Lambert layer that
+// gets what the specular lobe leaves, reciprocally: f_d = base/pi (1 - s E(n.v)) (1 - s E(n.l)) / (1 - s M), so that a
+// white surface reflects exactly 1. Glass: exact Fresnel, smooth or GGX, solid or a thin sheet. Local frames: z is the
+// normal.
 #ifndef GLEANER_KERNELS_BSDF_H
 #define GLEANER_KERNELS_BSDF_H
 
@@ -20,14 +21,14 @@ typedef struct {
 #ifdef NEED_LOBE
   vf metallic;
   vf specular;
-  vf alpha2;          // roughness^4; 0 = a perfect mirror
+  vf alpha2;  // roughness^4; 0 = a perfect mirror
   vf alpha;
   v3 f0;
-  vu table;           // of what the lobe leaves to the layer below, or GLEANER_NONE
-  vf table_row;       // fractional row
-  vf left_view;       // 1 - s E(n.v)
-  vf left_mean;       // 1 - s M
-  vf lobe_share;      // chance that sampling takes the specular lobe
+  vu table;       // of what the lobe leaves to the layer below, or GLEANER_NONE
+  vf table_row;   // fractional row
+  vf left_view;   // 1 - s E(n.v)
+  vf left_mean;   // 1 - s M
+  vf lobe_share;  // chance that sampling takes the specular lobe
   vi mirror;
 #endif
 #ifdef NEED_TRANSMISSIVE
@@ -90,7 +91,8 @@ FN vf left_mean_of(const Scene* scene, const Surface* m) {
 FN v3 lobe_fresnel(const Surface* m, vf vh) {
   vf s = pow5(max_f(one_f() - fabs(vh), zero_f()));
   vf dielectric = m->specular * (one_f() - m->metallic);
-  v3 fd = make3(fma(one_f() - m->f0.x, s, m->f0.x), fma(one_f() - m->f0.y, s, m->f0.y), fma(one_f() - m->f0.z, s, m->f0.z));
+  v3 fd =
+      make3(fma(one_f() - m->f0.x, s, m->f0.x), fma(one_f() - m->f0.y, s, m->f0.y), fma(one_f() - m->f0.z, s, m->f0.z));
   v3 fm = make3(fma(one_f() - m->base.x, s, m->base.x), fma(one_f() - m->base.y, s, m->base.y),
                 fma(one_f() - m->base.z, s, m->base.z));
   return mad3(fm, m->metallic, scale3(fd, dielectric));
@@ -170,8 +172,8 @@ typedef struct {
   vf eta;        // n_t / n_i of a refraction, else 1
 } BsdfSample;
 
-// Draws a direction: u_lobe chooses, (u0, u1) aim. Weight 0: the path ends. `v` is local, v.z > 0; `inside`: v came from
-// within a solid.
+// Draws a direction: u_lobe chooses, (u0, u1) aim. Weight 0: the path ends. `v` is local, v.z > 0; `inside`: v came
+// from within a solid.
 FN BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vi inside, vf u_lobe, vf u_glass, vf u0, vf u1) {
   BsdfSample b;
   b.eta = one_f();

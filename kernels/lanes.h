@@ -1,6 +1,7 @@
-// One source for two kinds of machine: a work-item handles LANES rays at once. On CPU devices LANES is 16 and a varying value
-// is an OpenCL vector (measured on PoCL: the loop vectoriser gives up on such code, explicit vectors ran 14 times faster);
-// on GPUs it is 1 and a varying value is a scalar. Masks are what comparisons give: all bits set (vector) or 1 (scalar).
+// One source for two kinds of machine: a work-item handles LANES rays at once. On CPU devices LANES is 16 and a varying
+// value is an OpenCL vector (measured on PoCL: the loop vectoriser gives up on such code, explicit vectors ran 14 times
+// faster); on GPUs it is 1 and a varying value is a scalar. Masks are what comparisons give: all bits set (vector) or 1
+// (scalar).
 #ifndef GLEANER_KERNELS_LANES_H
 #define GLEANER_KERNELS_LANES_H
 
@@ -24,16 +25,16 @@ FN int any_lane(vi m) {
   return (c.lo | c.hi) != 0;
 }
 FN vf gather_f(global const float* p, vu i) {
-  return (vf)(p[i.s0], p[i.s1], p[i.s2], p[i.s3], p[i.s4], p[i.s5], p[i.s6], p[i.s7], p[i.s8], p[i.s9], p[i.sa], p[i.sb],
-              p[i.sc], p[i.sd], p[i.se], p[i.sf]);
+  return (vf)(p[i.s0], p[i.s1], p[i.s2], p[i.s3], p[i.s4], p[i.s5], p[i.s6], p[i.s7], p[i.s8], p[i.s9], p[i.sa],
+              p[i.sb], p[i.sc], p[i.sd], p[i.se], p[i.sf]);
 }
 FN vu gather_u(global const uint* p, vu i) {
-  return (vu)(p[i.s0], p[i.s1], p[i.s2], p[i.s3], p[i.s4], p[i.s5], p[i.s6], p[i.s7], p[i.s8], p[i.s9], p[i.sa], p[i.sb],
-              p[i.sc], p[i.sd], p[i.se], p[i.sf]);
+  return (vu)(p[i.s0], p[i.s1], p[i.s2], p[i.s3], p[i.s4], p[i.s5], p[i.s6], p[i.s7], p[i.s8], p[i.s9], p[i.sa],
+              p[i.sb], p[i.sc], p[i.sd], p[i.se], p[i.sf]);
 }
 FN vf gather_c(constant float* p, vu i) {
-  return (vf)(p[i.s0], p[i.s1], p[i.s2], p[i.s3], p[i.s4], p[i.s5], p[i.s6], p[i.s7], p[i.s8], p[i.s9], p[i.sa], p[i.sb],
-              p[i.sc], p[i.sd], p[i.se], p[i.sf]);
+  return (vf)(p[i.s0], p[i.s1], p[i.s2], p[i.s3], p[i.s4], p[i.s5], p[i.s6], p[i.s7], p[i.s8], p[i.s9], p[i.sa],
+              p[i.sb], p[i.sc], p[i.sd], p[i.se], p[i.sf]);
 }
 FN void scatter_f(global float* p, vu i, vf v) {
 #define ONE(k) p[i.s##k] = v.s##k;

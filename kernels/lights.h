@@ -1,6 +1,6 @@
-// Choosing a light: first a cluster, by the irradiance it could cause here (power, distance, the cone of its normals, after
-// Conty Estevez & Kulla 2018), then one of its emitters by power, then a point on it. Cluster 0..count-1 are few, so that all
-// are looked at: no tree is walked and every lane does the same.
+// Choosing a light: first a cluster, by the irradiance it could cause here (power, distance, the cone of its normals,
+// after Conty Estevez & Kulla 2018), then one of its emitters by power, then a point on it. Cluster 0..count-1 are few,
+// so that all are looked at: no tree is walked and every lane does the same.
 #ifndef GLEANER_KERNELS_LIGHTS_H
 #define GLEANER_KERNELS_LIGHTS_H
 
@@ -33,8 +33,9 @@ FN vf cluster_importance(const Scene* scene, uint k, v3 p) {
   uint kind = ((global const uint*)c)[CLUSTER_KIND];
   if (kind >= CLUSTER_DIRECTIONAL) return (vf)c[CLUSTER_POWER];
   v3 offset = make3(p.x - c[CLUSTER_CENTER], p.y - c[CLUSTER_CENTER + 1], p.z - c[CLUSTER_CENTER + 2]);
-  return cluster_importance_of(offset, (vf)c[CLUSTER_RADIUS], uniform3(c[CLUSTER_AXIS], c[CLUSTER_AXIS + 1], c[CLUSTER_AXIS + 2]),
-                               (vf)c[CLUSTER_COS], (vf)c[CLUSTER_SIN], (vf)c[CLUSTER_POWER], no_lanes());
+  return cluster_importance_of(offset, (vf)c[CLUSTER_RADIUS],
+                               uniform3(c[CLUSTER_AXIS], c[CLUSTER_AXIS + 1], c[CLUSTER_AXIS + 2]), (vf)c[CLUSTER_COS],
+                               (vf)c[CLUSTER_SIN], (vf)c[CLUSTER_POWER], no_lanes());
 }
 
 // The same for a cluster that varies over the lanes.
@@ -45,21 +46,21 @@ FN vf cluster_importance_at(const Scene* scene, vu k, v3 p) {
   vu row = k * CLUSTER_WORDS;
   v3 offset = sub3(p, gather3(scene->clusters + CLUSTER_CENTER, row));
   vi anywhere = gather_u((global const uint*)scene->clusters + CLUSTER_KIND, row) >= CLUSTER_DIRECTIONAL;
-  return cluster_importance_of(offset, gather_f(scene->clusters + CLUSTER_RADIUS, row),
-                               gather3(scene->clusters + CLUSTER_AXIS, row), gather_f(scene->clusters + CLUSTER_COS, row),
-                               gather_f(scene->clusters + CLUSTER_SIN, row), gather_f(scene->clusters + CLUSTER_POWER, row),
-                               anywhere);
+  return cluster_importance_of(
+      offset, gather_f(scene->clusters + CLUSTER_RADIUS, row), gather3(scene->clusters + CLUSTER_AXIS, row),
+      gather_f(scene->clusters + CLUSTER_COS, row), gather_f(scene->clusters + CLUSTER_SIN, row),
+      gather_f(scene->clusters + CLUSTER_POWER, row), anywhere);
 #endif
 }
 
 typedef struct {
-  v3 direction;   // unit, to the light
-  v3 target;      // the point on it, moved off its surface (not for `infinite`)
-  v3 radiance;    // incoming radiance (delta lights: irradiance on a facing surface)
-  vf pdf;         // per steradian, chance of the choice included (delta lights: of the choice alone)
+  v3 direction;  // unit, to the light
+  v3 target;     // the point on it, moved off its surface (not for `infinite`)
+  v3 radiance;   // incoming radiance (delta lights: irradiance on a facing surface)
+  vf pdf;        // per steradian, chance of the choice included (delta lights: of the choice alone)
   vi infinite;
-  vi delta;       // scattering can never find it
-  vf total;       // sum of the clusters' importances here: what light_choice_pdf() needs
+  vi delta;  // scattering can never find it
+  vf total;  // sum of the clusters' importances here: what light_choice_pdf() needs
 } LightSample;
 
 FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1) {
@@ -149,8 +150,9 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
     }
 #endif
     vf reach = 3.0f * 5.9604645e-8f;
-    v3 error = make3((fabs(corner.x) + fabs(e1.x) + fabs(e2.x)) * reach, (fabs(corner.y) + fabs(e1.y) + fabs(e2.y)) * reach,
-                     (fabs(corner.z) + fabs(e1.z) + fabs(e2.z)) * reach);
+    v3 error =
+        make3((fabs(corner.x) + fabs(e1.x) + fabs(e2.x)) * reach, (fabs(corner.y) + fabs(e1.y) + fabs(e2.y)) * reach,
+              (fabs(corner.z) + fabs(e1.z) + fabs(e2.z)) * reach);
     light.target = pick3(light.target, leave_surface(q, error, normalize3(n), negate3(w)), ok);
     light.direction = pick3(light.direction, w, ok);
     light.radiance = pick3(light.radiance, radiance, ok);
@@ -207,15 +209,16 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
 }
 
 #ifdef NEED_EMISSIVE_TRIANGLES
-// Density, per steradian, with which sample_light() at `p` would have come upon the point of emitter `emitter` at `distance`
-// along unit `w`; `total` is LightSample::total at p.
+// Density, per steradian, with which sample_light() at `p` would have come upon the point of emitter `emitter` at
+// `distance` along unit `w`; `total` is LightSample::total at p.
 FN vf light_pdf(const Scene* scene, vu emitter, v3 p, v3 w, vf distance, vf total) {
   vu row = emitter * EMITTER_WORDS;
   v3 n = cross3(gather3(scene->emitters + EMITTER_E1, row), gather3(scene->emitters + EMITTER_E2, row));
   vf projected = -dot3(n, w);
   vf chance = gather_f(scene->emitters + EMITTER_PMF, row);
 #if CLUSTERS > 1
-  chance *= cluster_importance_at(scene, gather_u((global const uint*)scene->emitters + EMITTER_CLUSTER, row), p) / total;
+  chance *=
+      cluster_importance_at(scene, gather_u((global const uint*)scene->emitters + EMITTER_CLUSTER, row), p) / total;
 #endif
   vf pdf = chance * 2.0f * distance * distance / projected;
   return pick(zero_f(), pdf, (projected > zero_f()) & finite_f(pdf));

@@ -6,12 +6,12 @@
 
 // Rows of a block of 16 paths: the ray and its hit as Embree knows them, then the path's own state.
 #define ROW_THROUGHPUT 20u  // times 1 / survival of the roulette
-#define ROW_PDF 23u         // density, per steradian, of the ray's direction; 0: lights could not have been sampled there
-#define ROW_TOTAL 24u       // LightSample::total where the ray began
+#define ROW_PDF 23u    // density, per steradian, of the ray's direction; 0: lights could not have been sampled there
+#define ROW_TOTAL 24u  // LightSample::total where the ray began
 #define ROW_SLOT 25u
 #define ROW_META 26u
 #define ROW_KEY 27u
-#define ROW_ETA 28u         // product of n_t / n_i along the path
+#define ROW_ETA 28u  // product of n_t / n_i along the path
 #define PATH_ROWS 29u
 
 // Rows of a block of 16 shadow rays: RTCRay16, then what arrives if nothing is in the way.
@@ -20,8 +20,8 @@
 #define SHADOW_ROWS 16u
 #define SHADOW_INDIRECT 0x80000000u
 
-// ROW_META: scatterings so far, those that were not specular (0, 1, 2 = more), whether a specular one came since, rays so
-// far (the random numbers' dimension), the sample's index in its item.
+// ROW_META: scatterings so far, those that were not specular (0, 1, 2 = more), whether a specular one came since, rays
+// so far (the random numbers' dimension), the sample's index in its item.
 #define META_DEPTH_MASK 255u
 #define META_DIFFUSE 8u
 #define META_SPECULAR_SINCE (1u << 10)

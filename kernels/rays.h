@@ -1,5 +1,5 @@
-// Rays lie in blocks of 16, row after row: the layout of Embree's RTCRay16 and RTCRayHit16, so that on CPU devices it traces
-// the very buffers that kernels write and nothing is copied. Compiled by OpenCL C and by C++.
+// Rays lie in blocks of 16, row after row: the layout of Embree's RTCRay16 and RTCRayHit16, so that on CPU devices it
+// traces the very buffers that kernels write and nothing is copied. Compiled by OpenCL C and by C++.
 #ifndef GLEANER_KERNELS_RAYS_H
 #define GLEANER_KERNELS_RAYS_H
 

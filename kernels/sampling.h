@@ -1,6 +1,6 @@
-// Random numbers and what is made of them. A number depends on (key, sample, dimension) alone, where the key is a hash of
-// (seed, pixel, chunk): Owen-scrambled Sobol points, two dimensions at a time, padded by shuffling the order of the samples
-// anew for each pair (Burley 2020, "Practical Hash-based Owen Scrambling").
+// Random numbers and what is made of them. A number depends on (key, sample, dimension) alone, where the key is a hash
+// of (seed, pixel, chunk): Owen-scrambled Sobol points, two dimensions at a time, padded by shuffling the order of the
+// samples anew for each pair (Burley 2020, "Practical Hash-based Owen Scrambling").
 #ifndef GLEANER_KERNELS_SAMPLING_H
 #define GLEANER_KERNELS_SAMPLING_H
 
@@ -25,8 +25,8 @@ FN vu reverse_bits(vu x) {
   return (x >> 16) | (x << 16);
 }
 
-// A permutation in which each bit depends on the lower ones alone (Laine & Karras 2011, constants by Vegdahl): Owen scrambling
-// of bit-reversed numbers.
+// A permutation in which each bit depends on the lower ones alone (Laine & Karras 2011, constants by Vegdahl): Owen
+// scrambling of bit-reversed numbers.
 FN vu permute_upward(vu x, vu seed) {
   x ^= x * 0x3d20adeau;
   x += seed;
@@ -68,8 +68,9 @@ FN void sincos_2pi(vf u, vf* s, vf* c) {
   vf x = (u - q * 0.25f) * 6.28318530717958648f;  // [-pi/4, pi/4]
   vf x2 = x * x;
   vf sx = x * fma(x2, fma(x2, fma(x2, (vf)-1.9515295891e-4f, (vf)8.3321608736e-3f), (vf)-1.6666654611e-1f), one_f());
-  vf cx = fma(x2 * x2, fma(x2, fma(x2, (vf)2.443315711809948e-5f, (vf)-1.388731625493765e-3f), (vf)4.166664568298827e-2f),
-              fma(x2, (vf)-0.5f, one_f()));
+  vf cx =
+      fma(x2 * x2, fma(x2, fma(x2, (vf)2.443315711809948e-5f, (vf)-1.388731625493765e-3f), (vf)4.166664568298827e-2f),
+          fma(x2, (vf)-0.5f, one_f()));
   vu k = to_u(q) & 3u;
   vi odd = (k & 1u) != 0u;
   vf a = pick(sx, cx, odd);

@@ -5,9 +5,9 @@
 #include "kernels/rays.h"
 #include "kernels/scene_layout.h"
 
-#define SCENE_PARAMETERS                                                                                             \
-  global const float *triangles, global const float *materials, global const uint *textures,                         \
-      global const uint *texels, global const float *srgb, global const float *albedo_tables,                        \
+#define SCENE_PARAMETERS                                                                      \
+  global const float *triangles, global const float *materials, global const uint *textures,  \
+      global const uint *texels, global const float *srgb, global const float *albedo_tables, \
       global const float *emitters, global const float *clusters, global const float *environment
 
 typedef struct {
@@ -22,10 +22,8 @@ typedef struct {
   global const float* environment;
 } Scene;
 
-#define SCENE_FROM_PARAMETERS                                                                               \
-  {                                                                                                         \
-    triangles, materials, textures, texels, srgb, albedo_tables, emitters, clusters, environment \
-  }
+#define SCENE_FROM_PARAMETERS \
+  { triangles, materials, textures, texels, srgb, albedo_tables, emitters, clusters, environment }
 
 FN vf material_f(const Scene* scene, vu material, uint word) {
   return gather_f(scene->materials + word, material * MATERIAL_WORDS);
@@ -127,9 +125,9 @@ FN v3 environment_radiance(const Scene* scene, vf u, vf v) {
   ya = min(ya, (vi)(h - 1));
   global const float* texels = scene->environment + ENVIRONMENT_HEADER;
 #if LANES == 16
-#define CELL(y, x) (as_uint16((y) * w + (x)) * 3u)
+#define CELL(y, x) (as_uint16((y)*w + (x)) * 3u)
 #else
-#define CELL(y, x) ((uint)((y) * w + (x)) * 3u)
+#define CELL(y, x) ((uint)((y)*w + (x)) * 3u)
 #endif
   v3 sum = scale3(gather3(texels, CELL(ya, xa)), (1.0f - fx) * (1.0f - fy));
   sum = mad3(gather3(texels, CELL(ya, xb)), fx * (1.0f - fy), sum);

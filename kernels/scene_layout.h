@@ -1,5 +1,5 @@
-// The scene as the kernels read it: tables of 32-bit words, derived from the blob when a device loads it. A word is named by
-// its offset in a row, so that a varying row index gathers one column. Compiled by OpenCL C and by C++.
+// The scene as the kernels read it: tables of 32-bit words, derived from the blob when a device loads it. A word is
+// named by its offset in a row, so that a varying row index gathers one column. Compiled by OpenCL C and by C++.
 #ifndef GLEANER_KERNELS_SCENE_LAYOUT_H
 #define GLEANER_KERNELS_SCENE_LAYOUT_H
 
@@ -54,19 +54,19 @@
 #define TEXTURE_WRAP_V 4u
 #define TEXTURE_FLAGS 5u
 
-// Emitters, sorted by cluster. Triangle: corner, two edges, radiance. Point and spot: position, direction, cosines, intensity.
-// Directional: direction, irradiance. The environment has no row.
+// Emitters, sorted by cluster. Triangle: corner, two edges, radiance. Point and spot: position, direction, cosines,
+// intensity. Directional: direction, irradiance. The environment has no row.
 #define EMITTER_WORDS 16u
 #define EMITTER_P0 0u
 #define EMITTER_E1 3u
 #define EMITTER_E2 6u
 #define EMITTER_RADIANCE 9u
-#define EMITTER_CDF 12u        // upper end of its share in its cluster
-#define EMITTER_PMF 13u        // its share in its cluster
-#define EMITTER_TRIANGLE 14u   // GLEANER_NONE for lights without one
+#define EMITTER_CDF 12u       // upper end of its share in its cluster
+#define EMITTER_PMF 13u       // its share in its cluster
+#define EMITTER_TRIANGLE 14u  // GLEANER_NONE for lights without one
 #define EMITTER_CLUSTER 15u
 #define EMITTER_POSITION 0u
-#define EMITTER_DIRECTION 3u   // the way the light travels
+#define EMITTER_DIRECTION 3u  // the way the light travels
 #define EMITTER_COS_INNER 6u
 #define EMITTER_COS_OUTER 7u
 #define EMITTER_RANGE 8u
@@ -88,7 +88,8 @@
 #define CLUSTER_ENVIRONMENT 3u
 #define MAX_CLUSTERS 64
 
-// Environment: texels (3 words each), then the sampling density of each texel row by row (cumulated in u), then of the rows.
+// Environment: texels (3 words each), then the sampling density of each texel row by row (cumulated in u), then of the
+// rows.
 #define ENVIRONMENT_HEADER 4u  // width, height, row-search steps, column-search steps
 
 #endif

@@ -1,4 +1,5 @@
-// What stages take and give, as bytes on the wire and as kernels read them. Compiled by OpenCL C and by C++; little-endian.
+// What stages take and give, as bytes on the wire and as kernels read them. Compiled by OpenCL C and by C++;
+// little-endian.
 #ifndef GLEANER_KERNELS_STAGE_RECORDS_H
 #define GLEANER_KERNELS_STAGE_RECORDS_H
 
@@ -12,17 +13,18 @@ using scene::Camera;
 // Samples of one item at most: an item's samples are one Owen-scrambled Sobol net.
 #define GLEANER_PATH_MAX_ITEM_SAMPLES 64
 
-// Stage kind "path". An item is (pixel, chunk): samples_per_item camera paths through one pixel. Without the input "items",
-// item i is pixel i % (width * height), chunk first_chunk + i / (width * height); with it, item i is what the list says.
+// Stage kind "path". An item is (pixel, chunk): samples_per_item camera paths through one pixel. Without the input
+// "items", item i is pixel i % (width * height), chunk first_chunk + i / (width * height); with it, item i is what the
+// list says.
 typedef struct {
   Camera camera;
-  gl_uint width, height;        // pixels
-  gl_uint samples_per_item;     // a power of two, at most GLEANER_PATH_MAX_ITEM_SAMPLES
-  gl_uint last_item_samples;    // samples of the stage's last item (a budget need not divide), 1..samples_per_item
-  gl_uint depth;                // most scatterings on a light's way; 0 = until Russian roulette ends it
+  gl_uint width, height;      // pixels
+  gl_uint samples_per_item;   // a power of two, at most GLEANER_PATH_MAX_ITEM_SAMPLES
+  gl_uint last_item_samples;  // samples of the stage's last item (a budget need not divide), 1..samples_per_item
+  gl_uint depth;              // most scatterings on a light's way; 0 = until Russian roulette ends it
   gl_uint first_chunk;
   gl_uint seed_low, seed_high;
-  gl_uint features;             // 1: records are PathFeatureRecord, else PathRecord
+  gl_uint features;               // 1: records are PathFeatureRecord, else PathRecord
   gl_uint items_low, items_high;  // items of the whole stage
   gl_uint reserved[5];
 } PathParameters;
@@ -35,7 +37,8 @@ typedef struct {
 } PathItem;
 GLEANER_SIZE(PathItem, 8);
 
-// Sums (not means) over the item's samples. Direct: light seen, or reflected once after specular bounces; the rest is indirect.
+// Sums (not means) over the item's samples. Direct: light seen, or reflected once after specular bounces; the rest is
+// indirect.
 typedef struct {
   gl_float direct[3];
   gl_float indirect[3];
@@ -47,8 +50,8 @@ typedef struct {
   gl_float indirect[3];
   gl_float albedo[3];
   gl_float normal[3];
-  gl_float depth;    // metres along the camera ray; 0 where nothing was hit
-  gl_float hits;     // samples that hit anything
+  gl_float depth;  // metres along the camera ray; 0 where nothing was hit
+  gl_float hits;   // samples that hit anything
 } PathFeatureRecord;
 GLEANER_SIZE(PathFeatureRecord, 56);
 

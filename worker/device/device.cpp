@@ -20,9 +20,9 @@ namespace {
 
 constexpr const char* kPoclPlatform = "Portable Computing Language";
 
-// PoCL's "basic" driver runs a kernel in the thread that asks for it. Our lanes are threads already, so its other driver,
-// with a pool of its own, only adds a hand-over per kernel (measured: 60 us against 0.7 us) and a barrier between the lanes.
-// Must come before the first OpenCL call; who sets POCL_DEVICES decides.
+// PoCL's "basic" driver runs a kernel in the thread that asks for it. Our lanes are threads already, so its other
+// driver, with a pool of its own, only adds a hand-over per kernel (measured: 60 us against 0.7 us) and a barrier
+// between the lanes. Must come before the first OpenCL call; who sets POCL_DEVICES decides.
 void prefer_basic_pocl() {
   static std::once_flag once;
   std::call_once(once, [] { setenv("POCL_DEVICES", "basic", /*overwrite=*/0); });
@@ -35,7 +35,8 @@ struct Found {
 
 unsigned default_threads(const DeviceInfo& info) {
   if (info.platform == kPoclPlatform) {
-    // The basic driver reports one compute unit whatever the machine; PoCL's own variable limits us as it would its pool.
+    // The basic driver reports one compute unit whatever the machine; PoCL's own variable limits us as it would its
+    // pool.
     if (const char* text = std::getenv("POCL_MAX_PTHREAD_COUNT")) {
       int n = std::atoi(text);
       if (n > 0) return static_cast<unsigned>(n);
@@ -132,9 +133,12 @@ TraceKind parse_trace_kind(const std::string& word) {
 
 const char* trace_kind_name(TraceKind kind) {
   switch (kind) {
-    case TraceKind::embree: return "embree";
-    case TraceKind::opencl: return "opencl";
-    case TraceKind::automatic: break;
+    case TraceKind::embree:
+      return "embree";
+    case TraceKind::opencl:
+      return "opencl";
+    case TraceKind::automatic:
+      break;
   }
   return "auto";
 }
@@ -200,8 +204,8 @@ cl::Program Device::build(const std::string& file, const std::string& options) c
   try {
     program.build(std::vector<cl::Device>{device_}, all_options.c_str());
   } catch (const cl::Error& error) {
-    throw Error::failed("building " + file + " for " + info_.name + " with " + all_options + ": " + describe(error) + "\n" +
-                        program.getBuildInfo<CL_PROGRAM_BUILD_LOG>(device_));
+    throw Error::failed("building " + file + " for " + info_.name + " with " + all_options + ": " + describe(error) +
+                        "\n" + program.getBuildInfo<CL_PROGRAM_BUILD_LOG>(device_));
   }
   if (!cached.empty()) {
     // A cache that cannot be written costs the next run its compile time, nothing else.

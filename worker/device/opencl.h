@@ -1,5 +1,6 @@
 #pragma once
-// OpenCL's C++ bindings, set up the same everywhere. CL_HPP errors are turned into gleaner::Error at the executor's edge.
+// OpenCL's C++ bindings, set up the same everywhere. CL_HPP errors are turned into gleaner::Error at the executor's
+// edge.
 
 #define CL_HPP_ENABLE_EXCEPTIONS
 #define CL_HPP_TARGET_OPENCL_VERSION 120

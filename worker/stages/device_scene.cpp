@@ -142,8 +142,8 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
   options_ = "-D LANES=" + std::to_string(device.lanes());
   // Lights of no power make no clusters: the scene is as good as without lights.
   for (auto [need, word] : words)
-    if (need && (lights.cluster_slots || (std::strcmp(word, "PUNCTUAL_LIGHTS") && std::strcmp(word, "EMISSIVE_TRIANGLES") &&
-                                          std::strcmp(word, "ENVIRONMENT"))))
+    if (need && (lights.cluster_slots || (std::strcmp(word, "PUNCTUAL_LIGHTS") &&
+                                          std::strcmp(word, "EMISSIVE_TRIANGLES") && std::strcmp(word, "ENVIRONMENT"))))
       options_ += std::string(" -D NEED_") + word;
   if (lights.cluster_slots) options_ += " -D CLUSTERS=" + std::to_string(lights.cluster_slots);
 }

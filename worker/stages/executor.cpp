@@ -84,8 +84,8 @@ BatchResult Executor::run(const StageTask& task, std::uint64_t first, std::uint6
   try {
     return program->second(impl_->device, impl_->scene(task.scene), task, first, count);
   } catch (const cl::Error& error) {
-    throw Error::failed("stage " + task.kind + ", items " + std::to_string(first) + " + " + std::to_string(count) + ", on " +
-                        info().name + ": " + describe(error));
+    throw Error::failed("stage " + task.kind + ", items " + std::to_string(first) + " + " + std::to_string(count) +
+                        ", on " + info().name + ": " + describe(error));
   } catch (const std::bad_alloc&) {
     throw Error::failed("stage " + task.kind + ": out of memory");
   }

@@ -49,8 +49,8 @@ struct StageTask {
 // What a batch cost. Seconds are wall time of the device's own clockwork, not summed over threads.
 struct BatchCounters {
   std::uint64_t camera_rays = 0, scatter_rays = 0, shadow_rays = 0;
-  std::uint64_t nonfinite = 0;                // samples that were not finite and were left out
-  std::vector<std::uint64_t> nonfinite_items; // the first few of them
+  std::uint64_t nonfinite = 0;                 // samples that were not finite and were left out
+  std::vector<std::uint64_t> nonfinite_items;  // the first few of them
   double seconds = 0, trace_seconds = 0, kernel_seconds = 0;
 };
 
@@ -72,8 +72,10 @@ class Executor {
   bool needs_bvh() const;
 
   bool holds_scene(const std::string& id) const;
-  // Uploads a scene; it stays until the cache's bound (least recently used first). `bvh` may be null where needs_bvh() is false.
-  void load_scene(const std::string& id, std::shared_ptr<const scene::Scene> scene, std::shared_ptr<const scene::Bvh> bvh);
+  // Uploads a scene; it stays until the cache's bound (least recently used first). `bvh` may be null where needs_bvh()
+  // is false.
+  void load_scene(const std::string& id, std::shared_ptr<const scene::Scene> scene,
+                  std::shared_ptr<const scene::Bvh> bvh);
 
   // Runs items [first, first + count) of the stage. Throws Error::failed (device failures) or Error::bad_input (task).
   BatchResult run(const StageTask& task, std::uint64_t first, std::uint64_t count);

@@ -72,9 +72,9 @@ Group bound(std::vector<std::uint32_t> members, const std::vector<Emitter>& emit
   return group;
 }
 
-// What is lost by not telling a group's members apart: power times their spread in place and in direction. 0 where telling
-// them apart would cost each vertex more than it saves: a filled flat light is one light, and a light small beside the
-// scene need only be split by the sides it shines to.
+// What is lost by not telling a group's members apart: power times their spread in place and in direction. 0 where
+// telling them apart would cost each vertex more than it saves: a filled flat light is one light, and a light small
+// beside the scene need only be split by the sides it shines to.
 double coarseness(const Group& group, const std::vector<Emitter>& emitters, double scene_extent) {
   if (group.members.size() < 2) return 0;
   if (group.kind == CLUSTER_DIRECTIONAL) return group.power * 1e-9;
@@ -93,7 +93,8 @@ double coarseness(const Group& group, const std::vector<Emitter>& emitters, doub
 }
 
 // Halves a group: by normals where their cone is wide, else along the longest axis of the centers.
-std::pair<std::vector<std::uint32_t>, std::vector<std::uint32_t>> halve(const Group& group, const std::vector<Emitter>& emitters) {
+std::pair<std::vector<std::uint32_t>, std::vector<std::uint32_t>> halve(const Group& group,
+                                                                        const std::vector<Emitter>& emitters) {
   std::vector<std::uint32_t> order = group.members;
   Vec lower{1e300, 1e300, 1e300}, upper{-1e300, -1e300, -1e300}, normal_lower = lower, normal_upper = upper;
   for (auto m : order)
@@ -107,15 +108,20 @@ std::pair<std::vector<std::uint32_t>, std::vector<std::uint32_t>> halve(const Gr
   const Vec extent = by_normal ? normal_upper - normal_lower : upper - lower;
   const int axis = static_cast<int>(std::max_element(extent.begin(), extent.end()) - extent.begin());
   std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) {
-    return by_normal ? emitters[a].normal[axis] < emitters[b].normal[axis] : emitters[a].center[axis] < emitters[b].center[axis];
+    return by_normal ? emitters[a].normal[axis] < emitters[b].normal[axis]
+                     : emitters[a].center[axis] < emitters[b].center[axis];
   });
   double half = group.power / 2, sum = 0;
   std::size_t cut = 0;
-  while (cut + 1 < order.size() && (cut == 0 || sum + emitters[order[cut]].power / 2 < half)) sum += emitters[order[cut++]].power;
-  return {{order.begin(), order.begin() + static_cast<std::ptrdiff_t>(cut)}, {order.begin() + static_cast<std::ptrdiff_t>(cut), order.end()}};
+  while (cut + 1 < order.size() && (cut == 0 || sum + emitters[order[cut]].power / 2 < half))
+    sum += emitters[order[cut++]].power;
+  return {{order.begin(), order.begin() + static_cast<std::ptrdiff_t>(cut)},
+          {order.begin() + static_cast<std::ptrdiff_t>(cut), order.end()}};
 }
 
-void set_word(std::vector<float>& table, std::size_t at, std::uint32_t value) { std::memcpy(&table[at], &value, sizeof value); }
+void set_word(std::vector<float>& table, std::size_t at, std::uint32_t value) {
+  std::memcpy(&table[at], &value, sizeof value);
+}
 
 Vec corner(const scene::Scene& scene, std::uint32_t triangle, int k) {
   const float* p = &scene.positions[3 * std::size_t{scene.indices[3 * std::size_t{triangle} + k]}];
@@ -151,13 +157,15 @@ void add_environment(const scene::Environment& environment, LightTables& tables,
   double total = 0;
   for (std::uint32_t y = 0; y < h; ++y) {
     // The row's solid angle, exactly.
-    const double solid = (std::cos(std::numbers::pi * y / h) - std::cos(std::numbers::pi * (y + 1) / h)) * 2 * std::numbers::pi / w;
+    const double solid =
+        (std::cos(std::numbers::pi * y / h) - std::cos(std::numbers::pi * (y + 1) / h)) * 2 * std::numbers::pi / w;
     for (std::uint32_t x = 0; x < w; ++x) {
       // Radiance is interpolated between texels: a texel's square draws from its neighbours too.
       double sum = 0;
       for (int dy = -1; dy <= 1; ++dy)
         for (int dx = -1; dx <= 1; ++dx) {
-          const std::uint32_t yy = static_cast<std::uint32_t>(std::clamp<int>(static_cast<int>(y) + dy, 0, static_cast<int>(h) - 1));
+          const std::uint32_t yy =
+              static_cast<std::uint32_t>(std::clamp<int>(static_cast<int>(y) + dy, 0, static_cast<int>(h) - 1));
           const std::uint32_t xx = (x + w + static_cast<std::uint32_t>(dx + static_cast<int>(w))) % w;
           sum += texel[std::size_t{yy} * w + xx] * (dx == 0 ? 6 : 1) * (dy == 0 ? 6 : 1);
         }
@@ -219,7 +227,8 @@ LightTables make_light_tables(const scene::Scene& scene) {
     const scene::Light& light = scene.lights[i];
     Emitter e;
     e.light = i;
-    e.power = std::max(luminance(light.intensity), 1e-3 * (double{light.intensity[0]} + light.intensity[1] + light.intensity[2]));
+    e.power = std::max(luminance(light.intensity),
+                       1e-3 * (double{light.intensity[0]} + light.intensity[1] + light.intensity[2]));
     if (!(e.power > 0)) continue;
     e.kind = light.type == GLEANER_LIGHT_DIRECTIONAL ? CLUSTER_DIRECTIONAL : CLUSTER_POSITIONAL;
     if (e.kind == CLUSTER_POSITIONAL) e.center = {light.position[0], light.position[1], light.position[2]};
@@ -266,7 +275,8 @@ LightTables make_light_tables(const scene::Scene& scene) {
       row[CLUSTER_AXIS + k] = static_cast<float>(group.axis[k]);
     }
     // Never of radius 0: inside its sphere a cluster's importance stays finite. Widened by the float's rounding.
-    const double magnitude = std::max({std::abs(group.center[0]), std::abs(group.center[1]), std::abs(group.center[2]), 1e-6});
+    const double magnitude =
+        std::max({std::abs(group.center[0]), std::abs(group.center[1]), std::abs(group.center[2]), 1e-6});
     row[CLUSTER_RADIUS] = static_cast<float>(group.radius * 1.0001 + magnitude * 1e-6);
     row[CLUSTER_COS] = static_cast<float>(std::max(group.cosine - 1e-4, -1.0));
     row[CLUSTER_SIN] = static_cast<float>(std::sqrt(std::max(0.0f, 1 - row[CLUSTER_COS] * row[CLUSTER_COS])));
@@ -317,7 +327,8 @@ LightTables make_light_tables(const scene::Scene& scene) {
   // An unused slot: far away from nothing, of power 0, never chosen.
   for (std::size_t g = groups.size(); g + (environment ? 1 : 0) < tables.cluster_slots; ++g)
     tables.clusters[g * CLUSTER_WORDS + CLUSTER_RADIUS] = 1;
-  set_word(tables.clusters, std::size_t{tables.cluster_slots} * CLUSTER_WORDS, static_cast<std::uint32_t>(std::bit_floor(largest)));
+  set_word(tables.clusters, std::size_t{tables.cluster_slots} * CLUSTER_WORDS,
+           static_cast<std::uint32_t>(std::bit_floor(largest)));
   if (tables.emitters.empty()) tables.emitters.assign(EMITTER_WORDS, 0.0f);
   return tables;
 }

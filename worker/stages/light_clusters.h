@@ -9,11 +9,11 @@
 namespace gleaner::worker {
 
 struct LightTables {
-  std::vector<float> emitters;                  // rows of EMITTER_WORDS, sorted by cluster
-  std::vector<float> clusters;                  // cluster_slots rows of CLUSTER_WORDS, then one word: the search's first step
+  std::vector<float> emitters;  // rows of EMITTER_WORDS, sorted by cluster
+  std::vector<float> clusters;  // cluster_slots rows of CLUSTER_WORDS, then one word: the search's first step
   std::vector<std::uint32_t> triangle_emitter;  // triangle -> row of `emitters`, or GLEANER_NONE
-  unsigned cluster_slots = 0;                   // 1, 4, 8, 16, 32 or 64 (few kernel variants); unused ones have power 0; 0 = no light
-  std::vector<float> environment;               // header, texels, cumulated densities (kernels/scene_layout.h)
+  unsigned cluster_slots = 0;  // 1, 4, 8, 16, 32 or 64 (few kernel variants); unused ones have power 0; 0 = no light
+  std::vector<float> environment;  // header, texels, cumulated densities (kernels/scene_layout.h)
 };
 
 // Groups emitters of one kind into at most MAX_CLUSTERS clusters, splitting where power times extent is largest.

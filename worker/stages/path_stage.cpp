@@ -37,12 +37,15 @@ PathParameters read_parameters(const StageTask& task) {
   PathParameters p;
   std::memcpy(&p, task.parameters.data(), sizeof p);
   if (p.width == 0 || p.height == 0 || std::uint64_t{p.width} * p.height > (std::uint64_t{1} << 28))
-    throw Error::bad_input("stage path", "size", "1 to 2^28 pixels", std::to_string(p.width) + "x" + std::to_string(p.height));
+    throw Error::bad_input("stage path", "size", "1 to 2^28 pixels",
+                           std::to_string(p.width) + "x" + std::to_string(p.height));
   if (!std::has_single_bit(p.samples_per_item) || p.samples_per_item > GLEANER_PATH_MAX_ITEM_SAMPLES)
-    throw Error::bad_input("stage path", "samples_per_item", "a power of two up to " + std::to_string(GLEANER_PATH_MAX_ITEM_SAMPLES),
+    throw Error::bad_input("stage path", "samples_per_item",
+                           "a power of two up to " + std::to_string(GLEANER_PATH_MAX_ITEM_SAMPLES),
                            std::to_string(p.samples_per_item));
   if (p.last_item_samples == 0 || p.last_item_samples > p.samples_per_item)
-    throw Error::bad_input("stage path", "last_item_samples", "1 to samples_per_item", std::to_string(p.last_item_samples));
+    throw Error::bad_input("stage path", "last_item_samples", "1 to samples_per_item",
+                           std::to_string(p.last_item_samples));
   return p;
 }
 
@@ -55,8 +58,8 @@ struct Shared {
   cl::Buffer parameter_buffer{}, items{}, slots{}, features{};
   bool listed = false;
   std::uint64_t first_item = 0;
-  std::uint32_t paths = 0;         // of this part
-  std::uint32_t capacity = 0;      // of a wave
+  std::uint32_t paths = 0;     // of this part
+  std::uint32_t capacity = 0;  // of a wave
   unsigned lanes = 1;
   std::atomic<std::uint32_t> next_path{0};
   std::atomic<bool> failed{false};
@@ -67,8 +70,8 @@ struct LaneCounters {
   double trace = 0, kernel = 0;
 };
 
-// Camera paths for a lane that has room: fewer near the end, so that the lanes end together. A multiple of 16 (a block is one
-// packet), and of whole waves' quarters before that.
+// Camera paths for a lane that has room: fewer near the end, so that the lanes end together. A multiple of 16 (a block
+// is one packet), and of whole waves' quarters before that.
 std::uint32_t claim(Shared& shared, std::uint32_t room, std::uint32_t& first) {
   std::uint32_t next = shared.next_path.load();
   for (;;) {
@@ -183,7 +186,8 @@ class Lane {
     const std::size_t items = (rays + shared_.device.lanes() - 1) / shared_.device.lanes();
     // Fixed, so that the compiled code, and with it every bit, does not depend on how much there is to do.
     const std::size_t group = shared_.device.info().cpu ? 8 : 64;
-    queue_.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange((items + group - 1) / group * group), cl::NDRange(group));
+    queue_.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange((items + group - 1) / group * group),
+                                cl::NDRange(group));
   }
 
   Shared& shared_;
@@ -241,7 +245,8 @@ BatchResult run_path_stage(const Device& device, DeviceScene& scene, const Stage
     shared.features = device.make_buffer(parameters.features ? slots * FEATURE_WORDS * 4 : 4);
     shared.items = device.make_buffer(list ? (part + RAY_BLOCK) * sizeof(PathItem) : 4, CL_MEM_READ_ONLY);
     if (list)
-      queue.enqueueWriteBuffer(shared.items, CL_TRUE, 0, part * sizeof(PathItem), list + (first + done) * sizeof(PathItem));
+      queue.enqueueWriteBuffer(shared.items, CL_TRUE, 0, part * sizeof(PathItem),
+                               list + (first + done) * sizeof(PathItem));
 
     std::vector<std::unique_ptr<Lane>> all;
     for (unsigned k = 0; k < lanes; ++k) all.push_back(std::make_unique<Lane>(shared));

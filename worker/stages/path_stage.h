@@ -6,7 +6,9 @@
 
 namespace gleaner::worker {
 
-// Runs items [first, first + count) of the stage. Throws Error::bad_input on a malformed task, cl::Error, Error::failed.
-BatchResult run_path_stage(const Device& device, DeviceScene& scene, const StageTask& task, std::uint64_t first, std::uint64_t count);
+// Runs items [first, first + count) of the stage. Throws Error::bad_input on a malformed task, cl::Error,
+// Error::failed.
+BatchResult run_path_stage(const Device& device, DeviceScene& scene, const StageTask& task, std::uint64_t first,
+                           std::uint64_t count);
 
 }  // namespace gleaner::worker

@@ -18,13 +18,14 @@
 namespace gleaner::worker {
 namespace {
 
-static_assert(offsetof(RTCRayHit16, ray.org_x) == 64 * ROW_ORIGIN && offsetof(RTCRayHit16, ray.tnear) == 64 * ROW_NEAR &&
-              offsetof(RTCRayHit16, ray.dir_x) == 64 * ROW_DIRECTION && offsetof(RTCRayHit16, ray.time) == 64 * ROW_TIME &&
-              offsetof(RTCRayHit16, ray.tfar) == 64 * ROW_FAR && offsetof(RTCRayHit16, ray.mask) == 64 * ROW_MASK &&
-              offsetof(RTCRayHit16, ray.id) == 64 * ROW_SOURCE && offsetof(RTCRayHit16, ray.flags) == 64 * ROW_FLAGS &&
-              sizeof(RTCRay16) == 64 * RAY_ROWS && offsetof(RTCRayHit16, hit.Ng_x) == 64 * ROW_NORMAL &&
-              offsetof(RTCRayHit16, hit.u) == 64 * ROW_U && offsetof(RTCRayHit16, hit.v) == 64 * ROW_V &&
-              offsetof(RTCRayHit16, hit.primID) == 64 * ROW_PRIMITIVE &&
+static_assert(offsetof(RTCRayHit16, ray.org_x) == 64 * ROW_ORIGIN &&
+              offsetof(RTCRayHit16, ray.tnear) == 64 * ROW_NEAR &&
+              offsetof(RTCRayHit16, ray.dir_x) == 64 * ROW_DIRECTION &&
+              offsetof(RTCRayHit16, ray.time) == 64 * ROW_TIME && offsetof(RTCRayHit16, ray.tfar) == 64 * ROW_FAR &&
+              offsetof(RTCRayHit16, ray.mask) == 64 * ROW_MASK && offsetof(RTCRayHit16, ray.id) == 64 * ROW_SOURCE &&
+              offsetof(RTCRayHit16, ray.flags) == 64 * ROW_FLAGS && sizeof(RTCRay16) == 64 * RAY_ROWS &&
+              offsetof(RTCRayHit16, hit.Ng_x) == 64 * ROW_NORMAL && offsetof(RTCRayHit16, hit.u) == 64 * ROW_U &&
+              offsetof(RTCRayHit16, hit.v) == 64 * ROW_V && offsetof(RTCRayHit16, hit.primID) == 64 * ROW_PRIMITIVE &&
               offsetof(RTCRayHit16, hit.geomID) == 64 * ROW_GEOMETRY && sizeof(RTCRayHit16) >= 64 * RAY_HIT_ROWS);
 
 class Query {
@@ -85,8 +86,10 @@ class EmbreeTracer final : public Tracer {
     rtcSetSceneBuildQuality(scene_, RTC_BUILD_QUALITY_MEDIUM);
     RTCGeometry geometry = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE);
     if (!scene.indices.empty()) {
-      void* vertices = rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12, scene.vertex_count());
-      void* indices = rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12, scene.triangle_count());
+      void* vertices =
+          rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12, scene.vertex_count());
+      void* indices =
+          rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12, scene.triangle_count());
       if (vertices && indices) {
         std::memcpy(vertices, scene.positions.data(), scene.positions.size() * sizeof(float));
         std::memcpy(indices, scene.indices.data(), scene.indices.size() * sizeof(std::uint32_t));

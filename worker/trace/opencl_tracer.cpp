@@ -11,7 +11,8 @@ class OpenClTracer final : public Tracer {
   OpenClTracer(const Device& device, const scene::Bvh& bvh, const cl::Buffer& triangles)
       : triangles_(triangles),
         // One entry a level below the root suffices; multiples of 16 keep the number of variants small.
-        program_(device.build("kernels/bvh_trace.cl", "-D LANES=1 -D STACK_SIZE=" + std::to_string((bvh.max_depth / 16 + 1) * 16))),
+        program_(device.build("kernels/bvh_trace.cl",
+                              "-D LANES=1 -D STACK_SIZE=" + std::to_string((bvh.max_depth / 16 + 1) * 16))),
         nodes_(device.make_buffer(bvh.nodes.size() * sizeof(scene::BvhNode), CL_MEM_READ_ONLY)),
         slots_(device.make_buffer(bvh.triangles.size() * sizeof(std::uint32_t), CL_MEM_READ_ONLY)),
         overflow_(device.make_buffer(sizeof(std::uint32_t))) {
@@ -23,8 +24,12 @@ class OpenClTracer final : public Tracer {
     queue.enqueueWriteBuffer(overflow_, CL_TRUE, 0, sizeof zero, &zero);
   }
 
-  void closest(cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) override { run("trace_closest", queue, rays, range); }
-  void any(cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) override { run("trace_any", queue, rays, range); }
+  void closest(cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) override {
+    run("trace_closest", queue, rays, range);
+  }
+  void any(cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) override {
+    run("trace_any", queue, rays, range);
+  }
 
  private:
   void run(const char* name, cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) {
@@ -39,11 +44,13 @@ class OpenClTracer final : public Tracer {
     kernel.setArg(5, range.end());
     kernel.setArg(6, overflow_);
     constexpr std::size_t group = 64;
-    queue.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange((range.end() + group - 1) / group * group), cl::NDRange(group));
+    queue.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange((range.end() + group - 1) / group * group),
+                               cl::NDRange(group));
     std::uint32_t overflow = 0;
     queue.enqueueReadBuffer(overflow_, CL_TRUE, 0, sizeof overflow, &overflow);
     if (overflow)
-      throw Error::failed("the traversal stack of the OpenCL tracer was too small for " + std::to_string(overflow) + " rays");
+      throw Error::failed("the traversal stack of the OpenCL tracer was too small for " + std::to_string(overflow) +
+                          " rays");
   }
 
   cl::Buffer triangles_;

@@ -1,0 +1,29 @@
+#pragma once
+// Where an adaptive method spends its next samples.
+
+#include <cstdint>
+#include <vector>
+
+namespace gleaner::coordinator {
+
+// What is known of a pixel: the variance of one chunk of samples (mean over the channels), and how many chunks it has.
+struct PixelNoise {
+  std::vector<float> chunk_variance;  // width * height, not negative
+  std::vector<std::uint32_t> chunks;  // width * height
+  std::uint32_t width = 0, height = 0;
+};
+
+// For each pixel the mean of its neighbours' variances in a (2 radius + 1)^2 window, itself left out: where its own
+// samples decided how many more it gets, its mean would be biased (dark beginnings would stay dark).
+std::vector<float> neighbours_variance(const PixelNoise& noise, int radius);
+
+// Further chunks a pixel, `extra` in all. The sum over the pixels of variance / chunks is least where chunks go as the
+// square root of the variance (Lagrange); pixels that have more than their share already keep what they have. Rounding
+// is carried from pixel to pixel, so that the total is exact. Deterministic.
+std::vector<std::uint32_t> allocate_chunks(const std::vector<float>& variance, const std::vector<std::uint32_t>& chunks,
+                                           std::uint64_t extra);
+
+// Mean over the pixels of variance / chunks: the picture's expected squared error.
+double expected_squared_error(const std::vector<float>& variance, const std::vector<std::uint32_t>& chunks);
+
+}  // namespace gleaner::coordinator

@@ -1,0 +1,102 @@
+#include "coordinator/plan/path_film.h"
+
+#include <cmath>
+
+namespace gleaner::coordinator {
+
+PathFilm::PathFilm(std::uint32_t width, std::uint32_t height)
+    : width_(width), height_(height), pixels_(std::size_t{width} * height) {}
+
+void PathFilm::add(std::uint32_t pixel, const float direct[3], const float indirect[3], std::uint32_t samples,
+                   bool whole) {
+  Pixel& p = pixels_[pixel];
+  p.samples += samples;
+  if (whole) ++p.chunks;
+  for (int k = 0; k < 3; ++k) {
+    p.direct[k] += direct[k];
+    p.indirect[k] += indirect[k];
+    if (!whole) continue;
+    const double value = (static_cast<double>(direct[k]) + indirect[k]) / samples;
+    const double before = value - p.mean[k];
+    p.mean[k] += before / p.chunks;
+    p.square[k] += before * (value - p.mean[k]);
+  }
+}
+
+void PathFilm::add_features(std::uint32_t pixel, const kernels::PathFeatureRecord& record, std::uint32_t samples) {
+  if (features_.empty()) features_.resize(pixels_.size());
+  Features& f = features_[pixel];
+  for (int k = 0; k < 3; ++k) {
+    f.albedo[k] += record.albedo[k];
+    f.normal[k] += record.normal[k];
+  }
+  f.depth += record.depth;
+  f.hits += record.hits;
+  f.samples += samples;
+}
+
+PixelNoise PathFilm::noise() const {
+  PixelNoise noise{std::vector<float>(pixels_.size()), std::vector<std::uint32_t>(pixels_.size()), width_, height_};
+  for (std::size_t i = 0; i < pixels_.size(); ++i) {
+    const Pixel& p = pixels_[i];
+    noise.chunks[i] = p.chunks;
+    if (p.chunks > 1)
+      noise.chunk_variance[i] = static_cast<float>((p.square[0] + p.square[1] + p.square[2]) / (3.0 * (p.chunks - 1)));
+  }
+  return noise;
+}
+
+double PathFilm::mean_radiance() const {
+  double sum = 0;
+  for (const Pixel& p : pixels_)
+    if (p.samples)
+      for (int k = 0; k < 3; ++k) sum += (p.direct[k] + p.indirect[k]) / p.samples;
+  return pixels_.empty() ? 0 : sum / (3.0 * static_cast<double>(pixels_.size()));
+}
+
+Film PathFilm::film() const {
+  static const char* const kColor[] = {"R", "G", "B"};
+  static const char* const kAxis[] = {"X", "Y", "Z"};
+  Film film{width_, height_, {}};
+  const std::size_t n = pixels_.size();
+  const auto layer = [&](const std::string& name, auto&& value) {
+    std::vector<float>& values = film.channel(name).values;
+    for (std::size_t i = 0; i < n; ++i) values[i] = value(i);
+  };
+  const auto mean = [](double sum, std::uint32_t samples) {
+    return samples ? static_cast<float>(sum / samples) : 0.0f;
+  };
+  for (int k = 0; k < 3; ++k)
+    // The sum of the two layers as floats, so that it holds to the bit in the file.
+    layer(kColor[k], [&](std::size_t i) {
+      return mean(pixels_[i].direct[k], pixels_[i].samples) + mean(pixels_[i].indirect[k], pixels_[i].samples);
+    });
+  for (int k = 0; k < 3; ++k)
+    layer(std::string("direct.") + kColor[k],
+          [&](std::size_t i) { return mean(pixels_[i].direct[k], pixels_[i].samples); });
+  for (int k = 0; k < 3; ++k)
+    layer(std::string("indirect.") + kColor[k],
+          [&](std::size_t i) { return mean(pixels_[i].indirect[k], pixels_[i].samples); });
+  for (int k = 0; k < 3; ++k)
+    layer(std::string("variance.") + kColor[k], [&](std::size_t i) {
+      const Pixel& p = pixels_[i];
+      return p.chunks > 1 ? static_cast<float>(p.square[k] / (p.chunks - 1) / p.chunks) : 0.0f;
+    });
+  layer("samples.Y", [&](std::size_t i) { return static_cast<float>(pixels_[i].samples); });
+  if (features_.empty()) return film;
+  for (int k = 0; k < 3; ++k)
+    layer(std::string("albedo.") + kColor[k],
+          [&](std::size_t i) { return mean(features_[i].albedo[k], features_[i].samples); });
+  for (int k = 0; k < 3; ++k)
+    layer(std::string("normal.") + kAxis[k], [&](std::size_t i) {
+      const Features& f = features_[i];
+      const float length = std::sqrt(f.normal[0] * f.normal[0] + f.normal[1] * f.normal[1] + f.normal[2] * f.normal[2]);
+      return length > 0 ? f.normal[k] / length : 0.0f;
+    });
+  // Over the samples that hit: half a pixel of sky does not halve a distance.
+  layer("depth.Z",
+        [&](std::size_t i) { return features_[i].hits > 0 ? features_[i].depth / features_[i].hits : 0.0f; });
+  return film;
+}
+
+}  // namespace gleaner::coordinator

@@ -1,0 +1,45 @@
+#pragma once
+// What the path tracer's records add up to, pixel by pixel: means, the variance of the mean from independently
+// scrambled chunks of samples, features.
+
+#include <cstdint>
+#include <vector>
+
+#include "coordinator/film/film.h"
+#include "coordinator/plan/allocation.h"
+#include "kernels/stage_records.h"
+
+namespace gleaner::coordinator {
+
+class PathFilm {
+ public:
+  PathFilm(std::uint32_t width, std::uint32_t height);
+
+  // One record: sums over `samples` samples of a pixel; `whole`: a chunk of full size, which the variance may count.
+  void add(std::uint32_t pixel, const float direct[3], const float indirect[3], std::uint32_t samples, bool whole);
+  void add_features(std::uint32_t pixel, const kernels::PathFeatureRecord& record, std::uint32_t samples);
+
+  // The sample variance of whole chunks' means, mean over the channels; 0 for pixels of fewer than two.
+  PixelNoise noise() const;
+  double mean_radiance() const;
+
+  // Layers R G B, direct.*, indirect.*, variance.*, samples.Y and, where features were added, albedo.*, normal.*,
+  // depth.Z.
+  Film film() const;
+
+ private:
+  struct Pixel {
+    double direct[3] = {}, indirect[3] = {};  // sums over samples
+    double mean[3] = {}, square[3] = {};      // Welford over chunk means
+    std::uint32_t samples = 0, chunks = 0;
+  };
+  struct Features {
+    float albedo[3] = {}, normal[3] = {}, depth = 0, hits = 0;
+    std::uint32_t samples = 0;
+  };
+  std::uint32_t width_, height_;
+  std::vector<Pixel> pixels_;
+  std::vector<Features> features_;
+};
+
+}  // namespace gleaner::coordinator

@@ -1,0 +1,68 @@
+#include "coordinator/plan/plan.h"
+
+#include <charconv>
+#include <cmath>
+#include <set>
+
+#include "coordinator/plan/path_plan.h"
+#include "scene/model/error.h"
+
+namespace gleaner::coordinator {
+namespace {
+
+// --set names of all methods: a name that belongs to another method is not an error, so that one command line serves
+// all.
+const std::set<std::string>& known_settings() {
+  static const std::set<std::string> names = {"depth"};
+  return names;
+}
+
+std::uint32_t whole_number(const std::string& key, const std::string& text) {
+  std::uint32_t value = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (error != std::errc() || end != text.data() + text.size())
+    throw Error::usage("--set " + key + ": expected a whole number, found \"" + text + "\"");
+  return value;
+}
+
+}  // namespace
+
+SceneSummary summarize(const scene::Scene& scene) {
+  SceneSummary summary;
+  summary.needs = scene::needs_of(scene);
+  summary.triangles = scene.triangle_count();
+  summary.lights = scene.lights.size();
+  summary.bounds = scene::bounds_of(scene);
+  for (std::uint32_t material : scene.triangle_material) {
+    const scene::Material& m = scene.materials[material];
+    if (m.emission[0] > 0 || m.emission[1] > 0 || m.emission[2] > 0) ++summary.emissive_triangles;
+  }
+  return summary;
+}
+
+std::unique_ptr<Plan> make_plan(const FrameSettings& given, const SceneSummary& scene) {
+  FrameSettings settings = given;
+  const std::uint64_t pixels = std::uint64_t{settings.width} * settings.height;
+  if (pixels == 0 || pixels > (std::uint64_t{1} << 28))
+    throw Error::usage("--size: expected 1 to 2^28 pixels, found " + std::to_string(settings.width) + "x" +
+                       std::to_string(settings.height));
+  if (settings.spp == 0 || settings.spp > (1u << 20))
+    throw Error::usage("--spp: expected 1 to 1048576 samples a pixel, found " + std::to_string(settings.spp));
+  if (!(settings.target_error >= 0) || !std::isfinite(settings.target_error))
+    throw Error::usage("--target-error: expected a number above 0");
+  for (const auto& [key, value] : settings.set) {
+    if (!known_settings().contains(key)) {
+      std::string names;
+      for (const std::string& name : known_settings()) names += (names.empty() ? "" : ", ") + name;
+      throw Error::usage("--set " + key + ": no such setting; known: " + names);
+    }
+    if (key == "depth") settings.depth = whole_number(key, value);
+  }
+  if (settings.method == "path" || settings.method == "auto") {
+    settings.method = "path";
+    return std::make_unique<PathPlan>(settings, scene);
+  }
+  throw Error::usage("--method: expected path, found " + settings.method);
+}
+
+}  // namespace gleaner::coordinator
