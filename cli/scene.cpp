@@ -72,13 +72,15 @@ int write_scene(const SceneWords& words) {
 }  // namespace
 
 void add_scene(CLI::App& app, Run& run) {
-  CLI::App* command = app.add_subcommand("scene", "Write a scene of the procedural library");
+  CLI::App* command = app.add_subcommand("scene", "write a scene of the procedural library as binary glTF");
   const auto words = std::make_shared<SceneWords>();
-  command->add_option("name", words->name, "The scene's name (see --list)");
-  command->add_option("-o,--output", words->output, "The file to write (binary glTF)")->type_name("FILE.glb");
-  command->add_option("--set", words->settings, "A parameter of the scene; may be given again")->type_name("KEY=VALUE");
-  command->add_flag("--list", words->list, "Print the scenes and their parameters");
-  command->add_flag("--json", words->json, "With --list: for machines");
+  command->add_option("NAME", words->name, "the scene (see --list)");
+  command->add_option("-o,--output", words->output, "the file to write, *.glb");
+  command->add_option("--set", words->settings, "KEY=VALUE: a parameter of the scene")
+      ->take_all()
+      ->allow_extra_args(false);
+  command->add_flag("--list", words->list, "print the scenes and their parameters");
+  command->add_flag("--json", words->json, "with --list: one JSON array on standard output");
   command->callback([words, &run] { run = [words] { return write_scene(*words); }; });
 }
 
