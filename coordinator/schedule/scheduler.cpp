@@ -417,11 +417,17 @@ struct Scheduler::Impl {
   // The worker is late: what waits for it is cut anew for the others.
   void recall_waiting(Worker& worker, Seconds now, std::vector<Lease>& recalled) {
     worker.late_at.reset();
+    if (usable_workers() < 2) {
+      // Nobody else could have it: look again when it took twice as long.
+      worker.late_at = now + (now - worker.hand_start);
+      timers.insert({*worker.late_at, TimerKind::late, worker.id});
+      return;
+    }
     worker.late = true;
     const Lease running = live.at(worker.hand.front()).lease;
     learn(worker, stages.at(running.stage).kind,
           [&](Throughput& t) { t.overran(running.count, now - worker.hand_start, settings); });
-    while (worker.hand.size() > 1 && usable_workers() > 1) {
+    while (worker.hand.size() > 1) {
       const Lease lease = live.at(worker.hand.back()).lease;
       end_lease(lease.id, LeaseEnd::taken_back, false, now);
       give_back(stages.at(lease.stage), lease.first);
