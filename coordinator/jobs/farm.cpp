@@ -445,12 +445,11 @@ struct Farm::Impl {
     if (worker == workers.end()) return Verdict::unknown_lease;
     worker->second.heard = now();
     auto known = leases.find(epoch);
-    Lease lease = known == leases.end() ? Lease{} : known->second;
+    const bool own = known != leases.end() && known->second.worker == id && known->second.id == lease_id;
+    const Lease lease = own ? known->second : Lease{};
     std::shared_ptr<RunningStage> stage;
-    if (auto found = active_stages.find(lease.stage); known != leases.end() && found != active_stages.end())
-      stage = found->second;
-    if (stage && lease.worker == id && lease.id == lease_id &&
-        records.size() != lease.count * stage->spec.record_bytes) {
+    if (auto found = active_stages.find(lease.stage); own && found != active_stages.end()) stage = found->second;
+    if (stage && records.size() != lease.count * stage->spec.record_bytes) {
       lock.unlock();
       failed(id, lease_id, epoch,
              "sent " + std::to_string(records.size()) + " bytes instead of " +
@@ -458,7 +457,7 @@ struct Farm::Impl {
       return Verdict::stale;
     }
     ResultOutcome outcome = scheduler.result(id, lease_id, epoch, cost.seconds, now());
-    if (lease.worker == id) forget_lease(epoch);
+    if (own) forget_lease(epoch);
     revoke(outcome.revoke);
     if (outcome.verdict != Verdict::accepted || !stage) {
       pump();

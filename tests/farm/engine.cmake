@@ -1,0 +1,1 @@
+gleaner_test(NAME farm_engine SOURCES engine_test.cpp LIBRARIES gleaner_jobs nlohmann_json::nlohmann_json)

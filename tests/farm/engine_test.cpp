@@ -1,0 +1,583 @@
+// The farm's engine with scripted workers: what is leased, what is accepted, what ends up on disk.
+
+#include "coordinator/jobs/farm.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <condition_variable>
+#include <deque>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <optional>
+
+#include "tests/farm/fake_frame.h"
+
+namespace gleaner::test {
+namespace {
+
+using namespace coordinator;
+using testing::HasSubstr;
+using testing::SizeIs;
+
+struct Offered {
+  Lease lease;
+  std::shared_ptr<const StageWork> work;
+};
+
+// A worker that does what the test says, when it says so.
+class ScriptedWorker final : public WorkerSession {
+ public:
+  void welcome(const std::string& given) override { name = given; }
+  void lease(const Lease& lease, std::shared_ptr<const StageWork> work) override {
+    std::lock_guard lock(mutex_);
+    offered_.push_back({lease, std::move(work)});
+    changed_.notify_all();
+  }
+  void revoke(const Lease& lease) override {
+    std::lock_guard lock(mutex_);
+    revoked_.push_back(lease);
+    std::erase_if(offered_, [&](const Offered& offer) { return offer.lease.epoch == lease.epoch; });
+  }
+  void drain() override { drained = true; }
+  void close(const std::string& reason) override {
+    std::lock_guard lock(mutex_);
+    closed_ = reason;
+  }
+
+  void join(Farm& farm, const std::string& wish = "scripted") {
+    farm_ = &farm;
+    WorkerHello hello;
+    hello.name = wish;
+    hello.device.name = "a script";
+    // The farm keeps the session as long as it likes; the test keeps the worker.
+    id = farm.join(hello, std::shared_ptr<WorkerSession>(this, [](WorkerSession*) {})).id;
+  }
+
+  std::optional<Offered> next(double seconds = 20) {
+    std::unique_lock lock(mutex_);
+    changed_.wait_for(lock, std::chrono::duration<double>(seconds), [&] { return !offered_.empty(); });
+    if (offered_.empty()) return std::nullopt;
+    Offered offer = offered_.front();
+    offered_.pop_front();
+    return offer;
+  }
+
+  // The right records, from the blobs that the farm names.
+  Bytes compute(const Offered& offer, BlobStore& blobs) const {
+    const Lease& lease = offer.lease;
+    if (offer.work->kind == "fake-scatter")
+      return fake_scatter(values_of<std::uint64_t>(offer.work->parameters).at(0), lease.first, lease.count);
+    Blob hashes = blobs.get(offer.work->inputs.at(0).blob);
+    if (!hashes) throw Error::failed("the input is not there");
+    return fake_gather(*hashes, lease.first, lease.count);
+  }
+
+  Verdict deliver(const Offered& offer, Bytes records, double seconds = 0.01) {
+    BatchCost cost;
+    cost.seconds = seconds;
+    cost.trace_seconds = 0.5 * seconds;
+    cost.kernel_seconds = 0.25 * seconds;
+    cost.camera_rays = offer.lease.count;
+    cost.scatter_rays = 2 * offer.lease.count;
+    cost.shadow_rays = 3 * offer.lease.count;
+    return farm_->result(id, offer.lease.id, offer.lease.epoch, std::move(records), cost);
+  }
+
+  std::vector<Lease> revoked() {
+    std::lock_guard lock(mutex_);
+    return revoked_;
+  }
+  bool was_revoked(const Lease& lease) {
+    auto all = revoked();
+    return std::any_of(all.begin(), all.end(), [&](const Lease& gone) { return gone.epoch == lease.epoch; });
+  }
+  std::string closed() {
+    std::lock_guard lock(mutex_);
+    return closed_;
+  }
+
+  WorkerId id = 0;
+  std::string name;
+  std::atomic<bool> drained{false};
+
+ private:
+  Farm* farm_ = nullptr;
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::deque<Offered> offered_;
+  std::vector<Lease> revoked_;
+  std::string closed_;
+};
+
+class FarmEngine : public testing::Test {
+ protected:
+  FarmSettings settings(std::uint64_t batch_items = 256) {
+    FarmSettings farm_settings;
+    farm_settings.plan = make_fake_plan;
+    farm_settings.scheduler.fixed_batch_items = batch_items;
+    farm_settings.scheduler.lease_floor = 1000;
+    farm_settings.paths = [this](const std::string& job, std::uint32_t frame) {
+      std::string stem = (folder_.path() / job / ("frame" + std::to_string(frame))).string();
+      return FramePaths{stem + ".exr", stem + ".png", stem + ".json"};
+    };
+    farm_settings.log = [](const std::string&) {};
+    return farm_settings;
+  }
+
+  JobRequest request(const FrameSettings& frame = fake_settings()) {
+    JobRequest job;
+    job.scene_name = "fake.glb";
+    job.scene_blob = blobs_.put(bytes_of(std::vector<int>{1, 2, 3}));
+    job.settings = frame;
+    return job;
+  }
+
+  static JobStatus end_of(Farm& farm, const std::string& job) {
+    for (int i = 0; i < 40; ++i) {
+      auto status = farm.wait(job, ~std::uint64_t{0}, 0.5);
+      if (ended(status->state)) return *status;
+    }
+    ADD_FAILURE() << "job " << job << " does not end";
+    return *farm.status(job);
+  }
+
+  // Serves the worker until the job has ended.
+  void serve(Farm& farm, ScriptedWorker& worker, const std::string& job) {
+    while (!ended(farm.status(job)->state)) {
+      auto offer = worker.next(0.05);
+      if (offer) worker.deliver(*offer, worker.compute(*offer, blobs_));
+    }
+  }
+
+  nlohmann::json report(Farm& farm, const std::string& job, const std::string& extension = ".json",
+                        std::size_t skip = 0) {
+    for (const auto& path : farm.files(job)) {
+      if (path.extension() != extension || skip-- > 0) continue;
+      std::ifstream file(path);
+      return nlohmann::json::parse(file);
+    }
+    ADD_FAILURE() << "no report";
+    return {};
+  }
+
+  TemporaryFolder folder_;
+  BlobStore blobs_;
+};
+
+TEST_F(FarmEngine, RendersAFrameWithOneWorker) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  std::string job = farm.submit(request());
+  serve(farm, worker, job);
+  JobStatus status = end_of(farm, job);
+  ASSERT_EQ(status.state, JobState::done) << status.message;
+  EXPECT_THAT(farm.files(job), SizeIs(3));
+  for (const auto& path : farm.files(job)) EXPECT_TRUE(std::filesystem::exists(path)) << path;
+
+  auto json = report(farm, job);
+  EXPECT_EQ(json["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+  EXPECT_EQ(json["scene"], "fake.glb");
+  EXPECT_EQ(json["method"], "fake");
+  EXPECT_EQ(json["size"], (nlohmann::json{32, 16}));
+  EXPECT_EQ(json["parameters"]["fake"], true);
+  EXPECT_EQ(json["parameters"]["seed"], 5);
+  EXPECT_GT(json["seconds"], 0.0);
+  ASSERT_EQ(json["stages"].size(), 2u);
+  const auto& scatter = json["stages"][0];
+  EXPECT_EQ(scatter["name"], "scatter");
+  EXPECT_EQ(scatter["kind"], "fake-scatter");
+  EXPECT_EQ(scatter["items"], 2048);
+  EXPECT_EQ(scatter["batches"], 8);
+  EXPECT_EQ(scatter["workers"]["scripted"]["items"], 2048);
+  EXPECT_NEAR(scatter["workers"]["scripted"]["seconds"], 0.08, 1e-9);
+  EXPECT_NEAR(scatter["trace_seconds"], 0.04, 1e-9);
+  EXPECT_NEAR(scatter["kernel_seconds"], 0.02, 1e-9);
+  EXPECT_GE(scatter["seconds"], 0.0);
+  EXPECT_EQ(json["stages"][1]["batches"], 2);
+  std::uint64_t items = 2048 + 512;
+  EXPECT_EQ(json["rays"]["camera"], items);
+  EXPECT_EQ(json["rays"]["scatter"], 2 * items);
+  EXPECT_EQ(json["rays"]["shadow"], 3 * items);
+  EXPECT_EQ(json["rays"]["total"], 6 * items);
+  EXPECT_EQ(json["bytes"]["downloaded"], 2048 * 8 + 512 * 4);
+  EXPECT_EQ(json["skips"][0]["what"], "photons");
+  EXPECT_EQ(json["skips"][0]["count"], 7);
+  EXPECT_EQ(json["nonfinite"], 0);
+  EXPECT_EQ(json["devices"][0]["name"], "a script");
+}
+
+TEST_F(FarmEngine, TheNextStageBeginsInTheCallThatEndsTheLastOne) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  std::string job = farm.submit(request());
+  for (int batch = 0; batch < 8; ++batch) {
+    auto offer = worker.next();
+    ASSERT_TRUE(offer);
+    ASSERT_EQ(offer->work->stage, "scatter");
+    EXPECT_EQ(worker.deliver(*offer, worker.compute(*offer, blobs_)), Verdict::accepted);
+  }
+  auto offer = worker.next();
+  ASSERT_TRUE(offer);
+  EXPECT_EQ(offer->work->stage, "gather");
+  ASSERT_EQ(offer->work->inputs.size(), 1u);
+  EXPECT_EQ(offer->work->inputs[0].name, "hashes");
+  EXPECT_TRUE(blobs_.get(offer->work->inputs[0].blob)) << "an input is findable by its id while its stage runs";
+  std::string input = offer->work->inputs[0].blob;
+  offer.reset();
+  farm.cancel(job);
+  end_of(farm, job);
+  EXPECT_TRUE(eventually([&] { return !blobs_.get(input); })) << "artifacts go with their frame";
+}
+
+TEST_F(FarmEngine, AWorkerHoldsItsNextLeaseWhileItRuns) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  farm.submit(request());
+  ASSERT_TRUE(worker.next());
+  EXPECT_TRUE(worker.next()) << "one lease runs, one waits";
+  EXPECT_FALSE(worker.next(0.1)) << "but not three";
+}
+
+TEST_F(FarmEngine, AnyOrderOfResultsGivesTheSamePixels) {
+  Farm farm(settings(100), blobs_);
+  ScriptedWorker first, second, third;
+  first.join(farm, "first");
+  second.join(farm, "second");
+  third.join(farm, "third");
+  std::string job = farm.submit(request());
+  std::deque<std::pair<ScriptedWorker*, Offered>> held;
+  while (!ended(farm.status(job)->state)) {
+    for (ScriptedWorker* worker : {&first, &second, &third})
+      while (auto offer = worker->next(0.01)) held.push_back({worker, *offer});
+    if (held.empty()) continue;
+    // The youngest first: the oldest one's result comes long after it was handed out.
+    auto [worker, offer] = held.back();
+    held.pop_back();
+    // What was revoked meanwhile has lost its inputs.
+    if (!worker->was_revoked(offer.lease)) worker->deliver(offer, worker->compute(offer, blobs_));
+  }
+  ASSERT_EQ(end_of(farm, job).state, JobState::done);
+  auto json = report(farm, job);
+  EXPECT_EQ(json["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+  EXPECT_GE(json["stages"][0]["workers"].size(), 2u);
+}
+
+TEST_F(FarmEngine, DropsWhatItMustNotAccept) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker, stranger;
+  worker.join(farm, "worker");
+  stranger.join(farm, "stranger");
+  std::string job = farm.submit(request());
+  auto mine = worker.next(), theirs = stranger.next();
+  ASSERT_TRUE(mine && theirs);
+  Bytes records = worker.compute(*mine, blobs_);
+  // Another worker's lease, a worker that nobody knows, an epoch that was never given.
+  EXPECT_EQ(farm.result(stranger.id, mine->lease.id, mine->lease.epoch, records, {}), Verdict::wrong_worker);
+  EXPECT_EQ(farm.result(999, mine->lease.id, mine->lease.epoch, records, {}), Verdict::unknown_lease);
+  EXPECT_EQ(farm.result(worker.id, mine->lease.id, mine->lease.epoch + 1000000, records, {}), Verdict::stale);
+  EXPECT_EQ(farm.result(worker.id, mine->lease.id + 1000000, mine->lease.epoch, records, {}), Verdict::unknown_lease);
+  EXPECT_EQ(farm.status(job)->stages.at(0).items_done, 0u);
+  EXPECT_EQ(worker.deliver(*mine, records), Verdict::accepted);
+  EXPECT_EQ(farm.status(job)->stages.at(0).items_done, mine->lease.count);
+  EXPECT_NE(worker.deliver(*mine, records), Verdict::accepted) << "the same result twice";
+  EXPECT_EQ(farm.status(job)->stages.at(0).items_done, mine->lease.count);
+  worker.deliver(*worker.next(), worker.compute(*mine, blobs_));
+  stranger.deliver(*theirs, stranger.compute(*theirs, blobs_));
+  farm.cancel(job);
+  EXPECT_EQ(end_of(farm, job).state, JobState::cancelled);
+  EXPECT_EQ(farm.result(worker.id, mine->lease.id, mine->lease.epoch, records, {}), Verdict::stage_gone);
+}
+
+TEST_F(FarmEngine, AResultOfAnotherSizeIsAFailureAndItsItemsComeBack) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker liar, honest;
+  liar.join(farm, "liar");
+  std::string job = farm.submit(request());
+  auto offer = liar.next();
+  ASSERT_TRUE(offer);
+  Bytes records = liar.compute(*offer, blobs_);
+  records.pop_back();
+  EXPECT_NE(liar.deliver(*offer, records), Verdict::accepted);
+  farm.leave(liar.id);
+  honest.join(farm, "honest");
+  serve(farm, honest, job);
+  ASSERT_EQ(end_of(farm, job).state, JobState::done);
+  EXPECT_EQ(report(farm, job)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+}
+
+TEST_F(FarmEngine, ALostWorkersItemsGoToAnotherAtOnce) {
+  Farm farm(settings(1024), blobs_);
+  ScriptedWorker lost, other;
+  lost.join(farm, "lost");
+  std::string job = farm.submit(request());
+  ASSERT_TRUE(lost.next());
+  ASSERT_TRUE(lost.next());
+  other.join(farm, "other");
+  farm.leave(lost.id);
+  ASSERT_EQ(farm.workers().size(), 1u);
+  serve(farm, other, job);
+  ASSERT_EQ(end_of(farm, job).state, JobState::done);
+  EXPECT_EQ(report(farm, job)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+}
+
+TEST_F(FarmEngine, ASilentWorkerIsGivenUp) {
+  std::atomic<double> time{100};
+  FarmSettings farm_settings = settings(1024);
+  farm_settings.clock = [&] { return time.load(); };
+  farm_settings.silence = 30;
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker silent, talks;
+  silent.join(farm, "silent");
+  std::string job = farm.submit(request());
+  ASSERT_TRUE(silent.next());
+  talks.join(farm, "talks");
+  time = 125;
+  farm.heard(talks.id);
+  time = 131;
+  EXPECT_TRUE(eventually([&] { return farm.workers().size() == 1; }));
+  EXPECT_EQ(farm.workers().at(0).id, "talks");
+  EXPECT_THAT(silent.closed(), HasSubstr("not heard of"));
+  EXPECT_TRUE(talks.next()) << "its items are another's now";
+}
+
+TEST_F(FarmEngine, AFailedRangeGoesElsewhereAndManyFailuresEndTheJobWithItsMessage) {
+  Farm farm(settings(), blobs_);
+  std::vector<std::unique_ptr<ScriptedWorker>> workers;
+  for (int i = 0; i < 4; ++i) {
+    workers.push_back(std::make_unique<ScriptedWorker>());
+    workers.back()->join(farm, "w" + std::to_string(i));
+  }
+  std::string job = farm.submit(request());
+  bool over = eventually([&] {
+    for (auto& worker : workers)
+      if (auto offer = worker->next(0.001))
+        farm.failed(worker->id, offer->lease.id, offer->lease.epoch, "the device is on fire");
+    return ended(farm.status(job)->state);
+  });
+  ASSERT_TRUE(over);
+  JobStatus status = end_of(farm, job);
+  EXPECT_EQ(status.state, JobState::failed);
+  EXPECT_THAT(status.message, HasSubstr("the device is on fire"));
+  EXPECT_THAT(status.message, HasSubstr("scatter"));
+}
+
+TEST_F(FarmEngine, ASingleWorkerThatAlwaysFailsEndsTheJobToo) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  std::string job = farm.submit(request());
+  EXPECT_TRUE(eventually([&] {
+    if (auto offer = worker.next(0.001)) farm.failed(worker.id, offer->lease.id, offer->lease.epoch, "no memory");
+    return ended(farm.status(job)->state);
+  })) << "it must not wait for ever for a better worker";
+  EXPECT_EQ(farm.status(job)->state, JobState::failed);
+}
+
+TEST_F(FarmEngine, CancelRevokesWhatIsOut) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  std::string job = farm.submit(request());
+  auto offer = worker.next();
+  ASSERT_TRUE(offer);
+  auto status = farm.cancel(job);
+  ASSERT_TRUE(status);
+  EXPECT_EQ(end_of(farm, job).state, JobState::cancelled);
+  EXPECT_EQ(worker.revoked().size(), 2u);
+  EXPECT_EQ(worker.deliver(*offer, worker.compute(*offer, blobs_)), Verdict::stage_gone);
+  EXPECT_TRUE(farm.files(job).empty());
+  EXPECT_FALSE(farm.cancel("no-such-job"));
+}
+
+TEST_F(FarmEngine, TwoJobsRunAtTheSameTimeAndAThirdWaits) {
+  Farm farm(settings(), blobs_);
+  FrameSettings other = fake_settings();
+  other.seed = 6;
+  std::string first = farm.submit(request()), second = farm.submit(request(other)), third = farm.submit(request());
+  EXPECT_EQ(farm.status(first)->state, JobState::running);
+  EXPECT_EQ(farm.status(second)->state, JobState::running);
+  EXPECT_EQ(farm.status(third)->state, JobState::queued);
+  EXPECT_THAT(farm.why(third)->at(0), HasSubstr("waits until"));
+  EXPECT_THAT(farm.why(first)->at(0), HasSubstr("no worker"));
+  std::string fourth = farm.submit(request());
+  farm.cancel(fourth);
+  EXPECT_EQ(farm.status(fourth)->state, JobState::cancelled) << "a job that waits ends at once";
+  ScriptedWorker a, b;
+  a.join(farm, "a");
+  b.join(farm, "b");
+  std::thread helper([&] { serve(farm, b, third); });
+  serve(farm, a, third);
+  helper.join();
+  for (const auto& job : {first, second, third}) ASSERT_EQ(end_of(farm, job).state, JobState::done) << job;
+  EXPECT_EQ(report(farm, first)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+  EXPECT_EQ(report(farm, second)["pixels_sha256"], fake_pixels_sha256(other));
+  EXPECT_EQ(report(farm, third)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+  EXPECT_THAT(farm.list(), SizeIs(4));
+}
+
+TEST_F(FarmEngine, ABrokenPlanFailsItsJobAndNoOther) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  for (const char* defect : {"plan_throws", "input_unknown"}) {
+    FrameSettings broken = fake_settings();
+    broken.set[defect] = "1";
+    std::string job = farm.submit(request(broken));
+    serve(farm, worker, job);
+    JobStatus status = end_of(farm, job);
+    EXPECT_EQ(status.state, JobState::failed) << defect;
+    EXPECT_FALSE(status.message.empty());
+  }
+  std::string job = farm.submit(request());
+  serve(farm, worker, job);
+  EXPECT_EQ(end_of(farm, job).state, JobState::done);
+}
+
+TEST_F(FarmEngine, AnUnwritableFolderFailsTheJobAndTheFarmLives) {
+  FarmSettings farm_settings = settings();
+  std::ofstream(folder_.path() / "file") << "in the way";
+  bool broken = true;
+  auto good = farm_settings.paths;
+  farm_settings.paths = [&](const std::string& job, std::uint32_t frame) {
+    return broken ? FramePaths{folder_.path() / "file" / "a.exr", {}, {}} : good(job, frame);
+  };
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  std::string job = farm.submit(request());
+  serve(farm, worker, job);
+  JobStatus status = end_of(farm, job);
+  EXPECT_EQ(status.state, JobState::failed);
+  EXPECT_THAT(status.message, HasSubstr("file"));
+  broken = false;
+  job = farm.submit(request());
+  serve(farm, worker, job);
+  EXPECT_EQ(end_of(farm, job).state, JobState::done);
+}
+
+TEST_F(FarmEngine, RefusesWhatCannotBeAJob) {
+  Farm farm(settings(), blobs_);
+  JobRequest unknown = request();
+  unknown.settings.method = "paint";
+  EXPECT_THROW(farm.submit(unknown), Error);
+  JobRequest blobless = request();
+  blobless.scene_blob = std::string(64, 'a');
+  EXPECT_THROW(farm.submit(blobless), Error);
+  JobRequest backwards = request();
+  backwards.first_frame = 3;
+  backwards.last_frame = 2;
+  EXPECT_THROW(farm.submit(backwards), Error);
+  EXPECT_TRUE(farm.list().empty());
+}
+
+TEST_F(FarmEngine, AStageTooLargeForTheCoordinatorIsRefusedWithItsSize) {
+  FarmSettings farm_settings = settings();
+  farm_settings.artifact_bytes = 1000;
+  Farm farm(farm_settings, blobs_);
+  std::string job = farm.submit(request());
+  JobStatus status = end_of(farm, job);
+  EXPECT_EQ(status.state, JobState::failed);
+  EXPECT_THAT(status.message, HasSubstr("1000 bytes"));
+}
+
+TEST_F(FarmEngine, APreviewShowsWhatCameIn) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  std::string job = farm.submit(request());
+  EXPECT_FALSE(farm.preview(job)) << "nothing came in";
+  while (true) {
+    auto offer = worker.next();
+    ASSERT_TRUE(offer);
+    bool gather = offer->work->stage == "gather";
+    worker.deliver(*offer, worker.compute(*offer, blobs_));
+    if (gather) break;  // the first half of the picture
+  }
+  ASSERT_TRUE(eventually([&] {
+    auto film = farm.preview(job);
+    return film && film->find("R")->values.at(0) != 0;
+  }));
+  EXPECT_EQ(farm.preview(job)->find("R")->values.back(), 0) << "the second half is not there yet";
+  serve(farm, worker, job);
+  EXPECT_EQ(end_of(farm, job).state, JobState::done);
+}
+
+TEST_F(FarmEngine, FramesOfAStillSceneAreRenderedOnce) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  JobRequest frames = request();
+  frames.first_frame = 3;
+  frames.last_frame = 5;
+  std::string job = farm.submit(frames);
+  serve(farm, worker, job);
+  JobStatus status = end_of(farm, job);
+  ASSERT_EQ(status.state, JobState::done) << status.message;
+  EXPECT_EQ(status.frames, 3u);
+  EXPECT_EQ(status.frames_done, 3u);
+  EXPECT_THAT(farm.files(job), SizeIs(9));
+  auto first = report(farm, job, ".json", 0), last = report(farm, job, ".json", 2);
+  EXPECT_EQ(first["frame"], 3);
+  EXPECT_EQ(last["frame"], 5);
+  EXPECT_EQ(last["pixels_sha256"], first["pixels_sha256"]);
+  EXPECT_EQ(first["rays"]["total"], 6 * 2560);
+  EXPECT_EQ(last["rays"]["total"], 0);
+  EXPECT_THAT(last["skips"].back()["why"], HasSubstr("frame 3"));
+}
+
+TEST_F(FarmEngine, NamesAreUniqueAmongWhoIsThere) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker a, b, c;
+  a.join(farm, "node");
+  b.join(farm, "node");
+  EXPECT_EQ(a.name, "node");
+  EXPECT_EQ(b.name, "node-2");
+  farm.leave(a.id);
+  c.join(farm, "node");
+  EXPECT_EQ(c.name, "node");
+}
+
+TEST_F(FarmEngine, ADrainingWorkerFinishesWhatItHoldsAndGetsNoMore) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker leaving, staying;
+  leaving.join(farm, "leaving");
+  std::string job = farm.submit(request());
+  auto a = leaving.next(), b = leaving.next();
+  ASSERT_TRUE(a && b);
+  farm.drain(leaving.id);
+  EXPECT_TRUE(leaving.drained);
+  EXPECT_EQ(leaving.deliver(*a, leaving.compute(*a, blobs_)), Verdict::accepted);
+  EXPECT_EQ(leaving.deliver(*b, leaving.compute(*b, blobs_)), Verdict::accepted);
+  EXPECT_FALSE(leaving.next(0.2));
+  staying.join(farm, "staying");
+  serve(farm, staying, job);
+  EXPECT_EQ(end_of(farm, job).state, JobState::done);
+}
+
+TEST_F(FarmEngine, NonFiniteItemsAreNamed) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  std::string job = farm.submit(request());
+  auto offer = worker.next();
+  ASSERT_TRUE(offer);
+  BatchCost cost;
+  cost.seconds = 0.01;
+  cost.nonfinite = 3;
+  cost.nonfinite_items = {offer->lease.first + 1};
+  EXPECT_EQ(farm.result(worker.id, offer->lease.id, offer->lease.epoch, worker.compute(*offer, blobs_), cost),
+            Verdict::accepted);
+  serve(farm, worker, job);
+  auto json = report(farm, job);
+  EXPECT_EQ(json["nonfinite"], 3);
+  EXPECT_EQ(json["nonfinite_items"][0]["item"], offer->lease.first + 1);
+  EXPECT_EQ(json["nonfinite_items"][0]["stage"], "scatter");
+}
+
+}  // namespace
+}  // namespace gleaner::test
