@@ -1,1 +1,2 @@
+find_package(nlohmann_json REQUIRED)
 gleaner_test(NAME farm_engine SOURCES engine_test.cpp LIBRARIES gleaner_jobs nlohmann_json::nlohmann_json)
