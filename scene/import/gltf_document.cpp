@@ -136,15 +136,15 @@ double Element::number(double lower, double upper) const {
   if (!value_->is_number()) fail("a number");
   const double value = value_->get<double>();
   if (value >= lower && value <= upper) return value;
-  constexpr double most = std::numeric_limits<double>::max();
   const auto shown = [](double x) {
     char text[32];
     std::snprintf(text, sizeof text, "%g", x);
     return std::string(text);
   };
-  if (lower == -most && upper == most) fail("a finite number");
-  fail(upper == most ? "a number of at least " + shown(lower)
-                     : "a number from " + shown(lower) + " to " + shown(upper));
+  const bool is_open = upper >= std::numeric_limits<float>::max();  // what a float can hold is no limit to speak of
+  if (lower <= -upper && is_open) fail("a finite number");
+  fail(is_open ? "a finite number of at least " + shown(lower)
+               : "a number from " + shown(lower) + " to " + shown(upper));
 }
 
 std::uint64_t Element::count(std::uint64_t lower, std::uint64_t upper) const {
@@ -220,6 +220,7 @@ GltfDocument::GltfDocument(const std::string& path) : file_(path) {
       throw Error::bad_input(file_, name, "at most " + text_of(bytes.size() - place) + " bytes", text_of(chunk_bytes));
     constexpr std::uint32_t types[] = {0x4e4f534au, 0x004e4942u};
     if (i == 0 && type != types[0]) throw Error::bad_input(file_, name, "JSON", "another type");
+    if (i == 0 && chunk_bytes == 0) throw Error::bad_input(file_, name, "JSON", "0 bytes");
     if (i < 2 && type == types[i]) chunks[i] = bytes.subspan(place, chunk_bytes);
     place += chunk_bytes;
   }

@@ -278,12 +278,12 @@ class ObjReader {
   // One file, or several with spaces between them; a name with spaces in it is tried first.
   void add_library(const Lines& lines, std::string_view names) {
     const std::string whole(trimmed(names));
+    if (whole.empty()) lines.fail("mtllib", "a file's name", "nothing");
     std::error_code code;
     if (fs::exists(fs::path(path_).parent_path() / slashed(whole), code)) {
       read_library(lines, whole);
       return;
     }
-    if (whole.empty()) lines.fail("mtllib", "a file's name", "nothing");
     for (std::string_view name = take_word(names); !name.empty(); name = take_word(names))
       read_library(lines, std::string(name));
   }
