@@ -94,16 +94,24 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
   chance = pick(zero_f(), chosen / total, any);
   rest = clamp_f(pick(zero_f(), (aim - below) / chosen, any), zero_f(), (vf)0.99999994f);
 #endif
-  vu row = cluster * CLUSTER_WORDS;
   global const uint* cluster_words = (global const uint*)scene->clusters;
+#if CLUSTERS == 1
+  vu kind = (vu)cluster_words[CLUSTER_KIND];
+#else
+  vu row = cluster * CLUSTER_WORDS;
   vu kind = gather_u(cluster_words + CLUSTER_KIND, row);
+#endif
   light.pdf = zero_f();
   light.radiance = splat3(zero_f());
   light.direction = uniform3(0.0f, 0.0f, 1.0f);
   light.target = p;
 #if defined(NEED_EMISSIVE_TRIANGLES) || defined(NEED_PUNCTUAL_LIGHTS)
+#if CLUSTERS == 1
+  vu first = (vu)cluster_words[CLUSTER_FIRST], count = (vu)cluster_words[CLUSTER_COUNT];
+#else
   vu first = gather_u(cluster_words + CLUSTER_FIRST, row);
   vu count = gather_u(cluster_words + CLUSTER_COUNT, row);
+#endif
   vu low = (vu)0u;
   for (uint step = cluster_words[CLUSTERS * CLUSTER_WORDS]; step > 0u; step >>= 1) {
     vu probe = low + step;
@@ -111,16 +119,17 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
     vu at = first + pick_u((vu)0u, probe - 1u, inside);
     low = pick_u(low, probe, inside & (gather_f(scene->emitters + EMITTER_CDF, at * EMITTER_WORDS) <= rest));
   }
-  vu emitter = (first + low) * EMITTER_WORDS;
-  chance *= gather_f(scene->emitters + EMITTER_PMF, emitter);
+  vf e[16];
+  load_words(scene->emitters, (first + low) * EMITTER_WORDS, e);
+  chance *= e[EMITTER_PMF];
 #endif
 #ifdef NEED_EMISSIVE_TRIANGLES
   {
     vi here = kind == CLUSTER_TRIANGLES;
-    v3 corner = gather3(scene->emitters + EMITTER_P0, emitter);
-    v3 e1 = gather3(scene->emitters + EMITTER_E1, emitter);
-    v3 e2 = gather3(scene->emitters + EMITTER_E2, emitter);
-    v3 radiance = gather3(scene->emitters + EMITTER_RADIANCE, emitter);
+    v3 corner = words3(e, EMITTER_P0);
+    v3 e1 = words3(e, EMITTER_E1);
+    v3 e2 = words3(e, EMITTER_E2);
+    v3 radiance = words3(e, EMITTER_RADIANCE);
     vf b1, b2;
     sample_triangle(u0, u1, &b1, &b2);
     v3 q = mad3(e1, b1, mad3(e2, b2, corner));
@@ -133,7 +142,7 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
     vf pdf = chance * 2.0f * d2 / projected;
     vi ok = here & (projected > zero_f()) & (d2 > zero_f()) & finite_f(pdf);
 #ifdef NEED_EMISSION_TEXTURES
-    vu triangle = gather_u((global const uint*)scene->emitters + EMITTER_TRIANGLE, emitter);
+    vu triangle = as_vu(e[EMITTER_TRIANGLE]);
     triangle = pick_u((vu)0u, triangle, ok) * TRIANGLE_WORDS;
     vu material = gather_u((global const uint*)scene->triangles + TRIANGLE_MATERIAL, triangle);
     vu texture = material_u(scene, material, MATERIAL_EMISSION_TEXTURE);
@@ -162,12 +171,12 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
 #ifdef NEED_PUNCTUAL_LIGHTS
   {
     vi here = kind == CLUSTER_POSITIONAL;
-    v3 position = gather3(scene->emitters + EMITTER_POSITION, emitter);
-    v3 axis = gather3(scene->emitters + EMITTER_DIRECTION, emitter);
-    v3 intensity = gather3(scene->emitters + EMITTER_RADIANCE, emitter);
-    vf inner = gather_f(scene->emitters + EMITTER_COS_INNER, emitter);
-    vf outer = gather_f(scene->emitters + EMITTER_COS_OUTER, emitter);
-    vf range = gather_f(scene->emitters + EMITTER_RANGE, emitter);
+    v3 position = words3(e, EMITTER_POSITION);
+    v3 axis = words3(e, EMITTER_DIRECTION);
+    v3 intensity = words3(e, EMITTER_RADIANCE);
+    vf inner = e[EMITTER_COS_INNER];
+    vf outer = e[EMITTER_COS_OUTER];
+    vf range = e[EMITTER_RANGE];
     v3 d = sub3(position, p);
     vf d2 = dot3(d, d);
     vf distance = sqrt(d2);
@@ -212,13 +221,14 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
 // Density, per steradian, with which sample_light() at `p` would have come upon the point of emitter `emitter` at
 // `distance` along unit `w`; `total` is LightSample::total at p.
 FN vf light_pdf(const Scene* scene, vu emitter, v3 p, v3 w, vf distance, vf total) {
-  vu row = emitter * EMITTER_WORDS;
-  v3 n = cross3(gather3(scene->emitters + EMITTER_E1, row), gather3(scene->emitters + EMITTER_E2, row));
+  vf e[16];
+  load_words(scene->emitters, emitter * EMITTER_WORDS, e);
+  v3 n = cross3(words3(e, EMITTER_E1), words3(e, EMITTER_E2));
   vf projected = -dot3(n, w);
-  vf chance = gather_f(scene->emitters + EMITTER_PMF, row);
+  vf chance = e[EMITTER_PMF];
 #if CLUSTERS > 1
   chance *=
-      cluster_importance_at(scene, gather_u((global const uint*)scene->emitters + EMITTER_CLUSTER, row), p) / total;
+      cluster_importance_at(scene, as_vu(e[EMITTER_CLUSTER]), p) / total;
 #endif
   vf pdf = chance * 2.0f * distance * distance / projected;
   return pick(zero_f(), pdf, (projected > zero_f()) & finite_f(pdf));

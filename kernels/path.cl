@@ -163,9 +163,15 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   }
 
   // The hit: from the corners, not along the ray, so that its error is the corners' and not the distance's.
-  v3 p0 = gather3(scene->triangles + TRIANGLE_P0, triangle);
-  v3 p1 = gather3(scene->triangles + TRIANGLE_P1, triangle);
-  v3 p2 = gather3(scene->triangles + TRIANGLE_P2, triangle);
+  vf t[16];
+  load_words(scene->triangles, triangle, t);
+#if defined(NEED_SMOOTH_NORMALS) || defined(NEED_TEXTURES)
+  vf t2[16];
+  load_words(scene->triangles + TRIANGLE_SECOND, triangle, t2);
+#endif
+  v3 p0 = words3(t, TRIANGLE_P0);
+  v3 p1 = words3(t, TRIANGLE_P1);
+  v3 p2 = words3(t, TRIANGLE_P2);
   vf b1 = row_f(paths, PATH_ROWS, block, ROW_U), b2 = row_f(paths, PATH_ROWS, block, ROW_V);
   vf b0 = one_f() - b1 - b2;
   v3 p = mad3(p0, b0, mad3(p1, b1, scale3(p2, b2)));
@@ -175,19 +181,21 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
                    (fabs(p0.z) + fabs(p1.z) + fabs(p2.z)) * gamma7);
   v3 geometric = normalize3(cross3(sub3(p1, p0), sub3(p2, p0)));
   vi front = dot3(geometric, direction) < zero_f();
-  vu material = gather_u((global const uint*)scene->triangles + TRIANGLE_MATERIAL, triangle);
+  vu material = as_vu(t[TRIANGLE_MATERIAL]);
+  vf w[16];  // the material's first line
+  load_words(scene->materials, material * MATERIAL_WORDS, w);
 #ifdef NEED_TEXTURES
-  vf tu = b0 * gather_f(scene->triangles + TRIANGLE_UV0, triangle) + b1 * gather_f(scene->triangles + TRIANGLE_UV1, triangle) +
-          b2 * gather_f(scene->triangles + TRIANGLE_UV2, triangle);
-  vf tv = b0 * gather_f(scene->triangles + TRIANGLE_UV0 + 1, triangle) +
-          b1 * gather_f(scene->triangles + TRIANGLE_UV1 + 1, triangle) +
-          b2 * gather_f(scene->triangles + TRIANGLE_UV2 + 1, triangle);
+  vf tu = b0 * t2[TRIANGLE_UV0 - TRIANGLE_SECOND] + b1 * t2[TRIANGLE_UV1 - TRIANGLE_SECOND] +
+          b2 * t2[TRIANGLE_UV2 - TRIANGLE_SECOND];
+  vf tv = b0 * t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1] +
+          b1 * t2[TRIANGLE_UV1 - TRIANGLE_SECOND + 1] +
+          b2 * t2[TRIANGLE_UV2 - TRIANGLE_SECOND + 1];
 #endif
 
 #ifdef NEED_ATTENUATION
   // A solid's back face was reached from within it: what it absorbs of this segment.
   {
-    vi within = active & none(front) & ((material_u(scene, material, MATERIAL_FLAGS) & GLEANER_MATERIAL_ATTENUATES) != 0u);
+    vi within = active & none(front) & ((as_vu(w[MATERIAL_FLAGS]) & GLEANER_MATERIAL_ATTENUATES) != 0u);
     if (any_lane(within)) {
       vf distance = length3(sub3(p, origin));
       v3 k = material_3(scene, material, MATERIAL_ATTENUATION);
@@ -199,7 +207,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 
 #ifdef NEED_EMISSIVE_TRIANGLES
   {
-    vu emitter = gather_u((global const uint*)scene->triangles + TRIANGLE_EMITTER, triangle);
+    vu emitter = as_vu(t[TRIANGLE_EMITTER]);
     vi emits = active & front & (emitter != GLEANER_NONE);
     if (any_lane(emits)) {
       emitter = pick_u((vu)0u, emitter, emits);
@@ -221,16 +229,16 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 
   // The material.
   Surface m;
-  m.base = material_3(scene, material, MATERIAL_BASE_COLOR);
+  m.base = words3(w, MATERIAL_BASE_COLOR);
 #ifdef NEED_ALPHA
-  vu flags = material_u(scene, material, MATERIAL_FLAGS);
-  m.opacity = material_f(scene, material, MATERIAL_ALPHA);
+  vu flags = as_vu(w[MATERIAL_FLAGS]);
+  m.opacity = w[MATERIAL_ALPHA];
 #elif defined(NEED_UNLIT) || defined(NEED_TRANSMISSIVE)
-  vu flags = material_u(scene, material, MATERIAL_FLAGS);
+  vu flags = as_vu(w[MATERIAL_FLAGS]);
 #endif
 #ifdef NEED_TEXTURES
   {
-    vu texture = material_u(scene, material, MATERIAL_BASE_COLOR_TEXTURE);
+    vu texture = as_vu(w[MATERIAL_BASE_COLOR_TEXTURE]);
     vi textured = active & (texture != GLEANER_NONE);
     if (any_lane(textured)) {
       vf alpha;
@@ -252,9 +260,9 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   v3 normal = geometric;
 #ifdef NEED_SMOOTH_NORMALS
   {
-    v3 n = mad3(gather3(scene->triangles + TRIANGLE_N0, triangle), b0,
-                mad3(gather3(scene->triangles + TRIANGLE_N1, triangle), b1,
-                     scale3(gather3(scene->triangles + TRIANGLE_N2, triangle), b2)));
+    v3 n = mad3(words3(t2, TRIANGLE_N0 - TRIANGLE_SECOND), b0,
+                mad3(words3(t2, TRIANGLE_N1 - TRIANGLE_SECOND), b1,
+                     scale3(words3(t2, TRIANGLE_N2 - TRIANGLE_SECOND), b2)));
     vf l2 = dot3(n, n);
     normal = pick3(geometric, scale3(n, one_f() / sqrt(l2)), l2 > (vf)1e-12f);
   }
@@ -265,14 +273,13 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
     vi mapped = active & (texture != GLEANER_NONE);
     if (any_lane(mapped)) {
       vf unused;
-      v3 t = texture_lookup(scene, texture, tu, tv, mapped, &unused);
+      v3 n = texture_lookup(scene, texture, tu, tv, mapped, &unused);
       vf strength = material_f(scene, material, MATERIAL_NORMAL_SCALE);
-      t = make3((2.0f * t.x - 1.0f) * strength, (2.0f * t.y - 1.0f) * strength, 2.0f * t.z - 1.0f);
-      global const float* uv = scene->triangles;
-      vf du1 = gather_f(uv + TRIANGLE_UV1, triangle) - gather_f(uv + TRIANGLE_UV0, triangle);
-      vf dv1 = gather_f(uv + TRIANGLE_UV1 + 1, triangle) - gather_f(uv + TRIANGLE_UV0 + 1, triangle);
-      vf du2 = gather_f(uv + TRIANGLE_UV2, triangle) - gather_f(uv + TRIANGLE_UV0, triangle);
-      vf dv2 = gather_f(uv + TRIANGLE_UV2 + 1, triangle) - gather_f(uv + TRIANGLE_UV0 + 1, triangle);
+      n = make3((2.0f * n.x - 1.0f) * strength, (2.0f * n.y - 1.0f) * strength, 2.0f * n.z - 1.0f);
+      vf du1 = t2[TRIANGLE_UV1 - TRIANGLE_SECOND] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND];
+      vf dv1 = t2[TRIANGLE_UV1 - TRIANGLE_SECOND + 1] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1];
+      vf du2 = t2[TRIANGLE_UV2 - TRIANGLE_SECOND] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND];
+      vf dv2 = t2[TRIANGLE_UV2 - TRIANGLE_SECOND + 1] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1];
       vf area = du1 * dv2 - du2 * dv1;
       v3 e1 = sub3(p1, p0), e2 = sub3(p2, p0);
       // dp/du, made perpendicular to the normal; the bitangent's sense is that of -dv (v grows downwards in glTF).
@@ -281,7 +288,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       vi usable = mapped & (dot3(tangent, tangent) > zero_f()) & (area != zero_f());
       tangent = normalize3(tangent);
       v3 bitangent = scale3(cross3(normal, tangent), pick(one_f(), (vf)-1.0f, area > zero_f()));
-      v3 bent = normalize3(mad3(tangent, t.x, mad3(bitangent, t.y, scale3(normal, t.z))));
+      v3 bent = normalize3(mad3(tangent, n.x, mad3(bitangent, n.y, scale3(normal, n.z))));
       normal = pick3(normal, bent, usable & (dot3(bent, bent) > zero_f()));
     }
   }
@@ -329,17 +336,17 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   if (most) active = active & ((depth < most) | passes);
 
 #if defined(NEED_LOBE) || defined(NEED_TRANSMISSIVE)
-  m.alpha = material_f(scene, material, MATERIAL_ROUGHNESS);
+  m.alpha = w[MATERIAL_ROUGHNESS];
 #ifdef NEED_LOBE
-  m.metallic = material_f(scene, material, MATERIAL_METALLIC);
-  m.specular = material_f(scene, material, MATERIAL_SPECULAR);
-  m.f0 = material_3(scene, material, MATERIAL_F0);
-  m.table = material_u(scene, material, MATERIAL_ALBEDO_TABLE);
+  m.metallic = w[MATERIAL_METALLIC];
+  m.specular = w[MATERIAL_SPECULAR];
+  m.f0 = words3(w, MATERIAL_F0);
+  m.table = as_vu(w[MATERIAL_ALBEDO_TABLE]);
   m.table_row = zero_f();
 #endif
 #ifdef NEED_TRANSMISSIVE
-  m.transmission = material_f(scene, material, MATERIAL_TRANSMISSION);
-  m.ior = material_f(scene, material, MATERIAL_IOR);
+  m.transmission = w[MATERIAL_TRANSMISSION];
+  m.ior = w[MATERIAL_IOR];
   m.solid = (flags & GLEANER_MATERIAL_SOLID) != 0u;
 #endif
 #ifdef NEED_MATERIAL_TEXTURES
@@ -348,14 +355,14 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
     vu texture = material_u(scene, material, MATERIAL_METALLIC_ROUGHNESS_TEXTURE);
     vi textured = active & (texture != GLEANER_NONE);
     if (any_lane(textured)) {
-      v3 t = texture_lookup(scene, texture, tu, tv, textured, &unused);
-      m.alpha = pick(m.alpha, m.alpha * t.y, textured);
+      v3 c = texture_lookup(scene, texture, tu, tv, textured, &unused);
+      m.alpha = pick(m.alpha, m.alpha * c.y, textured);
 #ifdef NEED_LOBE
-      m.metallic = pick(m.metallic, m.metallic * t.z, textured);
+      m.metallic = pick(m.metallic, m.metallic * c.z, textured);
 #endif
     }
 #ifdef NEED_LOBE
-    vu rows = material_u(scene, material, MATERIAL_ALBEDO_ROWS);
+    vu rows = as_vu(w[MATERIAL_ALBEDO_ROWS]);
     m.table_row = pick(zero_f(), clamp_f(m.alpha, zero_f(), one_f()) * (vf)(float)(GLEANER_ALBEDO_ROWS - 1), rows > 1u);
     texture = material_u(scene, material, MATERIAL_SPECULAR_TEXTURE);
     textured = active & (texture != GLEANER_NONE);
@@ -367,16 +374,16 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
     texture = material_u(scene, material, MATERIAL_SPECULAR_COLOR_TEXTURE);
     textured = active & (texture != GLEANER_NONE);
     if (any_lane(textured)) {
-      v3 t = texture_lookup(scene, texture, tu, tv, textured, &unused);
-      m.f0 = pick3(m.f0, mul3(m.f0, t), textured);
+      v3 c = texture_lookup(scene, texture, tu, tv, textured, &unused);
+      m.f0 = pick3(m.f0, mul3(m.f0, c), textured);
     }
 #endif
 #ifdef NEED_TRANSMISSIVE
     texture = material_u(scene, material, MATERIAL_TRANSMISSION_TEXTURE);
     textured = active & (texture != GLEANER_NONE);
     if (any_lane(textured)) {
-      v3 t = texture_lookup(scene, texture, tu, tv, textured, &unused);
-      m.transmission = pick(m.transmission, m.transmission * t.x, textured);
+      v3 c = texture_lookup(scene, texture, tu, tv, textured, &unused);
+      m.transmission = pick(m.transmission, m.transmission * c.x, textured);
     }
 #endif
   }

@@ -38,6 +38,9 @@ FN vf max_component(v3 a) { return max_f(a.x, max_f(a.y, a.z)); }
 FN vi finite3(v3 a) { return finite_f(a.x) & finite_f(a.y) & finite_f(a.z); }
 FN v3 gather3(global const float* p, vu i) { return make3(gather_f(p, i), gather_f(p, i + 1u), gather_f(p, i + 2u)); }
 
+// Three words in a row of what load_words() gave.
+FN v3 words3(const vf* words, uint first) { return make3(words[first], words[first + 1u], words[first + 2u]); }
+
 // Two unit vectors perpendicular to unit n (Duff et al. 2017, "Building an Orthonormal Basis, Revisited").
 FN void basis3(v3 n, v3* s, v3* t) {
   vf sign = pick((vf)-1.0f, one_f(), n.z >= zero_f());

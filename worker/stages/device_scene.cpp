@@ -13,30 +13,7 @@ namespace gleaner::worker {
 namespace {
 
 #define SAME_WORD(type, field, word) static_assert(offsetof(scene::type, field) == 4 * (word))
-SAME_WORD(Material, base_color, MATERIAL_BASE_COLOR);
-SAME_WORD(Material, alpha, MATERIAL_ALPHA);
-SAME_WORD(Material, emission, MATERIAL_EMISSION);
-SAME_WORD(Material, alpha_cutoff, MATERIAL_ALPHA_CUTOFF);
-SAME_WORD(Material, specular_color, MATERIAL_SPECULAR_COLOR);
-SAME_WORD(Material, specular, MATERIAL_SPECULAR);
-SAME_WORD(Material, f0, MATERIAL_F0);
-SAME_WORD(Material, ior, MATERIAL_IOR);
-SAME_WORD(Material, attenuation, MATERIAL_ATTENUATION);
-SAME_WORD(Material, metallic, MATERIAL_METALLIC);
-SAME_WORD(Material, roughness, MATERIAL_ROUGHNESS);
-SAME_WORD(Material, transmission, MATERIAL_TRANSMISSION);
-SAME_WORD(Material, normal_scale, MATERIAL_NORMAL_SCALE);
-SAME_WORD(Material, flags, MATERIAL_FLAGS);
-SAME_WORD(Material, base_color_texture, MATERIAL_BASE_COLOR_TEXTURE);
-SAME_WORD(Material, metallic_roughness_texture, MATERIAL_METALLIC_ROUGHNESS_TEXTURE);
-SAME_WORD(Material, normal_texture, MATERIAL_NORMAL_TEXTURE);
-SAME_WORD(Material, emission_texture, MATERIAL_EMISSION_TEXTURE);
-SAME_WORD(Material, transmission_texture, MATERIAL_TRANSMISSION_TEXTURE);
-SAME_WORD(Material, specular_texture, MATERIAL_SPECULAR_TEXTURE);
-SAME_WORD(Material, specular_color_texture, MATERIAL_SPECULAR_COLOR_TEXTURE);
-SAME_WORD(Material, albedo_table, MATERIAL_ALBEDO_TABLE);
-SAME_WORD(Material, albedo_rows, MATERIAL_ALBEDO_ROWS);
-static_assert(sizeof(scene::Material) == 4 * MATERIAL_WORDS && sizeof(scene::Texture) == 4 * TEXTURE_WORDS);
+static_assert(sizeof(scene::Texture) == 4 * TEXTURE_WORDS);
 SAME_WORD(Texture, first_texel, TEXTURE_FIRST_TEXEL);
 SAME_WORD(Texture, width, TEXTURE_WIDTH);
 SAME_WORD(Texture, height, TEXTURE_HEIGHT);
@@ -54,6 +31,37 @@ std::array<float, 512> decode_table() {
     table[256 + i] = static_cast<float>(c);
   }
   return table;
+}
+
+std::vector<float> material_rows(const scene::Scene& scene) {
+  std::vector<float> rows(scene.materials.size() * MATERIAL_WORDS, 0.0f);
+  for (std::size_t i = 0; i < scene.materials.size(); ++i) {
+    const scene::Material& m = scene.materials[i];
+    float* row = &rows[i * MATERIAL_WORDS];
+    const auto word = [row](unsigned at, std::uint32_t value) { std::memcpy(row + at, &value, sizeof value); };
+    std::copy(m.base_color, m.base_color + 3, row + MATERIAL_BASE_COLOR);
+    row[MATERIAL_ALPHA] = m.alpha;
+    row[MATERIAL_METALLIC] = m.metallic;
+    row[MATERIAL_ROUGHNESS] = m.roughness;
+    row[MATERIAL_SPECULAR] = m.specular;
+    row[MATERIAL_TRANSMISSION] = m.transmission;
+    std::copy(m.f0, m.f0 + 3, row + MATERIAL_F0);
+    row[MATERIAL_IOR] = m.ior;
+    word(MATERIAL_FLAGS, m.flags);
+    word(MATERIAL_BASE_COLOR_TEXTURE, m.base_color_texture);
+    word(MATERIAL_ALBEDO_TABLE, m.albedo_table);
+    word(MATERIAL_ALBEDO_ROWS, m.albedo_rows);
+    row[MATERIAL_ALPHA_CUTOFF] = m.alpha_cutoff;
+    std::copy(m.attenuation, m.attenuation + 3, row + MATERIAL_ATTENUATION);
+    row[MATERIAL_NORMAL_SCALE] = m.normal_scale;
+    word(MATERIAL_METALLIC_ROUGHNESS_TEXTURE, m.metallic_roughness_texture);
+    word(MATERIAL_NORMAL_TEXTURE, m.normal_texture);
+    word(MATERIAL_EMISSION_TEXTURE, m.emission_texture);
+    word(MATERIAL_TRANSMISSION_TEXTURE, m.transmission_texture);
+    word(MATERIAL_SPECULAR_TEXTURE, m.specular_texture);
+    word(MATERIAL_SPECULAR_COLOR_TEXTURE, m.specular_color_texture);
+  }
+  return rows;
 }
 
 void write_triangles(const scene::Scene& scene, const std::vector<std::uint32_t>& emitters, float* out) {
@@ -101,7 +109,8 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
   bytes_ += triangle_bytes;
 
   const auto bytes_of = [](const auto& v) { return v.size() * sizeof(v[0]); };
-  materials_ = upload(device, queue, scene->materials.data(), bytes_of(scene->materials));
+  const std::vector<float> materials = material_rows(*scene);
+  materials_ = upload(device, queue, materials.data(), bytes_of(materials));
   textures_ = upload(device, queue, scene->textures.data(), bytes_of(scene->textures));
   texels_ = upload(device, queue, scene->texels.data(), bytes_of(scene->texels));
   const auto srgb = decode_table();
