@@ -1,5 +1,7 @@
 #include "cli/program.h"
 
+#include <google/protobuf/stubs/logging.h>
+
 #include <CLI/CLI.hpp>
 #include <cstdlib>
 #include <iostream>
@@ -35,6 +37,10 @@ int run_program(CLI::App& app, int argc, char** argv, const std::function<int()>
   return static_cast<int>(ErrorKind::failed);
 }
 
-void silence_grpc() { ::setenv("GRPC_VERBOSITY", "NONE", 0); }
+void silence_grpc() {
+  ::setenv("GRPC_VERBOSITY", "NONE", 0);
+  // protobuf would print a line for every malformed message that a hostile peer sends.
+  google::protobuf::SetLogHandler(nullptr);
+}
 
 }  // namespace gleaner::cli

@@ -29,6 +29,9 @@ struct Offered {
 // A worker that does what the test says, when it says so.
 class ScriptedWorker final : public WorkerSession {
  public:
+  ~ScriptedWorker() override {
+    if (farm_) farm_->leave(id);
+  }
   void welcome(const std::string& given) override { name = given; }
   void lease(const Lease& lease, std::shared_ptr<const StageWork> work) override {
     std::lock_guard lock(mutex_);

@@ -1,0 +1,296 @@
+// Coordinator and workers over the wire, with devices that only do arithmetic.
+
+#include "worker/agent/agent.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <condition_variable>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "scene/model/error.h"
+#include "tests/farm/wire_farm.h"
+
+namespace gleaner::test {
+namespace {
+
+using coordinator::JobState;
+using coordinator::JobStatus;
+using testing::HasSubstr;
+
+// What a test sees of its devices, and how it holds them up.
+struct Stage {
+  std::atomic<int> scenes_loaded{0}, batches{0};
+  std::atomic<bool> fail{false};
+  std::mutex mutex;
+  std::condition_variable opened;
+  bool open = true;
+
+  void set_open(bool is_open) {
+    std::lock_guard lock(mutex);
+    open = is_open;
+    opened.notify_all();
+  }
+  void pass() {
+    std::unique_lock lock(mutex);
+    opened.wait(lock, [&] { return open; });
+  }
+};
+
+class FakeRunner final : public worker::Runner {
+ public:
+  explicit FakeRunner(Stage& stage) : stage_(stage) {
+    info_.name = "arithmetic";
+    info_.tracer = "none";
+  }
+  const worker::DeviceInfo& info() const override { return info_; }
+  bool needs_bvh() const override { return false; }
+  bool holds_scene(const std::string& id) const override { return scenes_.count(id) != 0; }
+  void load_scene(const std::string& id, std::shared_ptr<const scene::Scene> scene,
+                  std::shared_ptr<const scene::Bvh>) override {
+    if (scene->triangle_count() != 1) throw Error::failed("another scene");
+    scenes_.insert(id);
+    ++stage_.scenes_loaded;
+  }
+  worker::BatchResult run(const worker::StageTask& task, std::uint64_t first, std::uint64_t count) override {
+    ++stage_.batches;
+    stage_.pass();
+    if (stage_.fail) throw Error::failed("the device is on fire");
+    if (!scenes_.count(task.scene)) throw Error::failed("no scene");
+    worker::BatchResult result;
+    if (task.kind == "fake-scatter")
+      result.records = fake_scatter(values_of<std::uint64_t>(task.parameters).at(0), first, count);
+    else
+      result.records = fake_gather(*task.inputs.at("hashes"), first, count);
+    result.counters.camera_rays = count;
+    return result;
+  }
+
+ private:
+  Stage& stage_;
+  worker::DeviceInfo info_;
+  std::set<std::string> scenes_;
+};
+
+// A worker on a thread of its own.
+class RunningAgent {
+ public:
+  RunningAgent(std::shared_ptr<grpc::Channel> channel, Stage& stage, const std::string& name, bool reconnect = true)
+      : agent_(std::move(channel), std::make_unique<FakeRunner>(stage), settings(name, reconnect)), thread_([this] {
+          try {
+            agent_.run();
+          } catch (const std::exception& error) {
+            error_ = error.what();
+          }
+          ended_ = true;
+        }) {}
+  ~RunningAgent() { stop(); }
+  void stop() {
+    agent_.stop();
+    if (thread_.joinable()) thread_.join();
+  }
+  void ask_to_stop() { agent_.stop(); }
+  bool ended() const { return ended_; }
+  std::string error() {
+    if (thread_.joinable()) thread_.join();
+    return error_;
+  }
+
+ private:
+  static worker::AgentSettings settings(const std::string& name, bool reconnect) {
+    worker::AgentSettings agent;
+    agent.name = name;
+    agent.reconnect = reconnect;
+    return agent;
+  }
+  worker::Agent agent_;
+  std::atomic<bool> ended_{false};
+  std::string error_;
+  std::thread thread_;
+};
+
+class FarmAgent : public testing::Test {
+ protected:
+  std::string submit(const coordinator::FrameSettings& settings = fake_settings()) {
+    grpc::ClientContext context;
+    pb::SubmitJobReply reply;
+    grpc::Status status = people_->SubmitJob(&context, farm_.good_request(settings), &reply);
+    EXPECT_TRUE(status.ok()) << status.error_message();
+    return reply.job();
+  }
+
+  JobStatus end_of(const std::string& job) {
+    EXPECT_TRUE(eventually([&] { return ended(farm_.farm().status(job)->state); }));
+    return *farm_.farm().status(job);
+  }
+
+  nlohmann::json report(const std::string& job) {
+    for (const auto& path : farm_.farm().files(job))
+      if (path.extension() == ".json") {
+        std::ifstream file(path);
+        return nlohmann::json::parse(file);
+      }
+    ADD_FAILURE() << "no report";
+    return {};
+  }
+
+  Stage stage_;
+  WireFarm farm_;
+  std::unique_ptr<pb::Farm::Stub> people_ = pb::Farm::NewStub(farm_.server().in_process_channel());
+};
+
+TEST_F(FarmAgent, AnyNumberOfWorkersGivesTheSamePixels) {
+  for (int count : {1, 2, 3, 7}) {
+    std::vector<std::unique_ptr<RunningAgent>> agents;
+    for (int i = 0; i < count; ++i)
+      // Some over a socket, some inside the process: the words are the same.
+      agents.push_back(
+          std::make_unique<RunningAgent>(i % 2 ? farm_.socket_channel() : farm_.server().in_process_channel(), stage_,
+                                         std::string("w").append(std::to_string(i))));
+    auto settings = fake_settings(96, 64);
+    std::string job = submit(settings);
+    JobStatus status = end_of(job);
+    ASSERT_EQ(status.state, JobState::done) << status.message;
+    EXPECT_EQ(report(job)["pixels_sha256"], fake_pixels_sha256(settings)) << count << " workers";
+  }
+}
+
+TEST_F(FarmAgent, LargeResultsTravelInPieces) {
+  RunningAgent agent(farm_.socket_channel(), stage_, "w");
+  auto settings =
+      fake_settings(1024, 512);  // 2 Mi items of 8 bytes; a solo stage of 2 MiB in one result, a 16 MiB input
+  settings.set["solo"] = "1";
+  std::string job = submit(settings);
+  JobStatus status = end_of(job);
+  ASSERT_EQ(status.state, JobState::done) << status.message;
+  auto json = report(job);
+  EXPECT_EQ(json["pixels_sha256"], fake_pixels_sha256(settings));
+  EXPECT_EQ(json["stages"][1]["batches"], 1);
+  EXPECT_EQ(json["bytes"]["downloaded"], (1 << 21) * 8 + (1 << 19) * 4);
+  EXPECT_GE(json["bytes"]["uploaded"], (1 << 21) * 8);
+}
+
+TEST_F(FarmAgent, AWarmWorkerFetchesNothingTwice) {
+  RunningAgent agent(farm_.socket_channel(), stage_, "w");
+  end_of(submit());
+  std::string again = submit();
+  end_of(again);
+  EXPECT_EQ(stage_.scenes_loaded, 1);
+  EXPECT_EQ(report(again)["bytes"]["uploaded"], 0) << "the scene and the artifact of the same bytes were there";
+}
+
+TEST_F(FarmAgent, ADeviceThatFailsIsAMessageAndNotACrash) {
+  RunningAgent agent(farm_.socket_channel(), stage_, "w");
+  stage_.fail = true;
+  JobStatus status = end_of(submit());
+  EXPECT_EQ(status.state, JobState::failed);
+  EXPECT_THAT(status.message, HasSubstr("the device is on fire"));
+  EXPECT_FALSE(agent.ended());
+}
+
+TEST_F(FarmAgent, AStreamThatBreaksGivesItsItemsToOthers) {
+  stage_.set_open(false);
+  auto broken_context = std::make_unique<grpc::ClientContext>();
+  auto stub = pb::WorkerHub::NewStub(farm_.socket_channel());
+  auto stream = stub->Work(broken_context.get());
+  pb::WorkerMessage hello;
+  hello.mutable_hello()->set_protocol(1);
+  hello.mutable_hello()->set_name("mortal");
+  stream->Write(hello);
+  pb::HubMessage heard;
+  ASSERT_TRUE(stream->Read(&heard));
+  auto settings = fake_settings();
+  std::string job = submit(settings);
+  ASSERT_TRUE(stream->Read(&heard));
+  ASSERT_TRUE(heard.has_lease());
+  broken_context->TryCancel();
+  stream->Finish();
+  stage_.set_open(true);
+  RunningAgent agent(farm_.socket_channel(), stage_, "survivor");
+  EXPECT_EQ(end_of(job).state, JobState::done);
+  EXPECT_EQ(report(job)["pixels_sha256"], fake_pixels_sha256(settings));
+}
+
+TEST_F(FarmAgent, StoppingFinishesTheBatchAndSendsIt) {
+  auto agent = std::make_unique<RunningAgent>(farm_.socket_channel(), stage_, "leaving");
+  stage_.set_open(false);
+  std::string job = submit();
+  ASSERT_TRUE(eventually([&] { return stage_.batches == 1; }));
+  agent->ask_to_stop();
+  std::this_thread::sleep_for(std::chrono::milliseconds(100));
+  EXPECT_FALSE(agent->ended()) << "its batch runs";
+  stage_.set_open(true);
+  EXPECT_EQ(agent->error(), "");
+  EXPECT_EQ(farm_.farm().status(job)->stages.at(0).items_done, 256u) << "one batch was finished, none was begun";
+  RunningAgent other(farm_.socket_channel(), stage_, "other");
+  EXPECT_EQ(end_of(job).state, JobState::done);
+}
+
+TEST_F(FarmAgent, ADrainedWorkerFinishesAllItHoldsAndEnds) {
+  RunningAgent agent(farm_.socket_channel(), stage_, "leaving");
+  stage_.set_open(false);
+  std::string job = submit();
+  ASSERT_TRUE(eventually([&] { return stage_.batches == 1; }));
+  ASSERT_TRUE(eventually([&] { return farm_.farm().workers().at(0).leases == 2; }));
+  farm_.farm().drain(1);
+  stage_.set_open(true);
+  EXPECT_EQ(agent.error(), "");
+  EXPECT_EQ(farm_.farm().status(job)->stages.at(0).items_done, 512u);
+}
+
+TEST_F(FarmAgent, SilenceIsBrokenByHeartbeats) {
+  RunningAgent agent(farm_.socket_channel(), stage_, "patient");
+  stage_.set_open(false);
+  submit();
+  ASSERT_TRUE(eventually([&] { return stage_.batches == 1; }));
+  std::this_thread::sleep_for(std::chrono::milliseconds(700));
+  EXPECT_LT(farm_.farm().workers().at(0).silent_seconds, 0.6) << "it speaks every 0.2 s though its batch runs";
+  stage_.set_open(true);
+}
+
+TEST_F(FarmAgent, CancelledWorkIsDroppedAndTheWorkerGoesOn) {
+  RunningAgent agent(farm_.socket_channel(), stage_, "w");
+  stage_.set_open(false);
+  std::string job = submit();
+  ASSERT_TRUE(eventually([&] { return stage_.batches == 1; }));
+  farm_.farm().cancel(job);
+  EXPECT_EQ(end_of(job).state, JobState::cancelled);
+  stage_.set_open(true);
+  auto settings = fake_settings();
+  settings.seed = 99;
+  std::string next = submit(settings);
+  EXPECT_EQ(end_of(next).state, JobState::done);
+  EXPECT_EQ(report(next)["pixels_sha256"], fake_pixels_sha256(settings));
+}
+
+TEST(FarmAgentAlone, ARestartedCoordinatorGetsItsWorkersBack) {
+  Stage stage;
+  auto farm = std::make_unique<WireFarm>();
+  std::string address = farm->server().address();
+  RunningAgent agent(worker::dial(address), stage, "faithful");
+  ASSERT_TRUE(eventually([&] { return farm->farm().workers().size() == 1; }));
+  farm.reset();
+  TemporaryFolder folder;
+  coordinator::BlobStore blobs;
+  coordinator::FarmSettings settings;
+  settings.plan = make_fake_plan;
+  settings.paths = [&](const std::string&, std::uint32_t) {
+    return coordinator::FramePaths{folder.path() / "a.exr", {}, {}};
+  };
+  coordinator::Farm again(settings, blobs);
+  gateway::ServerSettings server_settings;
+  server_settings.listen = address;
+  gateway::Server server(again, blobs, server_settings);
+  EXPECT_TRUE(eventually([&] { return again.workers().size() == 1; }));
+}
+
+TEST(FarmAgentAlone, WithoutACoordinatorItSaysSo) {
+  Stage stage;
+  RunningAgent agent(worker::dial("127.0.0.1:1"), stage, "lonely", false);
+  EXPECT_THAT(agent.error(), HasSubstr("no connection"));
+}
+
+}  // namespace
+}  // namespace gleaner::test
