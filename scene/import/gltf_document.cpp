@@ -20,7 +20,7 @@ constexpr int kByte = 5120, kUnsignedByte = 5121, kShort = 5122, kUnsignedShort 
 constexpr int kMaxNesting = 64;
 
 // Zeros that an accessor without a buffer view may ask for: nothing in the file stands for them.
-constexpr std::size_t kMaxZeros = std::size_t(1) << 24;
+constexpr std::size_t kMaxZeros = std::size_t(1) << 20;
 
 std::size_t component_bytes(int type) {
   switch (type) {

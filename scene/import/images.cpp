@@ -68,23 +68,31 @@ class OpenImage {
   std::uint32_t height() const { return static_cast<std::uint32_t>(spec_.height); }
   bool exceeds_bytes() const { return spec_.format.size() > 1; }
 
-  void read(std::uint32_t* texels) {
+  // Returns what a person may want to know about the image; empty where nothing is.
+  std::string read(std::uint32_t* texels) {
     const std::size_t count = std::size_t(width()) * height();
     std::fill_n(texels, count, 0xffffffffu);
     const int channels = std::min(spec_.nchannels, 4);
     if (!reader_->read_image(0, 0, 0, channels, OIIO::TypeDesc::UINT8, texels, sizeof *texels))
       fail("an image that can be decoded", one_line(reader_->geterror()));
-    if (channels > 2) return;
-    for (std::size_t i = 0; i < count; ++i) {
-      const std::uint32_t grey = texels[i] & 0xff, alpha = channels == 2 ? texels[i] >> 8 & 0xff : 0xff;
-      texels[i] = alpha << 24 | grey << 16 | grey << 8 | grey;
-    }
+    // A JPEG that ends too soon is grey from there on and no error to its reader; other complaints are for people.
+    const std::string complaint = reader_->geterror();
+    if (complaint.find("Premature end") != std::string::npos) fail("a whole image", one_line(complaint));
+    if (channels <= 2) spread_grey(texels, count, channels);
+    return complaint.empty() ? "" : source_.element + ": " + one_line(complaint);
   }
 
  private:
   [[noreturn]] void fail(const std::string& expected, const std::string& found) const {
     const std::string name = source_.path.empty() ? "" : " (" + source_.path.filename().string() + ")";
     throw Error::bad_input(file_, source_.element + name, expected, found);
+  }
+
+  static void spread_grey(std::uint32_t* texels, std::size_t count, int channels) {
+    for (std::size_t i = 0; i < count; ++i) {
+      const std::uint32_t grey = texels[i] & 0xff, alpha = channels == 2 ? texels[i] >> 8 & 0xff : 0xff;
+      texels[i] = alpha << 24 | grey << 16 | grey << 8 | grey;
+    }
   }
 
   std::string head() const {
@@ -131,6 +139,7 @@ std::vector<DecodedImage> decode_images(const std::vector<ImageSource>& sources,
 
   std::atomic<std::size_t> next = 0;
   std::vector<std::exception_ptr> errors(sources.size());
+  std::vector<std::string> remarks(sources.size());
   const auto run = [&] {
     for (std::size_t i; (i = next++) < sources.size();) {
       try {
@@ -138,7 +147,7 @@ std::vector<DecodedImage> decode_images(const std::vector<ImageSource>& sources,
         // A file that changed between its two openings must not write past its place.
         if (image.width() != images[i].width || image.height() != images[i].height)
           throw Error::bad_input(file, sources[i].element, "an image that stays the same", "another size");
-        image.read(texels.data() + images[i].first_texel);
+        remarks[i] = image.read(texels.data() + images[i].first_texel);
       } catch (...) {
         errors[i] = std::current_exception();
       }
@@ -153,6 +162,8 @@ std::vector<DecodedImage> decode_images(const std::vector<ImageSource>& sources,
   }
   for (const std::exception_ptr& error : errors)
     if (error) std::rethrow_exception(error);
+  for (const std::string& remark : remarks)
+    if (!remark.empty()) warnings.push_back(remark);
   return images;
 }
 

@@ -7,6 +7,7 @@
 #include <fstream>
 #include <limits>
 #include <numbers>
+#include <random>
 
 #include "import_files.h"
 #include "scene/import/import.h"
@@ -30,6 +31,13 @@ constexpr std::uint32_t rgba(std::uint32_t r, std::uint32_t g, std::uint32_t b, 
 std::string contents(const std::string& path) {
   std::ifstream stream(path, std::ios::binary);
   return {std::istreambuf_iterator<char>(stream), {}};
+}
+
+std::vector<float> noise(std::size_t count) {
+  std::mt19937 random(5);
+  std::vector<float> values(count);
+  for (float& v : values) v = static_cast<float>(random() % 256) / 255;
+  return values;
 }
 
 class Textures : public testing::Test {
@@ -206,6 +214,11 @@ TEST_F(Textures, BadOnesAreNamed) {
   EXPECT_THAT(refused(textured({{"uri", "cut.png"}})), word("cut.png"));
   folder_.write("head.png", good.substr(0, 20));
   EXPECT_THAT(refused(textured({{"uri", "head.png"}})), word("head.png"));
+  const std::string jpeg = contents(folder_.write_image("good.jpg", 64, 64, 3, noise(3 * 64 * 64)));
+  folder_.write("cut.jpg", jpeg.substr(0, jpeg.size() / 2));
+  EXPECT_THAT(refused(textured({{"uri", "cut.jpg"}})), word("cut.jpg"));
+  EXPECT_THAT(refused(textured({{"uri", "data:image/jpeg;base64," + base64(jpeg.substr(0, jpeg.size() / 2))}})),
+              HasSubstr("images[0].uri"));
   EXPECT_THAT(refused(textured({{"uri", "data:image/png;base64,"}})), HasSubstr("images[0].uri"));
   EXPECT_THAT(refused(textured({{"uri", "data:image/png;base64," + base64(good.substr(0, 60))}})),
               HasSubstr("images[0].uri"));
