@@ -123,7 +123,7 @@ Scene hall(const std::string& name, const Values& values) {
   const std::uint32_t plaster = b.material("plaster", lambert({0.75, 0.72, 0.66}));
   const std::uint32_t stone = b.material("stone", lambert({0.6, 0.55, 0.47}));
   const std::uint32_t floor = b.material("floor", dielectric({0.32, 0.24, 0.18}, 0.3));
-  const std::uint32_t window = b.material("window", emitter({9, 10, 12}));
+  const std::uint32_t window = b.material("window", emitter({4.5, 5, 6}));
 
   b.mesh("floor");
   const FloorGrid cells = floor_grid(wanted - level.triangles(), length);

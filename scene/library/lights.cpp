@@ -12,9 +12,9 @@ namespace {
 constexpr Rgb plaster{0.72, 0.7, 0.66}, stone{0.55, 0.52, 0.47};
 
 // A hall of 20 x 6 x 12 m with columns, lit by lamps of 1 to 10 cm on ceiling and walls. Their radiances differ by a
-// factor of 32, their areas by 100; together they emit 2 kW whatever their number.
+// factor of 32, their areas by 100; together they emit 800 W whatever their number.
 Scene many_lights(const std::string& name, const Values& values) {
-  constexpr double half_x = 10, height = 6, half_z = 6, watts = 2000;
+  constexpr double half_x = 10, height = 6, half_z = 6, watts = 800;
   SceneBuilder b(name);
   const std::uint32_t wall = b.material("plaster", lambert(plaster));
   const std::uint32_t column = b.material("stone", lambert(stone));
@@ -131,7 +131,7 @@ Scene glass_caustic(const std::string& name, const Values&) {
   const std::uint32_t floor = b.material("floor", lambert(grey(0.7)));
   const std::uint32_t wall = b.material("wall", lambert({0.5, 0.55, 0.6}));
   const std::uint32_t glass = b.material("glass", solid_glass(1.5));
-  const std::uint32_t light = b.material("light", emitter({900, 850, 750}));
+  const std::uint32_t light = b.material("light", emitter({3000, 2850, 2500}));
   b.mesh("floor");
   b.quad({-3, 0, 2.5}, {3, 0, 2.5}, {3, 0, -2}, {-3, 0, -2}, floor);
   b.mesh("wall");

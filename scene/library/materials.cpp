@@ -8,11 +8,11 @@
 namespace gleaner::scene {
 namespace {
 
-// A clear sky with a sun of 1.5 degrees' radius that brings about 1.6 times the sky's irradiance on what faces it.
+// A clear sky with a sun of 1.5 degrees' radius that lights level ground about as much as the sky does.
 Rgb sky(Vec d) {
   static const Vec sun = normalize({0.45, 0.62, 0.64});
   static const double cos_radius = std::cos(radians(1.5));
-  if (dot(d, sun) > cos_radius) return {2600, 2350, 1950};
+  if (dot(d, sun) > cos_radius) return {1300, 1180, 980};
   const double glow = std::pow(std::max(dot(d, sun), 0.0), 40);
   if (d.y < 0) return {0.18, 0.17, 0.16};
   const double t = std::sqrt(d.y);  // horizon to zenith
