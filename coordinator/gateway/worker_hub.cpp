@@ -1,5 +1,6 @@
 #include "coordinator/gateway/worker_hub.h"
 
+#include <algorithm>
 #include <condition_variable>
 #include <deque>
 #include <functional>
@@ -17,6 +18,15 @@ using grpc::StatusCode;
 using Stream = grpc::ServerReaderWriter<pb::HubMessage, pb::WorkerMessage>;
 
 namespace {
+
+// A worker's words end up on terminals and in other messages: what is not plain text is left out, and so is what is too
+// long.
+std::string printable(const std::string& words) {
+  std::string text = words.substr(0, 4096);
+  std::replace_if(
+      text.begin(), text.end(), [](unsigned char c) { return c != '\n' && (c < 0x20 || c > 0x7e); }, '?');
+  return text;
+}
 
 // What is said to one worker: queued by the farm, written by a thread of the session's own, so that no worker that
 // reads slowly can hold up the farm.
@@ -214,7 +224,7 @@ Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
           break;
         case pb::WorkerMessage::kFailed:
           farm_.failed(worker, message.failed().lease(), message.failed().epoch(),
-                       message.failed().message().substr(0, 4096));
+                       printable(message.failed().message()));
           break;
         case pb::WorkerMessage::kHeartbeat:
           farm_.heard(worker);
