@@ -607,9 +607,10 @@ struct Scheduler::Impl {
 
   // -- For a person --------------------------------------------------------------------------------------------------
 
-  // "worker 7 drains", "workers 7, 8 drain", "all 9 workers drain", "9 of 12 workers drain".
+  // "worker 7 drains", "workers 7, 8 drain", "both workers drain", "all 9 workers drain", "9 of 12 workers drain".
   std::string describe(const std::vector<WorkerId>& who, const std::string& one, const std::string& many) const {
     if (who.size() == 1) return "worker " + std::to_string(who[0]) + " " + one;
+    if (who.size() == joined && joined == 2) return "both workers " + many;
     if (who.size() == joined) return "all " + std::to_string(who.size()) + " workers " + many;
     if (who.size() > 3) return std::to_string(who.size()) + " of " + std::to_string(joined) + " workers " + many;
     std::string ids;

@@ -277,6 +277,47 @@ TEST(Batches, IgnoreSamplesTooShortToMeanAnything) {
   EXPECT_DOUBLE_EQ(farm.items_per_second(kAda, "shade"), 10 / 0.005);
 }
 
+TEST(Batches, DoubleWhileAWorkerThatBecameFastCannotBeMeasured) {
+  Scheduler farm;
+  farm.worker_joined(kAda, 0);
+  farm.add_stage(stage_of(1'000'000'000), 0);
+  Seconds now = 0;
+  for (int i = 0; i < 5; ++i) work(farm, kAda, 1e4, now);
+  // A thousand times faster: 5000 items take 0.5 ms.
+  std::vector<std::uint64_t> sizes;
+  for (int i = 0; i < 5; ++i) sizes.push_back(work(farm, kAda, 1e7, now).count);
+  EXPECT_EQ(sizes, (std::vector<std::uint64_t>{5000, 10'000, 20'000, 40'000, 80'000}));
+  EXPECT_GT(farm.items_per_second(kAda, "shade"), 1e6);
+}
+
+TEST(Batches, OneAtATimeUntilTheThroughputIsKnown) {
+  Scheduler farm;
+  farm.worker_joined(kAda, 0);
+  const StageId stage = farm.add_stage(stage_of(1'000'000), 0);
+  const Lease first = take(farm, kAda);
+  EXPECT_FALSE(farm.next_lease(kAda, 0).has_value());
+  EXPECT_EQ(farm.why_waiting(stage, 0), "worker 11 runs its first batch of shade");
+  deliver(farm, first, 1, 1);
+  take(farm, kAda, 1);
+  EXPECT_TRUE(farm.next_lease(kAda, 1).has_value());
+}
+
+TEST(Batches, NothingWaitsForAWorkerThatHasItsShare) {
+  Scheduler farm;
+  farm.worker_joined(kAda, 0);
+  farm.worker_joined(kBob, 0);
+  // Both are known to run 4096 items a second; of the last 400 each may have half.
+  const StageId first = farm.add_stage(stage_of(160'000), 0);
+  deliver(farm, take(farm, kAda), 1, 1);
+  deliver(farm, take(farm, kBob), 1, 1);
+  farm.remove_stage(first);
+  const StageId stage = farm.add_stage(stage_of(400), 1);
+  EXPECT_EQ(take(farm, kAda, 1).count, 204u);  // 0.05 s
+  EXPECT_FALSE(farm.next_lease(kAda, 1).has_value());
+  EXPECT_EQ(take(farm, kBob, 1).count, 196u);
+  EXPECT_EQ(farm.why_waiting(stage, 1), "");
+}
+
 TEST(Batches, ThroughputIsRememberedAcrossStages) {
   Scheduler farm;
   farm.worker_joined(kAda, 0);
@@ -422,6 +463,16 @@ TEST(Leases, WaitingBehindALateBatchGoToOthers) {
   EXPECT_EQ(deliver(farm, running, 5, now + 5).verdict, Verdict::accepted);
   EXPECT_TRUE(farm.next_lease(kAda, now + 5).has_value());
   EXPECT_GT(farm.items_done(stage), 0u);
+}
+
+TEST(Leases, OutliveAClockThatJumpsBack) {
+  Scheduler farm(fixed(10));
+  farm.worker_joined(kAda, 1000);
+  farm.add_stage(stage_of(100), 1000);
+  const Lease before = take(farm, kAda, 1000), after = take(farm, kAda, 10);
+  EXPECT_EQ(after.issued, 1000);
+  EXPECT_GE(after.expires, before.expires);
+  EXPECT_TRUE(farm.expire(500).empty());
 }
 
 TEST(Leases, OfADrainingWorkerMayFinish) {
@@ -602,6 +653,17 @@ TEST(Solo, NobodyWaitsForAPreferredWorkerThatDrainsOrIsGone) {
   farm.worker_draining(kBob);
   farm.add_stage(solo_of(10, {kBob, 77}), 5);
   EXPECT_EQ(take(farm, kAda, 5).worker, kAda);
+}
+
+TEST(Solo, GoesToWhoeverIsIdleRatherThanBehindABatch) {
+  Scheduler farm(fixed(10));
+  farm.worker_joined(kAda, 0);
+  farm.worker_joined(kBob, 0);
+  farm.add_stage(stage_of(10), 0);
+  take(farm, kAda);
+  const StageId solo = farm.add_stage(solo_of(10, {}), 0);
+  EXPECT_FALSE(farm.next_lease(kAda, 0).has_value());
+  EXPECT_EQ(take(farm, kBob).stage, solo);
 }
 
 TEST(Solo, NothingWaitsBehindIt) {
