@@ -66,9 +66,11 @@ FN vf next_toward(vf x, vf sign) {
 }
 
 // The origin of a ray that leaves `p` on the side of `direction`: moved along the triangle's normal by the bound of p's
-// rounding error, component by component (pbrt-v4, 6.8.6), then by one unit in the last place. No scene-sized epsilon.
+// rounding error, component by component (pbrt-v4, 6.8.6), then by one unit in the last place. No scene-sized epsilon. A share
+// of the largest component's error comes on top: in a plane through 0, across an axis, the bound itself is 0 and an any-hit
+// query would find the plane at distance 0 (it made the floors at y = 0 black).
 FN v3 leave_surface(v3 p, v3 error, v3 n, v3 direction) {
-  vf d = fabs(n.x) * error.x + fabs(n.y) * error.y + fabs(n.z) * error.z;
+  vf d = fabs(n.x) * error.x + fabs(n.y) * error.y + fabs(n.z) * error.z + 0.03125f * max_component(error);
   d = pick(-d, d, dot3(n, direction) > zero_f());
   v3 o = mad3(n, d, p);
   return make3(next_toward(o.x, d * n.x), next_toward(o.y, d * n.y), next_toward(o.z, d * n.z));

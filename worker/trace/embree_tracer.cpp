@@ -69,9 +69,10 @@ struct alignas(64) Valid {
   int lanes[16];
 };
 
-Valid first_lanes(std::uint32_t count) {
+// Lanes of the first `count` that ask something: what the others hold may be anything, and Embree must not look at it.
+Valid asking(const float* far, std::uint32_t count) {
   Valid valid;
-  for (std::uint32_t k = 0; k < 16; ++k) valid.lanes[k] = k < count ? -1 : 0;
+  for (std::uint32_t k = 0; k < 16; ++k) valid.lanes[k] = k < count && far[k] > 0 ? -1 : 0;
   return valid;
 }
 
@@ -107,20 +108,16 @@ class EmbreeTracer final : public Tracer {
   ~EmbreeTracer() override { release(); }
 
   void closest(cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) override {
-    Mapped mapped(queue, rays, range);
-    const std::size_t stride = 16 * range.rows;
-    walk(range, [&](Query& query, const Valid& valid, std::uint32_t block) {
-      auto* hit = reinterpret_cast<RTCRayHit16*>(mapped.floats() + stride * block);
+    walk(queue, rays, range, [](Query& query, const Valid& valid, float* block, RTCScene scene) {
+      auto* hit = reinterpret_cast<RTCRayHit16*>(block);
       query.closest(valid.lanes, hit);
-      retrace_self_hits(hit, valid);
+      retrace_self_hits(hit, valid, scene);
     });
   }
 
   void any(cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) override {
-    Mapped mapped(queue, rays, range);
-    const std::size_t stride = 16 * range.rows;
-    walk(range, [&](Query& query, const Valid& valid, std::uint32_t block) {
-      query.any(valid.lanes, reinterpret_cast<RTCRay16*>(mapped.floats() + stride * block));
+    walk(queue, rays, range, [](Query& query, const Valid& valid, float* block, RTCScene) {
+      query.any(valid.lanes, reinterpret_cast<RTCRay16*>(block));
     });
   }
 
@@ -151,23 +148,25 @@ class EmbreeTracer final : public Tracer {
   };
 
   template <typename Visit>
-  void walk(const RayRange& range, Visit&& visit) {
+  void walk(cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range, Visit&& visit) {
+    Mapped mapped(queue, rays, range);
+    const std::size_t stride = std::size_t{RAY_BLOCK} * range.rows;
     const unsigned control = _mm_getcsr();
     // Embree asks for flushed denormals; it loses much time on them.
     _mm_setcsr(control | 0x8040);
-    Query single(scene_, false);
-    const Valid all = first_lanes(16);
-    for (std::uint32_t i = 0; i < range.incoherent; i += 16)
-      visit(single, range.incoherent - i >= 16 ? all : first_lanes(range.incoherent - i), i / 16);
-    Query packet(scene_, true);
-    for (std::uint32_t i = 0; i < range.coherent_count; i += 16)
-      visit(packet, range.coherent_count - i >= 16 ? all : first_lanes(range.coherent_count - i),
-            (range.coherent_base + i) / 16);
+    const auto run = [&](Query query, std::uint32_t base, std::uint32_t count) {
+      for (std::uint32_t i = 0; i < count; i += RAY_BLOCK) {
+        float* block = mapped.floats() + stride * ((base + i) / RAY_BLOCK);
+        visit(query, asking(block + RAY_BLOCK * ROW_FAR, count - i), block, scene_);
+      }
+    };
+    run(Query(scene_, false), 0, range.incoherent);
+    run(Query(scene_, true), range.coherent_base, range.coherent_count);
     _mm_setcsr(control);
   }
 
   // A plane is never left through itself: where rounding says so all the same, the search goes on behind that hit.
-  void retrace_self_hits(RTCRayHit16* rays, const Valid& valid) {
+  static void retrace_self_hits(RTCRayHit16* rays, const Valid& valid, RTCScene scene) {
     // All lanes at once, so that the compiler makes vector code of it; a hit on the source is next to never.
     std::uint32_t self = 0;
     for (std::uint32_t k = 0; k < 16; ++k)
@@ -177,14 +176,14 @@ class EmbreeTracer final : public Tracer {
     while (self) {
       const int lane = __builtin_ctz(self);
       self &= self - 1;
-      Query query(scene_, false);
+      Query query(scene, false);
       for (int tries = 0; tries < 4 && rays->hit.geomID[lane] != RTC_INVALID_GEOMETRY_ID &&
                           rays->hit.primID[lane] == rays->ray.id[lane];
            ++tries) {
         rays->ray.tnear[lane] = std::nextafter(rays->ray.tfar[lane], std::numeric_limits<float>::infinity());
         rays->ray.tfar[lane] = std::numeric_limits<float>::infinity();
         rays->hit.geomID[lane] = RTC_INVALID_GEOMETRY_ID;
-        Valid one = first_lanes(0);
+        Valid one{};
         one.lanes[lane] = -1;
         query.closest(one.lanes, rays);
       }
