@@ -147,7 +147,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   vi missed = active & none(hit);
   if (any_lane(missed)) {
     vf u, v;
-    v3 d = normalize3(direction);
+    // Lanes that hold no path may hold anything, and what they look up must lie within the table all the same.
+    v3 d = normalize3(pick3(uniform3(0.0f, 1.0f, 0.0f), direction, missed));
     environment_uv(d, &u, &v);
     v3 radiance = environment_radiance(scene, u, v);
     vf light = environment_pdf(scene, u, v, safe_sqrt(one_f() - d.y * d.y)) * environment_chance(scene, last_total);
