@@ -200,6 +200,8 @@ FN BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vi inside,
   b.weight = pick3(splat3(zero_f()), m->base, b.direction.z > (vf)1e-6f);
 #endif
 #ifdef NEED_TRANSMISSIVE
+  // Light samples weigh against the density over all samples, of which glass takes its share.
+  b.pdf *= one_f() - m->transmission;
   vi glass = u_glass < m->transmission;
   if (any_lane(glass)) {
     v3 h = uniform3(0.0f, 0.0f, 1.0f);
