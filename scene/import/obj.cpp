@@ -244,11 +244,11 @@ class ObjReader {
     if (polygon_.size() < 3) lines.fail("f", "at least 3 corners", std::to_string(polygon_.size()));
     if (scene_.triangle_count() + polygon_.size() - 2 > kMaxTriangles)
       lines.fail("f", "at most " + std::to_string(kMaxTriangles) + " triangles", "more");
-    std::vector<std::array<double, 3>> points;
+    points_.clear();
     for (const Corner& c : polygon_)
-      points.push_back({vertices_[3 * c[0]], vertices_[3 * c[0] + 1], vertices_[3 * c[0] + 2]});
+      points_.push_back({vertices_[3 * c[0]], vertices_[3 * c[0] + 1], vertices_[3 * c[0] + 2]});
     if (!material_) use_material(lines, "");
-    for (const auto& triangle : triangulated(points)) {
+    for (const auto& triangle : triangulated(points_)) {
       for (const std::uint32_t k : triangle) scene_.indices.push_back(vertex_of(polygon_[k]));
       scene_.triangle_material.push_back(*material_);
     }
@@ -482,6 +482,7 @@ class ObjReader {
   std::set<std::string> warned_;
   std::vector<float> vertices_, texture_vertices_, normals_;
   std::vector<Corner> polygon_;
+  std::vector<std::array<double, 3>> points_;  // of polygon_
   std::unordered_map<Corner, std::uint32_t, CornerHash> vertex_by_corner_;
   std::string mesh_name_;
   std::optional<std::uint32_t> material_;
