@@ -101,8 +101,9 @@ class Scheduler {
   // Gets no new leases; those it holds may still finish.
   void worker_draining(WorkerId worker);
 
-  // The next lease for the worker, or none: it holds enough, drains, is unknown, or nothing waits. Ask again for every
-  // worker after each event (result, failure, loss, new stage, expire()), until none is given.
+  // The next lease for the worker, or none: it holds enough, drains, is unknown, or nothing waits. Ask for the
+  // worker of an event until none is given, and again for those that got none while they had room: soon after each
+  // event (result, failure, loss, new stage, expire()), on large farms gathered, e.g. every 2 ms.
   std::optional<Lease> next_lease(WorkerId worker, Seconds now);
   // A batch's result. `seconds` is the worker's own measure of the batch.
   ResultOutcome result(WorkerId worker, LeaseId lease, Epoch epoch, Seconds seconds, Seconds now);

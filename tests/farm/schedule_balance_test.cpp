@@ -32,7 +32,7 @@ double over_ideal(Policy& policy, const std::vector<WorkerScript>& workers, std:
   return outcome.makespan / ideal_makespan(workers, static_cast<double>(items) * stages);
 }
 
-// Prints and returns the scheduler's makespan over the ideal, and checks that neither simple policy is better.
+// Prints and returns the makespan over the ideal.
 double gleaner(const std::string& what, const std::vector<WorkerScript>& workers, std::uint64_t items = kItems,
                const Network& network = {}, int stages = 1) {
   const SchedulerSettings settings;
@@ -42,7 +42,8 @@ double gleaner(const std::string& what, const std::vector<WorkerScript>& workers
   return ours;
 }
 
-// The same with the policies that Gleaner is compared with. Not where a worker hangs: they would wait for ever.
+// Checks that neither of the policies that Gleaner is compared with is better. Not where a worker hangs: they would
+// wait for ever.
 void expect_better_than_simple(double ours, const std::vector<WorkerScript>& workers, std::uint64_t items = kItems,
                                const Network& network = {}) {
   const SchedulerSettings settings;

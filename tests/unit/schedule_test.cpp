@@ -418,6 +418,42 @@ TEST(Leases, ThatRanOutAreHandedToOthersAndDroppedWhenLate) {
   EXPECT_EQ(deliver(farm, again, 1, slow.expires + 2).verdict, Verdict::accepted);
 }
 
+TEST(Leases, ALateResultShowsThatItsWorkerLivesAndHowFastItIs) {
+  Scheduler farm;
+  farm.worker_joined(kAda, 0);
+  farm.worker_joined(kBob, 0);
+  farm.add_stage(stage_of(1'000'000), 0);
+  const Lease slow = take(farm, kAda);
+  EXPECT_EQ(farm.expire(10).size(), 1u);
+  EXPECT_DOUBLE_EQ(farm.items_per_second(kAda, "shade"), 409.6) << "at most";
+  EXPECT_FALSE(farm.next_lease(kAda, 11).has_value());
+  EXPECT_EQ(deliver(farm, slow, 20, 12).verdict, Verdict::stale);
+  EXPECT_DOUBLE_EQ(farm.items_per_second(kAda, "shade"), 409.6 + 0.5 * (204.8 - 409.6));
+  EXPECT_TRUE(farm.next_lease(kAda, 12).has_value());
+}
+
+TEST(Leases, OfALoneWorkerWaitBehindALateBatch) {
+  SchedulerSettings settings;
+  settings.lease_floor = 1;
+  Scheduler farm(settings);
+  farm.worker_joined(kAda, 0);
+  farm.add_stage(stage_of(100'000'000), 0);
+  deliver(farm, take(farm, kAda), 0.5, 0.5);
+  const Lease running = take(farm, kAda, 0.5), waiting = take(farm, kAda, 0.5);
+  // Expected to end at 1.0 and 1.5.
+  EXPECT_DOUBLE_EQ(running.expires, 4.5);
+  EXPECT_DOUBLE_EQ(waiting.expires, 8.5);
+  EXPECT_TRUE(farm.expire(4.4).empty()) << "nobody else could have it";
+  EXPECT_EQ(deliver(farm, running, 3.9, 4.4).verdict, Verdict::accepted);
+  // Its time begins now, and is that of a slower worker.
+  const double rate = farm.items_per_second(kAda, "shade");
+  EXPECT_LT(rate, 5000);
+  const Seconds end = 4.4 + settings.lease_factor * static_cast<double>(waiting.count) / rate;
+  EXPECT_GT(end, 10);
+  EXPECT_TRUE(farm.expire(end - 0.01).empty());
+  EXPECT_EQ(farm.expire(end + 0.01).size(), 1u);
+}
+
 TEST(Leases, ASlowLoneWorkerGetsThereInTheEnd) {
   // 10 items a second, and first batches of 4096 that run out after 10 s: it must be given less until it keeps up.
   Scheduler farm;
@@ -832,13 +868,15 @@ TEST(Progress, CountsWhatEachWorkerDid) {
 
 // Steps per event (each step O(log n)) on a farm where every worker is asked once and delivers all it holds, twice.
 double steps_per_event(std::uint64_t workers) {
-  Scheduler farm(fixed(10));
+  SchedulerSettings settings;
+  settings.first_batch_items = 10;
+  Scheduler farm(settings);
   for (WorkerId worker = 1; worker <= workers; ++worker) farm.worker_joined(worker, 0);
-  farm.add_stage(stage_of(workers * 40), 0);
+  farm.add_stage(stage_of(workers * 20), 0);
   std::uint64_t events = 0;
   const std::uint64_t before = farm.steps();
   Seconds now = 0;
-  while (farm.items_done(1) < workers * 40) {
+  while (farm.items_done(1) < workers * 20) {
     std::vector<Lease> held;
     for (WorkerId worker = 1; worker <= workers; ++worker) {
       for (;;) {
@@ -853,7 +891,8 @@ double steps_per_event(std::uint64_t workers) {
     farm.expire(now);
     for (const Lease& lease : held) {
       ++events;
-      deliver(farm, lease, 0.5 + 0.1 * static_cast<double>(lease.worker % 10), now);
+      const double items_per_second = 10 + static_cast<double>(lease.worker % 10);
+      deliver(farm, lease, static_cast<double>(lease.count) / items_per_second, now);
     }
     EXPECT_FALSE(held.empty());
     if (held.empty()) break;
