@@ -95,6 +95,9 @@ TEST(SceneBlob, NoBeginningOfItIsTaken) {
   Bytes longer = bytes;
   longer.push_back(std::byte{0});
   EXPECT_NE(rejection(longer), "");
+  const std::uint64_t length = longer.size();  // even where the header knows of it
+  std::memcpy(longer.data() + 16, &length, sizeof length);
+  EXPECT_THAT(rejection(longer), HasSubstr("end"));
 }
 
 TEST(SceneBlob, NothingElseIsTakenForOne) {
