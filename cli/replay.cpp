@@ -1,0 +1,99 @@
+// `gleaner replay`: one item of one stage again, on a device of this machine: what a failure's message asks for.
+
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <cstring>
+#include <memory>
+
+#include "cli/commands.h"
+#include "cli/frame_options.h"
+#include "coordinator/plan/plan.h"
+#include "scene/bvh/build.h"
+#include "scene/model/error.h"
+#include "worker/stages/executor.h"
+
+namespace gleaner::cli {
+namespace {
+
+struct ReplayWords {
+  FrameOptions frame;
+  std::string stage, trace = "auto";
+  std::uint64_t item = 0;
+  int device = -1;
+};
+
+worker::StageTask task_of(const coordinator::StageSpec& stage, const coordinator::Step& step) {
+  worker::StageTask task;
+  task.kind = stage.kind;
+  task.parameters = stage.parameters;
+  task.scene = "scene";
+  for (const coordinator::StageInput& input : stage.inputs) {
+    const auto artifact = step.artifacts.find(input.artifact);
+    if (artifact == step.artifacts.end())
+      throw Error::failed("stage " + stage.name + " reads " + input.name + ", which its plan did not provide");
+    task.inputs[input.name] = artifact->second;
+  }
+  return task;
+}
+
+int replay(const ReplayWords& words) {
+  LoadedFrame frame = load_frame(words.frame);
+  worker::Executor executor({.device = words.device, .threads = 0, .trace = worker::parse_trace_kind(words.trace)});
+  auto scene = std::make_shared<const scene::Scene>(std::move(frame.scene));
+  auto plan = coordinator::make_plan(frame.settings, coordinator::summarize(*scene));
+  std::shared_ptr<const scene::Bvh> bvh;
+  if (executor.needs_bvh()) bvh = std::make_shared<const scene::Bvh>(scene::build_bvh(*scene));
+  executor.load_scene("scene", scene, bvh);
+
+  // Stages before it are run whole: what they leave decides what the item is.
+  std::string seen;
+  coordinator::Step step = plan->next(nullptr);
+  while (!step.done) {
+    if (step.stages.size() != 1)
+      throw Error::failed("replay follows plans of one stage at a time; this one asks for " +
+                          std::to_string(step.stages.size()));
+    const coordinator::StageSpec stage = step.stages.front();
+    const worker::StageTask task = task_of(stage, step);
+    if (stage.name == words.stage) {
+      if (words.item >= stage.items)
+        throw Error::usage("--item: stage " + stage.name + " has " + std::to_string(stage.items) + " items, found " +
+                           std::to_string(words.item));
+      const std::uint64_t first = words.item / stage.tile * stage.tile;
+      const std::uint64_t count = std::min<std::uint64_t>(stage.tile, stage.items - first);
+      const worker::BatchResult result = executor.run(task, first, count);
+      fmt::print("scene {}, stage {}, item {}, seed {}, device {}, tracer {}\n", frame.scene_name, stage.name,
+                 words.item, frame.settings.seed, executor.info().name, executor.info().tracer);
+      const std::byte* record = result.records.data() + (words.item - first) * stage.record_bytes;
+      for (std::uint32_t at = 0; at + 4 <= stage.record_bytes; at += 4) {
+        float value;
+        std::uint32_t bits;
+        std::memcpy(&value, record + at, 4);
+        std::memcpy(&bits, record + at, 4);
+        fmt::print("  word {:2}  {:#010x}  {:.9g}\n", at / 4, bits, value);
+      }
+      fmt::print("  samples that were not finite in its tile: {}\n", result.counters.nonfinite);
+      return 0;
+    }
+    seen += (seen.empty() ? "" : ", ") + stage.name;
+    coordinator::FinishedStage finished{stage.name, nullptr};
+    finished.records = std::make_shared<const scene::Bytes>(executor.run(task, 0, stage.items).records);
+    step = plan->next(&finished);
+  }
+  throw Error::usage("--stage: no stage \"" + words.stage + "\"; the frame's stages are " + seen);
+}
+
+}  // namespace
+
+void add_replay(CLI::App& app, Run& run) {
+  auto* command = app.add_subcommand("replay", "run one item of one stage again and print its record");
+  auto words = std::make_shared<ReplayWords>();
+  add_frame_options(*command, words->frame);
+  command->add_option("--stage", words->stage, "the stage's name, e.g. path.0")->required();
+  command->add_option("--item", words->item, "the item's number in the stage")->required();
+  command->add_option("--device", words->device, "see gleaner devices (default: the first GPU, else the first device)");
+  command->add_option("--trace", words->trace, "auto, embree or opencl")->capture_default_str();
+  command->callback([words, &run] { run = [words] { return replay(*words); }; });
+}
+
+}  // namespace gleaner::cli
