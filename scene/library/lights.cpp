@@ -100,7 +100,7 @@ Scene many_lights(const std::string& name, const Values& values) {
       b.triangle(first, first + 2, first + 3, material);
     }
   }
-  b.camera("camera", {-9.2, 2.2, 4.6}, {0, 2.4, -0.6}, 55, 960, 540);
+  b.camera("camera", {-9.4, 2.2, 1.2}, {4, 2.4, -1.6}, 55, 960, 540);
   b.camera("aisle", {-9.5, 1.7, 0}, {10, 2.6, 0}, 60, 960, 540);
   return b.finish();
 }
