@@ -1,0 +1,317 @@
+// The real programs on one machine: the same bits whoever renders, whatever dies; the words and statuses people rely
+// on.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/farm/processes.h"
+
+namespace gleaner::test {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+using testing::HasSubstr;
+using testing::Not;
+
+const fs::path programs = GLEANER_BIN_DIR;
+
+class Farm : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    shared_ = new TemporaryFolder;
+    Ran made = run({"scene", "cornell-box", "-o", scene().string()});
+    ASSERT_EQ(made.status, 0) << made.err;
+  }
+  static void TearDownTestSuite() {
+    delete shared_;
+    shared_ = nullptr;
+  }
+
+  static fs::path scene() { return shared_->path() / "box.glb"; }
+
+  // `gleaner WORDS...` without a farm.
+  static Ran run(std::vector<std::string> words, const std::map<std::string, std::string>& environment = {}) {
+    static int calls = 0;
+    words.insert(words.begin(), (programs / "gleaner").string());
+    auto variables = environment;
+    variables.emplace("GLEANER_COORDINATOR", "");
+    Process process(words, shared_->path() / (std::string("run").append(std::to_string(calls++))), variables);
+    Ran ran;
+    ran.status = process.wait();
+    ran.out = process.out();
+    ran.err = process.err();
+    return ran;
+  }
+
+  static std::vector<std::string> frame(unsigned spp) {
+    return {scene().string(), "--size", "80x60", "--spp", std::to_string(spp), "--seed", "7"};
+  }
+
+  // What the embedded farm makes of the frame.
+  static std::string embedded_sha256(unsigned spp, unsigned workers = 1, unsigned batch_items = 0) {
+    std::string stem =
+        (shared_->path() /
+         (std::string("embedded").append(std::to_string(spp)).append("-").append(std::to_string(workers))))
+            .string();
+    std::vector<std::string> words = frame(spp);
+    words.insert(words.begin(), "render");
+    for (const std::string& word :
+         {std::string("-o"), stem + ".exr", std::string("--report"), stem + ".json", std::string("--workers"),
+          std::to_string(workers), std::string("--batch-items"), std::to_string(batch_items)})
+      words.push_back(word);
+    Ran ran = run(words);
+    if (ran.status != 0) throw Error::failed("render: " + ran.err);
+    return json::parse(read_text(stem + ".json"))["pixels_sha256"];
+  }
+
+  fs::path folder(const std::string& name) const { return own_.path() / name; }
+
+  TemporaryFolder own_;
+  static TemporaryFolder* shared_;
+};
+TemporaryFolder* Farm::shared_ = nullptr;
+
+TEST_F(Farm, SameBitsForAnyWorkersAndAnyBatches) {
+  const unsigned spp = 16;
+  const std::string expected = embedded_sha256(spp);
+  EXPECT_EQ(embedded_sha256(spp, 3, 333), expected) << "three workers in one process";
+  struct {
+    unsigned workers;
+    const char* batch_items;
+  } const farms[] = {{1, "0"}, {2, "64"}, {3, "1000"}, {7, "517"}};
+  for (const auto& [workers, batch_items] : farms) {
+    ProcessFarm farm(folder(std::string("farm").append(std::to_string(workers))), programs,
+                     {"--batch-items", batch_items});
+    for (unsigned i = 0; i < workers; ++i) farm.add_worker(std::string("w").append(std::to_string(i)));
+    ASSERT_TRUE(farm.wait_for_workers(workers));
+    json report = farm.finish(farm.submit(frame(spp)));
+    EXPECT_EQ(report["pixels_sha256"], expected) << workers << " workers, batches of " << batch_items;
+    EXPECT_EQ(report["scene"], "box.glb");
+    EXPECT_GT(report["seconds"], 0);
+    EXPECT_GT(report["rays"]["total"], 0);
+  }
+}
+
+// Runs `act` on a job that has begun and not ended, with ever longer frames until it did: INCONCLUSIVE is not a pass.
+template <typename Act>
+void mid_frame(ProcessFarm& farm, const std::function<std::vector<std::string>(unsigned)>& words, const Act& act) {
+  for (unsigned spp = 128; spp <= 8192; spp *= 4) {
+    std::string job = farm.submit(words(spp));
+    ASSERT_TRUE(eventually([&] { return farm.items_done(job) > 0 || farm.ended(job); }, 120));
+    if (act(job, spp)) return;
+  }
+  FAIL() << "INCONCLUSIVE: every frame ended before anything could happen to it";
+}
+
+TEST_F(Farm, AKilledWorkerCostsNoPixel) {
+  ProcessFarm farm(folder("farm"), programs, {"--batch-items", "256"});
+  farm.add_worker("survivor");
+  Process* victim = &farm.add_worker("victim");
+  ASSERT_TRUE(farm.wait_for_workers(2));
+  mid_frame(farm, frame, [&](const std::string& job, unsigned spp) {
+    bool held_work = false;
+    for (const auto& worker : farm.workers()) held_work = held_work || (worker.id() == "victim" && worker.leases() > 0);
+    victim->signal(SIGKILL);
+    EXPECT_EQ(victim->wait(), 128 + SIGKILL);
+    bool while_it_ran = !farm.ended(job);
+    json report = farm.finish(job);
+    EXPECT_EQ(report["pixels_sha256"], embedded_sha256(spp));
+    if (while_it_ran && held_work) return true;
+    victim = &farm.add_worker("victim");
+    EXPECT_TRUE(farm.wait_for_workers(2));
+    return false;
+  });
+}
+
+TEST_F(Farm, AWorkerMayJoinMidFrame) {
+  ProcessFarm farm(folder("farm"), programs, {"--batch-items", "256"});
+  farm.add_worker("first");
+  ASSERT_TRUE(farm.wait_for_workers(1));
+  int joined = 0;
+  mid_frame(farm, frame, [&](const std::string& job, unsigned spp) {
+    farm.add_worker(std::string("late").append(std::to_string(joined++)));
+    json report = farm.finish(job);
+    EXPECT_EQ(report["pixels_sha256"], embedded_sha256(spp));
+    std::uint64_t late = 0;
+    for (const auto& stage : report["stages"])
+      for (const auto& [id, share] : stage["workers"].items())
+        if (id != "first") late += share["items"].get<std::uint64_t>();
+    return late > 0;
+  });
+}
+
+TEST_F(Farm, CancelEndsAJobAndTheFarmGoesOn) {
+  ProcessFarm farm(folder("farm"), programs, {"--batch-items", "256"});
+  farm.add_worker("w");
+  ASSERT_TRUE(farm.wait_for_workers(1));
+  mid_frame(farm, frame, [&](const std::string& job, unsigned) {
+    if (farm.gleaner({"cancel", job}).status != 0) return false;
+    Ran watched = farm.gleaner({"watch", job});
+    EXPECT_EQ(watched.status, 1);
+    EXPECT_THAT(watched.err, HasSubstr("cancelled"));
+    EXPECT_EQ(farm.show(job)["state"], "cancelled");
+    Ran fetched = farm.gleaner({"fetch", job, "-o", folder("nothing").string()});
+    EXPECT_EQ(fetched.status, 1);
+    EXPECT_FALSE(fs::exists(folder("nothing")));
+    return true;
+  });
+  EXPECT_EQ(farm.finish(farm.submit(frame(8)))["pixels_sha256"], embedded_sha256(8));
+}
+
+TEST_F(Farm, TwoJobsAtOnce) {
+  ProcessFarm farm(folder("farm"), programs);
+  farm.add_worker("a");
+  farm.add_worker("b");
+  ASSERT_TRUE(farm.wait_for_workers(2));
+  std::string first = farm.submit(frame(32)), second = farm.submit(frame(16)), third = farm.submit(frame(8));
+  EXPECT_EQ(farm.finish(third)["pixels_sha256"], embedded_sha256(8));
+  EXPECT_EQ(farm.finish(second)["pixels_sha256"], embedded_sha256(16));
+  EXPECT_EQ(farm.finish(first)["pixels_sha256"], embedded_sha256(32));
+  EXPECT_EQ(json::parse(farm.gleaner({"list", "--json"}).out).size(), 3u);
+}
+
+TEST_F(Farm, SigtermDrainsAWorker) {
+  ProcessFarm farm(folder("farm"), programs, {"--batch-items", "256"});
+  farm.add_worker("stays");
+  Process* leaves = &farm.add_worker("leaves");
+  ASSERT_TRUE(farm.wait_for_workers(2));
+  mid_frame(farm, frame, [&](const std::string& job, unsigned spp) {
+    bool while_it_ran = !farm.ended(job);
+    leaves->signal(SIGTERM);
+    EXPECT_EQ(leaves->wait(), 0) << leaves->err();
+    while_it_ran = while_it_ran && !farm.ended(job);
+    EXPECT_EQ(farm.finish(job)["pixels_sha256"], embedded_sha256(spp));
+    if (!while_it_ran) {
+      leaves = &farm.add_worker("leaves");
+      EXPECT_TRUE(farm.wait_for_workers(2));
+    }
+    return while_it_ran;
+  });
+}
+
+TEST_F(Farm, SubmitWatchFetchAndTheirFiles) {
+  ProcessFarm farm(folder("farm"), programs);
+  Ran submitted = farm.gleaner({"submit", scene().string(), "--size", "80x60", "--spp", "64"});
+  ASSERT_EQ(submitted.status, 0) << submitted.err;
+  EXPECT_THAT(submitted.out, testing::MatchesRegex("[0-9a-f-]+\n")) << "the id alone";
+  std::string job = submitted.out.substr(0, submitted.out.size() - 1);
+  EXPECT_THAT(farm.gleaner({"why", job}).out, HasSubstr("no worker"));
+  Ran early = farm.gleaner({"fetch", job, "-o", folder("early").string()});
+  EXPECT_EQ(early.status, 1);
+  farm.add_worker("w");
+  Ran watched = farm.gleaner({"watch", job, "--preview", folder("preview.png").string()});
+  EXPECT_EQ(watched.status, 0) << watched.err;
+  EXPECT_EQ(watched.out, "");
+  EXPECT_THAT(read_text(folder("preview.png")).substr(0, 4), "\x89PNG");
+  Ran fetched = farm.gleaner({"fetch", job, "-o", folder("out/deep").string()});
+  ASSERT_EQ(fetched.status, 0) << fetched.err;
+  for (const char* name : {"frame_0001.exr", "frame_0001.png", "frame_0001.json"})
+    EXPECT_TRUE(fs::exists(folder("out/deep") / name)) << name;
+  EXPECT_EQ(read_text(folder("preview.png")), read_text(folder("out/deep/frame_0001.png")))
+      << "the last preview is the picture";
+  Ran lines = farm.gleaner({"watch", job, "--json"});
+  EXPECT_EQ(json::parse(lines.out.substr(0, lines.out.find('\n')))["state"], "done");
+  json workers = json::parse(farm.gleaner({"workers", "--json"}).out);
+  ASSERT_EQ(workers.size(), 1u);
+  EXPECT_EQ(workers[0]["worker"], "w");
+}
+
+TEST_F(Farm, AJobThatCannotWriteFailsAndTheCoordinatorLives) {
+  ProcessFarm farm(folder("farm"), programs);
+  farm.add_worker("w");
+  std::ofstream(farm.data() / "jobs") << "in the way";
+  std::string job = farm.submit(frame(4));
+  Ran watched = farm.gleaner({"watch", job});
+  EXPECT_EQ(watched.status, 1);
+  EXPECT_THAT(watched.err, HasSubstr("jobs"));
+  fs::remove(farm.data() / "jobs");
+  EXPECT_EQ(farm.finish(farm.submit(frame(4)))["pixels_sha256"], embedded_sha256(4));
+}
+
+TEST_F(Farm, StatusesAndWordsOfErrors) {
+  std::ofstream(own_.path() / "broken.glb") << "this is no scene";
+  const std::string box = scene().string(), out = folder("x.exr").string();
+  struct {
+    std::vector<std::string> words;
+    int status;
+    std::vector<std::string> said;
+  } const table[] = {
+      {{}, 2, {"gleaner: error:"}},
+      {{"paint"}, 2, {"gleaner: error:"}},
+      {{"render"}, 2, {"SCENE"}},
+      {{"render", box}, 2, {"--output"}},
+      {{"render", box, "-o", out, "--bogus"}, 2, {"--bogus", "usage: gleaner render"}},
+      {{"render", box, "-o", folder("x.png").string()}, 2, {"-o", ".exr"}},
+      {{"render", box, "-o", out, "--size", "12by9"}, 2, {"--size", "12by9"}},
+      {{"render", box, "-o", out, "--size", "0x10"}, 2, {"--size", "0x10"}},
+      {{"render", box, "-o", out, "--spp", "0"}, 2, {"--spp"}},
+      {{"render", box, "-o", out, "--frames", "5-2"}, 2, {"--frames", "5-2"}},
+      {{"render", box, "-o", out, "--method", "paint"}, 2, {"paint"}},
+      {{"render", box, "-o", out, "--set", "nonsense"}, 2, {"--set", "nonsense"}},
+      {{"render", box, "-o", out, "--set", "no.such=1"}, 2, {"no.such"}},
+      {{"render", box, "-o", out, "--set", "depth=many"}, 2, {"depth", "many"}},
+      {{"render", box, "-o", out, "--trace", "magic"}, 2, {"magic"}},
+      {{"render", box, "-o", out, "--look-at", "1,2,3"}, 2, {"--look-at"}},
+      {{"render", box, "-o", out, "--target-error", "-1"}, 2, {"--target-error"}},
+      {{"render", "nowhere.glb", "-o", out}, 3, {"nowhere.glb"}},
+      {{"render", (own_.path() / "broken.glb").string(), "-o", out}, 3, {"broken.glb"}},
+      {{"render", box, "-o", out, "--camera", "behind"}, 3, {"behind", "camera"}},
+      {{"render", box, "-o", out, "--environment", "nowhere.hdr"}, 3, {"nowhere.hdr"}},
+      {{"render", box, "-o", "/no/such/folder/x.exr"}, 1, {"/no/such/folder"}},
+      {{"list"}, 2, {"coordinator"}},
+      {{"list", "--coordinator", "127.0.0.1:1"}, 4, {"127.0.0.1:1"}},
+      {{"submit", box, "--coordinator", "127.0.0.1:1"}, 4, {"127.0.0.1:1"}},
+      {{"watch", "job", "--coordinator", "127.0.0.1:1"}, 4, {"127.0.0.1:1"}},
+  };
+  for (const auto& row : table) {
+    std::string line;
+    for (const auto& word : row.words) line += word + " ";
+    auto begun = std::chrono::steady_clock::now();
+    Ran ran = run(row.words);
+    EXPECT_EQ(ran.status, row.status) << line << ran.err;
+    EXPECT_LT(std::chrono::steady_clock::now() - begun, std::chrono::seconds(20)) << line << "hangs";
+    EXPECT_EQ(ran.out, "") << line;
+    for (const auto& words : row.said) EXPECT_THAT(ran.err, HasSubstr(words)) << line;
+    std::size_t first = ran.err.find("gleaner: error:");
+    EXPECT_NE(first, std::string::npos) << line << ran.err;
+    EXPECT_EQ(ran.err.find("gleaner: error:", first + 1), std::string::npos) << line << "says it twice: " << ran.err;
+  }
+  EXPECT_FALSE(fs::exists(out));
+
+  ProcessFarm farm(folder("farm"), programs);
+  for (const char* command : {"show", "watch", "cancel", "why"}) {
+    Ran ran = farm.gleaner({command, "no-such-job"});
+    EXPECT_EQ(ran.status, 3) << command;
+    EXPECT_THAT(ran.err, HasSubstr("no-such-job")) << command;
+  }
+  EXPECT_EQ(farm.gleaner({"fetch", "no-such-job", "-o", folder("none").string()}).status, 3);
+  EXPECT_FALSE(fs::exists(folder("none")));
+  EXPECT_EQ(farm.gleaner({"list", "--json"}).out, "[]\n");
+  EXPECT_EQ(farm.gleaner({"workers", "--json"}).out, "[]\n");
+
+  Process second(
+      {(programs / "gleaner-coordinator").string(), "--listen", farm.address(), "--data", folder("second").string()},
+      folder("second-log"));
+  EXPECT_EQ(second.wait(), 1);
+  EXPECT_THAT(second.err(), HasSubstr(farm.address()));
+  std::ofstream(own_.path() / "file") << "in the way";
+  Process third(
+      {(programs / "gleaner-coordinator").string(), "--listen", "127.0.0.1:0", "--data", folder("file").string()},
+      folder("third-log"));
+  EXPECT_EQ(third.wait(), 1);
+  EXPECT_THAT(third.err(), HasSubstr("file"));
+  Process lonely(
+      {(programs / "gleaner-worker").string(), "--coordinator", "127.0.0.1:1", "--threads", "1", "--give-up", "1"},
+      folder("lonely-log"), {{"POCL_MAX_PTHREAD_COUNT", "1"}});
+  EXPECT_EQ(lonely.wait(), 4) << lonely.err();
+}
+
+TEST_F(Farm, HelpIsNoError) {
+  EXPECT_EQ(run({"--help"}).status, 0);
+  EXPECT_EQ(run({"render", "--help"}).status, 0);
+  EXPECT_THAT(run({"render", "--help"}).out, HasSubstr("--target-error"));
+}
+
+}  // namespace
+}  // namespace gleaner::test
