@@ -409,7 +409,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 
   // One light sample. Perfect mirrors and glass cannot see it.
   v3 shadow_origin = p, shadow_direction = direction, contribution = splat3(zero_f());
-  vf shadow_far = (vf)-1.0f, u_roulette = zero_f();
+  vf shadow_far = (vf)-1.0f, u_choice, u_roulette;
+  sample_pair(pair_key, sample, samples, 0u, &u_choice, &u_roulette);
   vf light_total = one_f();
   vi connected = no_lanes();
 #ifdef NEED_LIGHTS
@@ -423,8 +424,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
     // A bare mirror: no layer below and no rough lobe.
     lit = lit & none(m.mirror & (m.lobe_share >= one_f()));
 #endif
-    vf u_choice, l0, l1;
-    sample_pair(pair_key, sample, samples, 0u, &u_choice, &u_roulette);
+    vf l0, l1;
     if (any_lane(lit)) {
       sample_pair(pair_key, sample, samples, 1u, &l0, &l1);
       LightSample light = sample_light(scene, p, u_choice, l0, l1);

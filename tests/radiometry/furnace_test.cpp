@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdio>
 
+#include "scene/library/builder.h"
 #include "scene/library/library.h"
 #include "tests/radiometry/shot.h"
 
@@ -69,6 +70,43 @@ TEST(Furnace, SphereThatGlows) {
     shot.width = shot.height = 20;
     expect_furnace(shot, 1, std::string("sphere of ") + segments + " segments", sidak(kFamily, 2));
   }
+}
+
+// An unlit surface shows its colour and scatters nothing: it lights the others as a black emitter of that radiance
+// does, though no light sample asks for it.
+TEST(Furnace, UnlitSurfacesAreBlackEmitters) {
+  const auto room = [](bool unlit) {
+    scene::SceneBuilder b(unlit ? "unlit" : "emitter");
+    scene::Material ceiling = unlit ? scene::lambert(scene::grey(1)) : scene::emitter(scene::grey(1));
+    if (unlit) ceiling.flags |= GLEANER_MATERIAL_UNLIT;
+    const std::uint32_t wall = b.material("wall", scene::lambert(scene::grey(0.8)));
+    b.mesh("walls");
+    b.quad({-1, -1, 1}, {1, -1, 1}, {1, -1, -1}, {-1, -1, -1}, wall);
+    b.quad({-1, -1, -1}, {1, -1, -1}, {1, 1, -1}, {-1, 1, -1}, wall);
+    b.quad({1, -1, 1}, {-1, -1, 1}, {-1, 1, 1}, {1, 1, 1}, wall);
+    b.quad({-1, -1, 1}, {-1, -1, -1}, {-1, 1, -1}, {-1, 1, 1}, wall);
+    b.quad({1, -1, -1}, {1, -1, 1}, {1, 1, 1}, {1, 1, -1}, wall);
+    b.mesh("ceiling");
+    b.quad({-1, 1, -1}, {1, 1, -1}, {1, 1, 1}, {-1, 1, 1}, b.material("ceiling", ceiling));
+    b.camera("camera", {0.1, 0.05, 0.9}, {0.1, -0.3, -1}, 60, 64, 64);
+    return std::make_shared<const Scene>(b.finish());
+  };
+  Sample seen[2];
+  for (const bool unlit : {false, true}) {
+    Shot shot{.scene = room(unlit), .chunks = 16};
+    shot.camera = camera_of(*shot.scene);
+    const Picture picture = shoot(shot);
+    EXPECT_EQ(picture.counters.shadow_rays == 0, unlit);
+    seen[unlit] = picture.mean(1);
+  }
+  Sample difference = seen[1];
+  difference.square += seen[0].square;  // of two independent sums
+  difference.mean -= seen[0].mean;
+  const double error = difference.standard_error(), t = std::abs(difference.mean) / error;
+  std::printf("  unlit %.5f, emitter %.5f, difference %.5f +- %.5f\n", seen[1].mean, seen[0].mean, difference.mean,
+              error);
+  EXPECT_LT(t, student_critical(kFamily, 30));
+  EXPECT_LT(error, 5e-3 * seen[0].mean) << "too noisy to prove anything";
 }
 
 using Vector = std::array<double, 3>;
