@@ -161,7 +161,8 @@ class ProcessFarm {
   }
   std::uint64_t items_done(const std::string& id) {
     std::uint64_t done = 0;
-    for (const auto& stage : job(id).stages()) done += stage.items_done();
+    const v1::Job status = job(id);
+    for (const auto& stage : status.stages()) done += stage.items_done();
     return done;
   }
   bool ended(const std::string& id) {
