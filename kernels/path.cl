@@ -1,16 +1,16 @@
 // The path tracer, as a wave of paths that moves in step:
 //
 //   repeat
-//     path_generate   new camera paths fill the room that ended ones left          (fresh blocks: 16 paths of neighbours)
-//     trace           closest hits; fresh blocks as coherent packets, others one ray at a time
-//     path_shade      emission with MIS; one light sample -> a shadow ray; one scattered ray, packed to the front
-//     trace           any hit on the shadow rays
-//     path_connect    light samples that arrived are added to their paths' slots
+//     path_generate   new camera paths fill the room that ended ones left          (fresh blocks: 16 paths of
+//     neighbours) trace           closest hits; fresh blocks as coherent packets, others one ray at a time path_shade
+//     emission with MIS; one light sample -> a shadow ray; one scattered ray, packed to the front trace           any
+//     hit on the shadow rays path_connect    light samples that arrived are added to their paths' slots
 //   until no path is left
 //   path_resolve      slots are summed to the items' records, in the order of the samples
 //
-// What a path gathers depends on (scene, parameters, pixel, chunk, sample) alone: its random numbers are keyed by them, its
-// slot is its own, and survivors are traced one by one, so neither their order nor the wave's size can be seen in the result.
+// What a path gathers depends on (scene, parameters, pixel, chunk, sample) alone: its random numbers are keyed by them,
+// its slot is its own, and survivors are traced one by one, so neither their order nor the wave's size can be seen in
+// the result.
 
 #include "kernels/bsdf.h"
 #include "kernels/lights.h"
@@ -86,7 +86,8 @@ kernel WIDE void path_generate(global const PathParameters* restrict parameters,
   }
   // The stage's last item may have fewer samples than the others.
   uint last_local = (uint)min(total - 1u - first_item, (ulong)0xfffffffeu);
-  vi idle = (local_item > last_local) | ((local_item == last_local) & (sample >= parameters->last_item_samples)) | (lane >= count);
+  vi idle = (local_item > last_local) | ((local_item == last_local) & (sample >= parameters->last_item_samples)) |
+            (lane >= count);
   uint at = (base + first_lane) / LANES;
   set_row_3(paths, PATH_ROWS, at, ROW_ORIGIN, origin);
   set_row_f(paths, PATH_ROWS, at, ROW_NEAR, zero_f());
@@ -104,16 +105,17 @@ kernel WIDE void path_generate(global const PathParameters* restrict parameters,
   set_row_u(paths, PATH_ROWS, at, ROW_META, (sample << META_SAMPLE) | pick_u((vu)0u, (vu)META_IDLE, idle));
   set_row_u(paths, PATH_ROWS, at, ROW_KEY, key);
   set_row_f(paths, PATH_ROWS, at, ROW_ETA, one_f());
-  for (uint k = 0; k < SLOT_WORDS; ++k) store_f(slots + (ulong)SLOT_WORDS * (first_path + first_lane) + k * LANES, 0, zero_f());
+  for (uint k = 0; k < SLOT_WORDS; ++k)
+    store_f(slots + (ulong)SLOT_WORDS * (first_path + first_lane) + k * LANES, 0, zero_f());
   if (parameters->features)
     for (uint k = 0; k < FEATURE_WORDS; ++k)
       store_f(features + (ulong)FEATURE_WORDS * (first_path + first_lane) + k * LANES, 0, zero_f());
 }
 
-kernel WIDE void path_shade(global const PathParameters* restrict parameters, SCENE_PARAMETERS, uint survivors, uint fresh_base,
-                            uint fresh_count, global const float* restrict paths, global float* restrict next,
-                            global float* restrict shadows, global float* slots, global float* features, uint slot_count,
-                            uint capacity, global uint* counters) {
+kernel WIDE void path_shade(global const PathParameters* restrict parameters, SCENE_PARAMETERS, uint survivors,
+                            uint fresh_base, uint fresh_count, global const float* restrict paths,
+                            global float* restrict next, global float* restrict shadows, global float* slots,
+                            global float* features, uint slot_count, uint capacity, global uint* counters) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
   uint end = fresh_count ? fresh_base + fresh_count : survivors;
@@ -175,12 +177,9 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   v3 p2 = words3(t, TRIANGLE_P2);
   vf b1 = row_f(paths, PATH_ROWS, block, ROW_U), b2 = row_f(paths, PATH_ROWS, block, ROW_V);
   vf b0 = one_f() - b1 - b2;
-  v3 p = mad3(p0, b0, mad3(p1, b1, scale3(p2, b2)));
-  // gamma(7) of the terms' magnitudes (pbrt-v4, 6.8.6).
-  const vf gamma7 = (vf)4.17233e-7f;
-  v3 error = make3((fabs(p0.x) + fabs(p1.x) + fabs(p2.x)) * gamma7, (fabs(p0.y) + fabs(p1.y) + fabs(p2.y)) * gamma7,
-                   (fabs(p0.z) + fabs(p1.z) + fabs(p2.z)) * gamma7);
-  v3 geometric = normalize3(cross3(sub3(p1, p0), sub3(p2, p0)));
+  v3 e1 = sub3(p1, p0), e2 = sub3(p2, p0), error;
+  v3 p = surface_point(p0, e1, e2, b1, b2, &error);
+  v3 geometric = normalize3(cross3(e1, e2));
   vi front = dot3(geometric, direction) < zero_f();
   vu material = as_vu(t[TRIANGLE_MATERIAL]);
   vf w[16];  // the material's first line
@@ -188,8 +187,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 #ifdef NEED_TEXTURES
   vf tu = b0 * t2[TRIANGLE_UV0 - TRIANGLE_SECOND] + b1 * t2[TRIANGLE_UV1 - TRIANGLE_SECOND] +
           b2 * t2[TRIANGLE_UV2 - TRIANGLE_SECOND];
-  vf tv = b0 * t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1] +
-          b1 * t2[TRIANGLE_UV1 - TRIANGLE_SECOND + 1] +
+  vf tv = b0 * t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1] + b1 * t2[TRIANGLE_UV1 - TRIANGLE_SECOND + 1] +
           b2 * t2[TRIANGLE_UV2 - TRIANGLE_SECOND + 1];
 #endif
 
@@ -261,9 +259,9 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   v3 normal = geometric;
 #ifdef NEED_SMOOTH_NORMALS
   {
-    v3 n = mad3(words3(t2, TRIANGLE_N0 - TRIANGLE_SECOND), b0,
-                mad3(words3(t2, TRIANGLE_N1 - TRIANGLE_SECOND), b1,
-                     scale3(words3(t2, TRIANGLE_N2 - TRIANGLE_SECOND), b2)));
+    v3 n = mad3(
+        words3(t2, TRIANGLE_N0 - TRIANGLE_SECOND), b0,
+        mad3(words3(t2, TRIANGLE_N1 - TRIANGLE_SECOND), b1, scale3(words3(t2, TRIANGLE_N2 - TRIANGLE_SECOND), b2)));
     vf l2 = dot3(n, n);
     normal = pick3(geometric, scale3(n, one_f() / sqrt(l2)), l2 > (vf)1e-12f);
   }
@@ -282,7 +280,6 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       vf du2 = t2[TRIANGLE_UV2 - TRIANGLE_SECOND] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND];
       vf dv2 = t2[TRIANGLE_UV2 - TRIANGLE_SECOND + 1] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1];
       vf area = du1 * dv2 - du2 * dv1;
-      v3 e1 = sub3(p1, p0), e2 = sub3(p2, p0);
       // dp/du, made perpendicular to the normal; the bitangent's sense is that of -dv (v grows downwards in glTF).
       v3 tangent = scale3(sub3(scale3(e1, dv2), scale3(e2, dv1)), pick((vf)-1.0f, one_f(), area > zero_f()));
       tangent = sub3(tangent, scale3(normal, dot3(normal, tangent)));
@@ -429,7 +426,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       sample_pair(pair_key, sample, samples, 1u, &l0, &l1);
       LightSample light = sample_light(scene, p, u_choice, l0, l1);
       light_total = light.total;
-      v3 toward = make3(dot3(tangent, light.direction), dot3(bitangent, light.direction), dot3(normal, light.direction));
+      v3 toward =
+          make3(dot3(tangent, light.direction), dot3(bitangent, light.direction), dot3(normal, light.direction));
       vi seen = lit & (light.pdf > zero_f()) & (toward.z > (vf)1e-6f);
       vf pdf;
       v3 f = eval_bsdf(scene, &m, view, make3(toward.x, toward.y, max_f(toward.z, (vf)1e-6f)), &pdf);
@@ -469,7 +467,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   v3 next_throughput = mul3(throughput, scattered.weight);
   vi specular = scattered.pdf <= zero_f();
   vf eta = row_f(paths, PATH_ROWS, block, ROW_ETA) * scattered.eta;
-  vi alive = active & none(passes) & (max_component(next_throughput) > zero_f()) & finite3(next_throughput) & finite3(out);
+  vi alive =
+      active & none(passes) & (max_component(next_throughput) > zero_f()) & finite3(next_throughput) & finite3(out);
   vu next_depth = min(depth + 1u, (vu)META_DEPTH_MASK);
   if (most) {
     // The last scattering's ray can only find emission: without lights to find, it is not sent.
@@ -534,7 +533,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 }
 
 // Adds the light samples whose shadow rays met nothing.
-kernel WIDE void path_connect(global const float* restrict shadows, global float* restrict slots, uint slot_count, uint count) {
+kernel WIDE void path_connect(global const float* restrict shadows, global float* restrict slots, uint slot_count,
+                              uint count) {
   uint block = (uint)get_global_id(0);
   if (block * LANES >= count) return;
   vu slot = row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_SLOT);
@@ -543,14 +543,15 @@ kernel WIDE void path_connect(global const float* restrict shadows, global float
                ((vu)(block * LANES) + lane_index() < count);
   if (!any_lane(arrived)) return;
   vi indirect = (slot & SHADOW_INDIRECT) != 0u;
-  add_to_slots(slots, slot_count, slot & ~SHADOW_INDIRECT, indirect, row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION), arrived);
+  add_to_slots(slots, slot_count, slot & ~SHADOW_INDIRECT, indirect,
+               row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION), arrived);
 }
 
 // Sums each item's samples in their order. Samples that are not finite are left out and reported.
-kernel void path_resolve(global const PathParameters* restrict parameters, uint first_item_low, uint first_item_high, uint count,
-                         global const float* restrict slots, global const float* restrict features,
-                         global float* restrict records, global uint* restrict report) {
-  uint item = (uint)get_global_id(0);
+kernel void path_resolve(global const PathParameters* restrict parameters, uint first_item_low, uint first_item_high,
+                         uint count, global const float* restrict slots, global const float* restrict features,
+                         global float* restrict records, global uint* restrict report, uint base) {
+  uint item = base + (uint)get_global_id(0);
   if (item >= count) return;
   uint samples = parameters->samples_per_item;
   ulong index = (((ulong)first_item_high << 32) | first_item_low) + item;

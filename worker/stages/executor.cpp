@@ -11,7 +11,8 @@
 namespace gleaner::worker {
 namespace {
 
-using StageProgram = BatchResult (*)(const Device&, DeviceScene&, const StageTask&, std::uint64_t, std::uint64_t);
+using StageProgram = BatchResult (*)(const Device&, Workspace&, DeviceScene&, const StageTask&, std::uint64_t,
+                                     std::uint64_t);
 
 const std::map<std::string, StageProgram>& stage_programs() {
   static const std::map<std::string, StageProgram> programs = {{"path", run_path_stage}};
@@ -24,7 +25,7 @@ constexpr std::size_t kMostScenes = 4;
 }  // namespace
 
 struct Executor::Impl {
-  explicit Impl(const DeviceChoice& choice) : device(choice) {}
+  explicit Impl(const DeviceChoice& choice) : device(choice), workspace(device) {}
 
   DeviceScene& scene(const std::string& id) {
     for (auto held = scenes.begin(); held != scenes.end(); ++held)
@@ -36,6 +37,7 @@ struct Executor::Impl {
   }
 
   Device device;
+  Workspace workspace;
   std::list<std::pair<std::string, std::unique_ptr<DeviceScene>>> scenes;  // the latest used first
 };
 
@@ -82,7 +84,7 @@ BatchResult Executor::run(const StageTask& task, std::uint64_t first, std::uint6
   auto program = stage_programs().find(task.kind);
   if (program == stage_programs().end()) throw Error::bad_input("stage", "kind", "one this worker knows", task.kind);
   try {
-    return program->second(impl_->device, impl_->scene(task.scene), task, first, count);
+    return program->second(impl_->device, impl_->workspace, impl_->scene(task.scene), task, first, count);
   } catch (const cl::Error& error) {
     throw Error::failed("stage " + task.kind + ", items " + std::to_string(first) + " + " + std::to_string(count) +
                         ", on " + info().name + ": " + describe(error));

@@ -25,7 +25,10 @@ double seconds_now() {
 }
 
 // Slots of paths in flight take 32 bytes each; a batch beyond this runs in parts.
-constexpr std::uint64_t kMostPaths = std::uint64_t{1} << 20;
+constexpr std::uint64_t kMostPaths = std::uint64_t{1} << 19;
+
+// Items summed by one launch of path_resolve.
+constexpr std::uint32_t kResolveItems = 1u << 14;
 
 // Paths that move in step. CPU: small enough for a core's own cache, large enough that a kernel's launch does not show.
 std::uint32_t wave_size(const Device& device) { return device.info().cpu ? 1u << 13 : 1u << 20; }
@@ -88,17 +91,19 @@ std::uint32_t claim(Shared& shared, std::uint32_t room, std::uint32_t& first) {
 
 class Lane {
  public:
-  explicit Lane(Shared& shared)
+  Lane(Shared& shared, Workspace& workspace, unsigned index)
       : shared_(shared),
         queue_(shared.device.make_queue()),
         generate_(shared.program, "path_generate"),
         shade_(shared.program, "path_shade"),
         connect_(shared.program, "path_connect"),
-        counters_(shared.device.make_buffer(COUNTERS * 4)) {
+        counters_(workspace.take("path.counters." + std::to_string(index), COUNTERS * 4)) {
     // One block more: ended lanes write behind the wave.
     const std::size_t blocks = shared.capacity / RAY_BLOCK + 1;
-    for (auto& buffer : paths_) buffer = shared.device.make_buffer(blocks * RAY_BLOCK * PATH_ROWS * 4);
-    shadows_ = shared.device.make_buffer(blocks * RAY_BLOCK * SHADOW_ROWS * 4);
+    for (int k = 0; k < 2; ++k)
+      paths_[k] = workspace.take("path.paths." + std::to_string(2 * index + static_cast<unsigned>(k)),
+                                 blocks * RAY_BLOCK * PATH_ROWS * 4);
+    shadows_ = workspace.take("path.shadows." + std::to_string(index), blocks * RAY_BLOCK * SHADOW_ROWS * 4);
     generate_.setArg(0, shared.parameter_buffer);
     generate_.setArg(1, shared.items);
     generate_.setArg(2, static_cast<cl_uint>(shared.listed));
@@ -183,6 +188,10 @@ class Lane {
   std::uint32_t slot_count() const { return (shared_.paths + RAY_BLOCK - 1) / RAY_BLOCK * RAY_BLOCK; }
 
   void launch(cl::Kernel& kernel, std::uint32_t rays) {
+    // On CPU devices always the whole wave's grid (work-items beyond `rays` return at once): PoCL 3.1 keeps one
+    // compiled copy a grid size, and where there are several its count of their users goes wrong as soon as two threads
+    // launch (pocl_release_dlhandle_cache aborts).
+    if (shared_.device.info().cpu) rays = shared_.capacity;
     const std::size_t items = (rays + shared_.device.lanes() - 1) / shared_.device.lanes();
     // Fixed, so that the compiled code, and with it every bit, does not depend on how much there is to do.
     const std::size_t group = shared_.device.info().cpu ? 8 : 64;
@@ -199,8 +208,8 @@ class Lane {
 
 }  // namespace
 
-BatchResult run_path_stage(const Device& device, DeviceScene& scene, const StageTask& task, std::uint64_t first,
-                           std::uint64_t count) {
+BatchResult run_path_stage(const Device& device, Workspace& workspace, DeviceScene& scene, const StageTask& task,
+                           std::uint64_t first, std::uint64_t count) {
   const PathParameters parameters = read_parameters(task);
   const std::uint64_t total = (std::uint64_t{parameters.items_high} << 32) | parameters.items_low;
   if (first + count < first || first + count > total)
@@ -226,7 +235,7 @@ BatchResult run_path_stage(const Device& device, DeviceScene& scene, const Stage
   result.records.resize(count * record_bytes);
   cl::CommandQueue queue = device.make_queue();
   cl::Program program = device.build("kernels/path.cl", scene.kernel_options());
-  cl::Buffer parameter_buffer = device.make_buffer(sizeof parameters, CL_MEM_READ_ONLY);
+  cl::Buffer parameter_buffer = workspace.take("path.parameters", sizeof parameters);
   queue.enqueueWriteBuffer(parameter_buffer, CL_TRUE, 0, sizeof parameters, &parameters);
 
   const std::uint64_t part_items = std::max<std::uint64_t>(1, kMostPaths / parameters.samples_per_item);
@@ -239,17 +248,17 @@ BatchResult run_path_stage(const Device& device, DeviceScene& scene, const Stage
     shared.first_item = first + done;
     shared.paths = static_cast<std::uint32_t>(part * parameters.samples_per_item);
     shared.lanes = lanes;
-    shared.capacity = std::min(wave_size(device), std::max(1024u, (shared.paths / lanes + 15) / 16 * 16));
+    shared.capacity = wave_size(device);
     const std::uint64_t slots = (shared.paths + RAY_BLOCK - 1) / RAY_BLOCK * RAY_BLOCK + 1;
-    shared.slots = device.make_buffer(slots * SLOT_WORDS * 4);
-    shared.features = device.make_buffer(parameters.features ? slots * FEATURE_WORDS * 4 : 4);
-    shared.items = device.make_buffer(list ? (part + RAY_BLOCK) * sizeof(PathItem) : 4, CL_MEM_READ_ONLY);
+    shared.slots = workspace.take("path.slots", slots * SLOT_WORDS * 4);
+    shared.features = workspace.take("path.features", parameters.features ? slots * FEATURE_WORDS * 4 : 4);
+    shared.items = workspace.take("path.items", list ? (part + RAY_BLOCK) * sizeof(PathItem) : 4);
     if (list)
       queue.enqueueWriteBuffer(shared.items, CL_TRUE, 0, part * sizeof(PathItem),
                                list + (first + done) * sizeof(PathItem));
 
     std::vector<std::unique_ptr<Lane>> all;
-    for (unsigned k = 0; k < lanes; ++k) all.push_back(std::make_unique<Lane>(shared));
+    for (unsigned k = 0; k < lanes; ++k) all.push_back(std::make_unique<Lane>(shared, workspace, k));
     std::vector<std::exception_ptr> errors(lanes);
     const auto run_lane = [&](unsigned k) {
       try {
@@ -275,8 +284,8 @@ BatchResult run_path_stage(const Device& device, DeviceScene& scene, const Stage
     }
 
     const double resolve_start = seconds_now();
-    cl::Buffer records = device.make_buffer(part * record_bytes, CL_MEM_WRITE_ONLY);
-    cl::Buffer report = device.make_buffer((2 + REPORTED_ITEMS) * 4);
+    cl::Buffer records = workspace.take("path.records", part * record_bytes);
+    cl::Buffer report = workspace.take("path.report", (2 + REPORTED_ITEMS) * 4);
     std::uint32_t reported[2 + REPORTED_ITEMS] = {};
     queue.enqueueWriteBuffer(report, CL_TRUE, 0, sizeof reported, reported);
     cl::Kernel resolve(program, "path_resolve");
@@ -288,7 +297,11 @@ BatchResult run_path_stage(const Device& device, DeviceScene& scene, const Stage
     resolve.setArg(5, shared.features);
     resolve.setArg(6, records);
     resolve.setArg(7, report);
-    queue.enqueueNDRangeKernel(resolve, cl::NullRange, cl::NDRange((part + 63) / 64 * 64), cl::NDRange(64));
+    // Pieces of one size, for the reason that launch() gives.
+    for (std::uint32_t base = 0; base < part; base += kResolveItems) {
+      resolve.setArg(8, base);
+      queue.enqueueNDRangeKernel(resolve, cl::NullRange, cl::NDRange(kResolveItems), cl::NDRange(64));
+    }
     queue.enqueueReadBuffer(report, CL_TRUE, 0, sizeof reported, reported);
     queue.enqueueReadBuffer(records, CL_TRUE, 0, part * record_bytes, result.records.data() + done * record_bytes);
     result.counters.kernel_seconds += seconds_now() - resolve_start;
