@@ -176,6 +176,20 @@ cl::Buffer Device::make_buffer(std::size_t bytes, cl_mem_flags flags) const {
 }
 
 cl::Program Device::build(const std::string& file, const std::string& options) const {
+  std::lock_guard lock(programs_mutex_);
+  auto [program, fresh] = programs_.try_emplace(file + " " + options);
+  if (fresh) {
+    try {
+      program->second = compile(file, options);
+    } catch (...) {
+      programs_.erase(program);
+      throw;
+    }
+  }
+  return program->second;
+}
+
+cl::Program Device::compile(const std::string& file, const std::string& options) const {
   std::string text;
   std::set<std::string> seen;
   flatten(file, seen, text);

@@ -1,7 +1,9 @@
 #pragma once
 // One OpenCL device: its context, what it is, and the programs built for it.
 
+#include <map>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <vector>
 
@@ -22,7 +24,7 @@ class Device {
   // Rays that a work-item handles at once (kernels/lanes.h).
   unsigned lanes() const { return info_.cpu ? 16 : 1; }
 
-  // Builds `file` of the kernels with `options`, or takes the binary that an earlier run left in the cache folder
+  // Builds `file` of the kernels with `options`, once; a binary that an earlier run left is taken from the cache folder
   // ($GLEANER_CACHE, else $XDG_CACHE_HOME/gleaner, else ~/.cache/gleaner). Thread-safe. Throws Error::failed with the
   // compiler's log.
   cl::Program build(const std::string& file, const std::string& options) const;
@@ -31,7 +33,11 @@ class Device {
   cl::Buffer make_buffer(std::size_t bytes, cl_mem_flags flags = CL_MEM_READ_WRITE) const;
 
  private:
+  cl::Program compile(const std::string& file, const std::string& options) const;
+
   DeviceInfo info_;
+  mutable std::mutex programs_mutex_;
+  mutable std::map<std::string, cl::Program> programs_;  // by file and options
   cl::Device device_;
   cl::Context context_;
 };

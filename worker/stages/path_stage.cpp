@@ -31,7 +31,7 @@ constexpr std::uint64_t kMostPaths = std::uint64_t{1} << 19;
 constexpr std::uint32_t kResolveItems = 1u << 14;
 
 // Paths that move in step. CPU: small enough for a core's own cache, large enough that a kernel's launch does not show.
-std::uint32_t wave_size(const Device& device) { return device.info().cpu ? 1u << 13 : 1u << 20; }
+std::uint32_t wave_size(const Device& device) { return device.info().cpu ? 1u << 12 : 1u << 20; }
 
 PathParameters read_parameters(const StageTask& task) {
   if (task.parameters.size() != sizeof(PathParameters))
