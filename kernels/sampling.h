@@ -1,5 +1,5 @@
 // Random numbers and what is made of them. A number depends on (key, sample, dimension) alone, where the key is a hash
-// of (seed, pixel, chunk): Owen-scrambled Sobol points, two dimensions at a time, padded by shuffling the order of the
+// of (seed, pixel, sequence): Owen-scrambled Sobol points, two dimensions at a time, padded by shuffling the order of the
 // samples anew for each pair (Burley 2020, "Practical Hash-based Owen Scrambling").
 #ifndef GLEANER_KERNELS_SAMPLING_H
 #define GLEANER_KERNELS_SAMPLING_H
@@ -36,28 +36,27 @@ FN vu permute_upward(vu x, vu seed) {
   return x;
 }
 
-// The second Sobol dimension, bit-reversed, of indices below 64.
+// The second Sobol dimension, bit-reversed, of indices below 65536: its matrix is Pascal's triangle mod 2, whose rows are the
+// subsets of each other's bits (Lucas), so that the product is a sum over supersets, four steps for sixteen bits.
 FN vu sobol1_reversed(vu i) {
-  vu r = (i & 1u) * 0x00000001u;
-  r ^= ((i >> 1) & 1u) * 0x00000003u;
-  r ^= ((i >> 2) & 1u) * 0x00000005u;
-  r ^= ((i >> 3) & 1u) * 0x0000000fu;
-  r ^= ((i >> 4) & 1u) * 0x00000011u;
-  r ^= ((i >> 5) & 1u) * 0x00000033u;
-  return r;
+  i ^= (i >> 1) & 0x5555u;
+  i ^= (i >> 2) & 0x3333u;
+  i ^= (i >> 4) & 0x0f0fu;
+  return i ^ ((i >> 8) & 0x00ffu);
 }
 
 // In [0, 1): 24 bits, so that 1 is never reached by rounding.
 FN vf unit_float(vu x) { return to_f(x >> 8) * (vf)5.9604644775390625e-8f; }
 
-// Two dimensions, stratified together over the item's samples. `sample` < `samples`, a power of two.
+// Two dimensions, stratified together over any aligned run of 2^k samples. `sample` < `samples`, a power of two, at most 65536.
 FN void sample_pair(vu key, vu sample, uint samples, uint dimension, vf* u0, vf* u1) {
   vu h = hash_u(key ^ (vu)(dimension * 0x9e3779b9u));
   vu shuffled = reverse_bits(permute_upward(reverse_bits(sample), h)) & (vu)(samples - 1u);
-  vu h0 = h * 0x2c1b3c6du + 0x297a2d39u;
-  vu h1 = h * 0x6c50b47cu + 0xb82f1e53u;
-  h0 ^= h0 >> 15;
-  h1 ^= h1 >> 15;
+  // A coordinate's leading bits come from its seed's low ones: what these are made of must differ, or u0 tells of u1.
+  vu h0 = h * 0x2c1b3c6du;
+  vu h1 = rotate(h, (vu)16u) * 0x6c50b47du;
+  h0 ^= h0 >> 16;
+  h1 ^= h1 >> 16;
   *u0 = unit_float(reverse_bits(permute_upward(shuffled, h0)));
   *u1 = unit_float(reverse_bits(permute_upward(sobol1_reversed(shuffled), h1)));
 }
