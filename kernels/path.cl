@@ -65,9 +65,15 @@ kernel WIDE void path_generate(global const PathParameters* restrict parameters,
     pixel = index - turns * pixels;
     chunk = turns + (start_chunk + parameters->first_chunk);
   }
-  vu key = hash_combine(hash_combine(hash_combine((vu)parameters->seed_low, (vu)parameters->seed_high), pixel), chunk);
+  // Chunks go by turns to the pixel's two sequences, each going on where its last one ended.
+  uint log_chunks = 31u - clz(GLEANER_PATH_SEQUENCE) - log_samples;
+  vu turn = chunk >> 1;
+  sample += (turn & ((1u << log_chunks) - 1u)) << log_samples;
+  vu sequence = (chunk & 1u) | ((turn >> log_chunks) << 1);
+  vu key =
+      hash_combine(hash_combine(hash_combine((vu)parameters->seed_low, (vu)parameters->seed_high), pixel), sequence);
   vf jx, jy;
-  sample_pair(key, sample, samples, 0u, &jx, &jy);
+  sample_pair(key, sample, GLEANER_PATH_SEQUENCE, 0u, &jx, &jy);
   vu row = pixel / width;
   vu column = pixel - row * width;
   vf sx = 2.0f * (to_f(column) + jx) / (float)width - 1.0f;
@@ -86,8 +92,8 @@ kernel WIDE void path_generate(global const PathParameters* restrict parameters,
   }
   // The stage's last item may have fewer samples than the others.
   uint last_local = (uint)min(total - 1u - first_item, (ulong)0xfffffffeu);
-  vi idle = (local_item > last_local) | ((local_item == last_local) & (sample >= parameters->last_item_samples)) |
-            (lane >= count);
+  vi idle = (local_item > last_local) |
+            ((local_item == last_local) & ((path & (samples - 1u)) >= parameters->last_item_samples)) | (lane >= count);
   uint at = (base + first_lane) / LANES;
   set_row_3(paths, PATH_ROWS, at, ROW_ORIGIN, origin);
   set_row_f(paths, PATH_ROWS, at, ROW_NEAR, zero_f());
@@ -137,7 +143,6 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   vi specular_since = (meta & META_SPECULAR_SINCE) != 0u;
   vu bounce = (meta >> META_BOUNCE) & META_BOUNCE_MASK;
   vu sample = (meta >> META_SAMPLE) & META_SAMPLE_MASK;
-  uint samples = parameters->samples_per_item;
   // Light found from here counts as direct where it was reflected at most once, and then came straight.
   vi found_indirect = (diffuse_count > 1u) | ((diffuse_count == 1u) & specular_since);
 
@@ -312,7 +317,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   vu dimension = bounce * dimension_stride + 1u;
   vu pair_key = hash_combine(key, dimension);
   vf u_lobe, u_glass;
-  sample_pair(pair_key, sample, samples, 2u, &u_lobe, &u_glass);
+  sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 2u, &u_lobe, &u_glass);
 
 #ifdef NEED_ALPHA
   // What is not opaque lets light go on unbent, in proportion.
@@ -407,7 +412,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   // One light sample. Perfect mirrors and glass cannot see it.
   v3 shadow_origin = p, shadow_direction = direction, contribution = splat3(zero_f());
   vf shadow_far = (vf)-1.0f, u_choice, u_roulette;
-  sample_pair(pair_key, sample, samples, 0u, &u_choice, &u_roulette);
+  sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 0u, &u_choice, &u_roulette);
   vf light_total = one_f();
   vi connected = no_lanes();
 #ifdef NEED_LIGHTS
@@ -423,7 +428,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 #endif
     vf l0, l1;
     if (any_lane(lit)) {
-      sample_pair(pair_key, sample, samples, 1u, &l0, &l1);
+      sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 1u, &l0, &l1);
       LightSample light = sample_light(scene, p, u_choice, l0, l1);
       light_total = light.total;
       v3 toward =
@@ -459,7 +464,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 
   // One scattered ray.
   vf d0, d1;
-  sample_pair(pair_key, sample, samples, 3u, &d0, &d1);
+  sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 3u, &d0, &d1);
   BsdfSample scattered = sample_bsdf(scene, &m, view, from_back, u_lobe, u_glass, d0, d1);
   v3 out = add3(add3(scale3(tangent, scattered.direction.x), scale3(bitangent, scattered.direction.y)),
                 scale3(normal, scattered.direction.z));

@@ -21,14 +21,14 @@
 #define SHADOW_INDIRECT 0x80000000u
 
 // ROW_META: scatterings so far, those that were not specular (0, 1, 2 = more), whether a specular one came since, rays
-// so far (the random numbers' dimension), the sample's index in its item.
+// so far (the random numbers' dimension), the sample's index in its sequence.
 #define META_DEPTH_MASK 255u
 #define META_DIFFUSE 8u
 #define META_SPECULAR_SINCE (1u << 10)
 #define META_BOUNCE 11u
-#define META_BOUNCE_MASK 1023u
-#define META_SAMPLE 21u
-#define META_SAMPLE_MASK 63u
+#define META_BOUNCE_MASK 255u
+#define META_SAMPLE 19u
+#define META_SAMPLE_MASK 4095u
 #define META_IDLE (1u << 31)
 
 // A path's slot: direct RGB, indirect RGB, two words of padding.

@@ -10,12 +10,15 @@ namespace gleaner::kernels {
 using scene::Camera;
 #endif
 
-// Samples of one item at most: an item's samples are one Owen-scrambled Sobol net.
+// Samples of one item at most: an item's samples are consecutive points of an Owen-scrambled Sobol sequence.
 #define GLEANER_PATH_MAX_ITEM_SAMPLES 64
+// Points of a sequence before the pixel begins another one.
+#define GLEANER_PATH_SEQUENCE 4096u
 
 // Stage kind "path". An item is (pixel, chunk): samples_per_item camera paths through one pixel. Without the input
 // "items", item i is pixel i % (width * height), chunk first_chunk + i / (width * height); with it, item i is what the
-// list says.
+// list says. A pixel has two independently scrambled sequences; chunk c goes on with sequence c % 2 where its last
+// chunk ended, so that a pixel's samples stay well spread however many there come to be, and the two tell its variance.
 typedef struct {
   Camera camera;
   gl_uint width, height;      // pixels

@@ -79,11 +79,4 @@ std::vector<std::uint32_t> allocate_chunks(const std::vector<float>& variance, c
   return more;
 }
 
-double expected_squared_error(const std::vector<float>& variance, const std::vector<std::uint32_t>& chunks) {
-  double sum = 0;
-  for (std::size_t i = 0; i < variance.size(); ++i)
-    if (chunks[i]) sum += static_cast<double>(variance[i]) / chunks[i];
-  return variance.empty() ? 0 : sum / static_cast<double>(variance.size());
-}
-
 }  // namespace gleaner::coordinator

@@ -23,7 +23,4 @@ std::vector<float> neighbours_variance(const PixelNoise& noise, int radius);
 std::vector<std::uint32_t> allocate_chunks(const std::vector<float>& variance, const std::vector<std::uint32_t>& chunks,
                                            std::uint64_t extra);
 
-// Mean over the pixels of variance / chunks: the picture's expected squared error.
-double expected_squared_error(const std::vector<float>& variance, const std::vector<std::uint32_t>& chunks);
-
 }  // namespace gleaner::coordinator

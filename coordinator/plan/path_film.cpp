@@ -7,14 +7,25 @@ namespace gleaner::coordinator {
 PathFilm::PathFilm(std::uint32_t width, std::uint32_t height)
     : width_(width), height_(height), pixels_(std::size_t{width} * height) {}
 
-void PathFilm::add(std::uint32_t pixel, const float direct[3], const float indirect[3], std::uint32_t samples,
-                   bool whole) {
+// Were each sequence of n samples off by variance v / n, the difference of their means would have v (1/a + 1/b), and
+// the mean of all samples v / (a + b).
+double PathFilm::Pixel::variance(int k) const {
+  const double a = sequence_samples[0], b = sequence_samples[1];
+  if (a == 0 || b == 0) return 0;
+  const double difference = sequence[0][k] / a - sequence[1][k] / b;
+  return difference * difference * a * b / ((a + b) * (a + b));
+}
+
+void PathFilm::add(std::uint32_t pixel, std::uint32_t chunk, const float direct[3], const float indirect[3],
+                   std::uint32_t samples, bool whole) {
   Pixel& p = pixels_[pixel];
   p.samples += samples;
+  p.sequence_samples[chunk % 2] += samples;
   if (whole) ++p.chunks;
   for (int k = 0; k < 3; ++k) {
     p.direct[k] += direct[k];
     p.indirect[k] += indirect[k];
+    p.sequence[chunk % 2][k] += static_cast<double>(direct[k]) + indirect[k];
     if (!whole) continue;
     const double value = (static_cast<double>(direct[k]) + indirect[k]) / samples;
     const double before = value - p.mean[k];
@@ -44,6 +55,13 @@ PixelNoise PathFilm::noise() const {
       noise.chunk_variance[i] = static_cast<float>((p.square[0] + p.square[1] + p.square[2]) / (3.0 * (p.chunks - 1)));
   }
   return noise;
+}
+
+double PathFilm::squared_error() const {
+  double sum = 0;
+  for (const Pixel& p : pixels_)
+    for (int k = 0; k < 3; ++k) sum += p.variance(k);
+  return pixels_.empty() ? 0 : sum / (3.0 * static_cast<double>(pixels_.size()));
 }
 
 double PathFilm::mean_radiance() const {
@@ -78,10 +96,8 @@ Film PathFilm::film() const {
     layer(std::string("indirect.") + kColor[k],
           [&](std::size_t i) { return mean(pixels_[i].indirect[k], pixels_[i].samples); });
   for (int k = 0; k < 3; ++k)
-    layer(std::string("variance.") + kColor[k], [&](std::size_t i) {
-      const Pixel& p = pixels_[i];
-      return p.chunks > 1 ? static_cast<float>(p.square[k] / (p.chunks - 1) / p.chunks) : 0.0f;
-    });
+    layer(std::string("variance.") + kColor[k],
+          [&](std::size_t i) { return static_cast<float>(pixels_[i].variance(k)); });
   layer("samples.Y", [&](std::size_t i) { return static_cast<float>(pixels_[i].samples); });
   if (features_.empty()) return film;
   for (int k = 0; k < 3; ++k)

@@ -15,12 +15,16 @@ class PathFilm {
  public:
   PathFilm(std::uint32_t width, std::uint32_t height);
 
-  // One record: sums over `samples` samples of a pixel; `whole`: a chunk of full size, which the variance may count.
-  void add(std::uint32_t pixel, const float direct[3], const float indirect[3], std::uint32_t samples, bool whole);
+  // One record: sums over `samples` samples of a pixel's chunk; `whole`: a chunk of full size, which noise() may count.
+  void add(std::uint32_t pixel, std::uint32_t chunk, const float direct[3], const float indirect[3],
+           std::uint32_t samples, bool whole);
   void add_features(std::uint32_t pixel, const kernels::PathFeatureRecord& record, std::uint32_t samples);
 
-  // The sample variance of whole chunks' means, mean over the channels; 0 for pixels of fewer than two.
+  // The sample variance of whole chunks' means, mean over the channels; 0 for pixels of fewer than two. Chunks of one
+  // sequence repel each other, so that it overstates what more of them would leave: a guide to where the noise is.
   PixelNoise noise() const;
+  // The picture's expected squared error: mean over pixels and channels of the variance of the pixel's mean.
+  double squared_error() const;
   double mean_radiance() const;
 
   // Layers R G B, direct.*, indirect.*, variance.*, samples.Y and, where features were added, albedo.*, normal.*,
@@ -30,8 +34,11 @@ class PathFilm {
  private:
   struct Pixel {
     double direct[3] = {}, indirect[3] = {};  // sums over samples
+    double sequence[2][3] = {};               // the same sums by sequence
     double mean[3] = {}, square[3] = {};      // Welford over chunk means
-    std::uint32_t samples = 0, chunks = 0;
+    std::uint32_t samples = 0, chunks = 0, sequence_samples[2] = {};
+
+    double variance(int k) const;  // of the mean; 0 where a sequence is empty
   };
   struct Features {
     float albedo[3] = {}, normal[3] = {}, depth = 0, hits = 0;

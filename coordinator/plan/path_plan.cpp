@@ -138,11 +138,11 @@ Step PathPlan::next(const FinishedStage* finished) {
                         " bytes, expected " + std::to_string(planned.items * stride));
   for (std::uint64_t i = 0; i < planned.items; ++i) {
     const std::uint32_t samples = i + 1 == planned.items ? planned.last_item_samples : chunk_samples_;
-    const std::uint32_t pixel = pixel_of(planned, i);
+    const PathItem item = item_of(planned, i);
     PathFeatureRecord record{};
     std::memcpy(&record, finished->records->data() + i * stride, stride);
-    film_.add(pixel, record.direct, record.indirect, samples, samples == chunk_samples_);
-    if (planned.features) film_.add_features(pixel, record, samples);
+    film_.add(item.pixel, item.chunk, record.direct, record.indirect, samples, samples == chunk_samples_);
+    if (planned.features) film_.add_features(item.pixel, record, samples);
   }
   // Lists are large, and needed no more.
   planned_.back().list.reset();
@@ -152,8 +152,7 @@ Step PathPlan::next(const FinishedStage* finished) {
   const std::uint64_t all = budget();
   if (spent_ >= all) return done;
   if (settings_.target_error > 0) {
-    const PixelNoise noise = film_.noise();
-    const double error = std::sqrt(expected_squared_error(noise.chunk_variance, noise.chunks));
+    const double error = std::sqrt(film_.squared_error());
     const double mean = film_.mean_radiance();
     const double relative = mean > 0 ? error / mean : error;
     if (relative <= settings_.target_error) return done;
@@ -169,11 +168,11 @@ Step PathPlan::next(const FinishedStage* finished) {
   return spend(halves ? left / 2 : left);
 }
 
-std::uint32_t PathPlan::pixel_of(const Planned& planned, std::uint64_t item) const {
-  if (!planned.list) return static_cast<std::uint32_t>(item % pixels());
+PathItem PathPlan::item_of(const Planned& planned, std::uint64_t item) const {
+  if (!planned.list) return {static_cast<std::uint32_t>(item % pixels()), static_cast<std::uint32_t>(item / pixels())};
   PathItem entry;
   std::memcpy(&entry, planned.list->data() + item * sizeof entry, sizeof entry);
-  return entry.pixel;
+  return entry;
 }
 
 void PathPlan::preview(const std::string& name, std::uint64_t first, std::uint64_t count, const Bytes& records) {
@@ -185,7 +184,7 @@ void PathPlan::preview(const std::string& name, std::uint64_t first, std::uint64
   for (std::uint64_t i = 0; i < count; ++i) {
     PathRecord record;
     std::memcpy(&record, records.data() + i * stride, sizeof record);
-    PreviewPixel& pixel = preview_[pixel_of(*planned, first + i)];
+    PreviewPixel& pixel = preview_[item_of(*planned, first + i).pixel];
     for (int k = 0; k < 3; ++k) pixel.sum[k] += record.direct[k] + record.indirect[k];
     pixel.samples += static_cast<float>(first + i + 1 == planned->items ? planned->last_item_samples : chunk_samples_);
   }

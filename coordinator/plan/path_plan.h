@@ -35,7 +35,7 @@ class PathPlan final : public Plan {
   std::uint64_t budget() const;  // samples in all, for now
   Step stage(Planned planned);
   Step spend(std::uint64_t samples);
-  std::uint32_t pixel_of(const Planned& planned, std::uint64_t item) const;
+  kernels::PathItem item_of(const Planned& planned, std::uint64_t item) const;
 
   FrameSettings settings_;
   SceneSummary scene_;

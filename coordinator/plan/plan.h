@@ -1,5 +1,6 @@
 #pragma once
-// A frame's plan: a small state machine that turns finished stages into the next ones. Pure: no clock, no sockets, no threads.
+// A frame's plan: a small state machine that turns finished stages into the next ones. Pure: no clock, no sockets, no
+// threads.
 
 #include <cstdint>
 #include <map>
@@ -17,17 +18,17 @@ using ArtifactId = std::string;  // SHA-256 of what makes it (a plan's own data:
 using scene::Bytes;
 
 struct StageInput {
-  std::string name;      // what the stage program calls it
+  std::string name;  // what the stage program calls it
   ArtifactId artifact;
 };
 
 struct StageSpec {
-  std::string name;              // unique in the frame; part of the random numbers' key
-  std::string kind;              // which stage program of the device library runs it
+  std::string name;  // unique in the frame; part of the random numbers' key
+  std::string kind;  // which stage program of the device library runs it
   std::uint64_t items = 0;
-  std::uint32_t tile = 1;        // batches begin and end at multiples of it (or at `items`)
-  bool solo = false;             // runs whole on one worker
-  Bytes parameters;              // little-endian struct of kernels/stage_records.h
+  std::uint32_t tile = 1;  // batches begin and end at multiples of it (or at `items`)
+  bool solo = false;       // runs whole on one worker
+  Bytes parameters;        // little-endian struct of kernels/stage_records.h
   std::vector<StageInput> inputs;
   std::uint32_t record_bytes = 0;  // fixed stride of an item's record
 };
@@ -38,9 +39,9 @@ struct FinishedStage {
 };
 
 struct Step {
-  std::vector<StageSpec> stages;                                  // to run now (in any order, at the same time)
-  std::map<ArtifactId, std::shared_ptr<const Bytes>> artifacts;   // data of the plan's own that those stages read
-  bool done = false;                                              // the film is whole
+  std::vector<StageSpec> stages;                                 // to run now (in any order, at the same time)
+  std::map<ArtifactId, std::shared_ptr<const Bytes>> artifacts;  // data of the plan's own that those stages read
+  bool done = false;                                             // the film is whole
 };
 
 struct Skip {
@@ -52,10 +53,10 @@ struct FrameSettings {
   std::string method = "path";
   std::uint32_t width = 0, height = 0;  // pixels
   std::uint32_t spp = 64;
-  std::uint32_t depth = 0;              // most scatterings on a light's way, 0 = until Russian roulette ends it
+  std::uint32_t depth = 0;  // most scatterings on a light's way, 0 = until Russian roulette ends it
   std::uint64_t seed = 0;
-  scene::Camera camera{};               // aspect already that of the film
-  double target_error = 0;              // 0 = none
+  scene::Camera camera{};                  // aspect already that of the film
+  double target_error = 0;                 // 0 = none
   std::map<std::string, std::string> set;  // --set KEY=VALUE
 };
 
@@ -85,7 +86,8 @@ struct SceneSummary {
 };
 SceneSummary summarize(const scene::Scene& scene);
 
-// Throws Error::usage for an unknown method, an unknown or malformed --set key, or a film of no or too many pixels (2^28).
+// Throws Error::usage for an unknown method, an unknown or malformed --set key, or a film of no or too many pixels
+// (2^28).
 std::unique_ptr<Plan> make_plan(const FrameSettings& settings, const SceneSummary& scene);
 
 }  // namespace gleaner::coordinator
