@@ -4,12 +4,13 @@
 //   at a leaf test its triangles. Ties in t go to the smaller triangle index.
 //
 // No ray slips through a seam, not even through a vertex (Woop, Benthin & Wald 2013, "Watertight Ray/Triangle
-// Intersection"): corners are sheared into the plane across the ray, where all triangles around a vertex see it at the same
-// place, and no edge function has the wrong sign. (Pluecker tests lose rays at vertices, where each edge has a noise of its
-// own: measured one in 1700 on a sphere far from the origin.) Boxes are tested with room for the shear's rounding.
+// Intersection"): corners are sheared into the plane across the ray, where all triangles around a vertex see it at the
+// same place, and no edge function has the wrong sign. (Pluecker tests lose rays at vertices, where each edge has a
+// noise of its own: measured one in 1700 on a sphere far from the origin.) Boxes are tested with room for the shear's
+// rounding.
 //
-// Tests are written in accept form: a NaN is a miss. A full stack raises a flag and the ray reports itself, nothing is lost
-// in silence. Contraction is off: the sign of an edge must not depend on which product was rounded.
+// Tests are written in accept form: a NaN is a miss. A full stack raises a flag and the ray reports itself, nothing is
+// lost in silence. Contraction is off: the sign of an edge must not depend on which product was rounded.
 #pragma OPENCL FP_CONTRACT OFF
 
 #include "kernels/rays.h"
@@ -74,11 +75,12 @@ FN int hits_box(global const float* lower, global const float* upper, const Line
   return enter <= leave * 1.0000011f;
 }
 
-// Rounding keeps the order of products: the sign is the exact value's, or the result is 0, which counts for either side.
+// Rounding keeps the order of products: the sign is the exact value's, or the result is 0, which counts for either
+// side.
 FN float edge(float ax, float ay, float bx, float by) { return ax * by - bx * ay; }
 
-FN int hits_triangle(global const float* triangles, uint index, const Line* line, float far, float* t, float* u, float* v,
-                     float3* normal) {
+FN int hits_triangle(global const float* triangles, uint index, const Line* line, float far, float* t, float* u,
+                     float* v, float3* normal) {
   global const float* row = triangles + (ulong)TRIANGLE_WORDS * index;
   float3 a = (float3)(row[TRIANGLE_P0], row[TRIANGLE_P0 + 1], row[TRIANGLE_P0 + 2]) - line->origin;
   float3 b = (float3)(row[TRIANGLE_P1], row[TRIANGLE_P1 + 1], row[TRIANGLE_P1 + 2]) - line->origin;
@@ -92,7 +94,10 @@ FN int hits_triangle(global const float* triangles, uint index, const Line* line
   if (!((u_edge >= 0.0f && v_edge >= 0.0f && w_edge >= 0.0f) || (u_edge <= 0.0f && v_edge <= 0.0f && w_edge <= 0.0f)))
     return 0;
   float sum = u_edge + v_edge + w_edge;
-  float3 n = plain_cross(b - a, c - a);
+  // From the two shorter edges: those of a needle that are long differ by little, and their product by less.
+  float3 ab = b - a, bc = c - b, ca = a - c;
+  float l0 = plain_dot(ab, ab), l1 = plain_dot(bc, bc), l2 = plain_dot(ca, ca);
+  float3 n = l0 >= l1 && l0 >= l2 ? plain_cross(bc, ca) : l1 >= l2 ? plain_cross(ca, ab) : plain_cross(ab, bc);
   float denominator = plain_dot(n, line->direction);
   // Of a plane seen edge-on, the quotient may be anything: the hit lies between the corners.
   float pt = p.z / line->largest, qt = q.z / line->largest, rt = r.z / line->largest;
@@ -181,8 +186,8 @@ kernel void trace_closest(global const BvhNode* restrict nodes, global const uin
   if (!(far > 0.0f)) return;
   Hit hit;
   uint source = ((global uint*)rays)[at + 16u * ROW_SOURCE];
-  if (walk(nodes, slots, triangles, read3(rays, i, rows, ROW_ORIGIN), read3(rays, i, rows, ROW_DIRECTION), far, source, 0, &hit,
-           overflow)) {
+  if (walk(nodes, slots, triangles, read3(rays, i, rows, ROW_ORIGIN), read3(rays, i, rows, ROW_DIRECTION), far, source,
+           0, &hit, overflow)) {
     rays[at + 16u * ROW_FAR] = hit.t;
     rays[at + 16u * ROW_NORMAL] = hit.normal.x;
     rays[at + 16u * (ROW_NORMAL + 1u)] = hit.normal.y;
@@ -205,7 +210,7 @@ kernel void trace_any(global const BvhNode* restrict nodes, global const uint* r
   if (!(far > 0.0f)) return;
   Hit hit;
   uint source = ((global uint*)rays)[at + 16u * ROW_SOURCE];
-  if (walk(nodes, slots, triangles, read3(rays, i, rows, ROW_ORIGIN), read3(rays, i, rows, ROW_DIRECTION), far, source, 1, &hit,
-           overflow))
+  if (walk(nodes, slots, triangles, read3(rays, i, rows, ROW_ORIGIN), read3(rays, i, rows, ROW_DIRECTION), far, source,
+           1, &hit, overflow))
     rays[at + 16u * ROW_FAR] = -INFINITY;
 }

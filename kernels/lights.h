@@ -132,7 +132,8 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
     v3 radiance = words3(e, EMITTER_RADIANCE);
     vf b1, b2;
     sample_triangle(u0, u1, &b1, &b2);
-    v3 q = mad3(e1, b1, mad3(e2, b2, corner));
+    v3 error;
+    v3 q = surface_point(corner, e1, e2, b1, b2, &error);
     v3 n = cross3(e1, e2);  // its length is twice the area
     v3 d = sub3(q, p);
     vf d2 = dot3(d, d);
@@ -158,10 +159,6 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
       radiance = pick3(radiance, mul3(radiance, texture_lookup(scene, texture, u, v, textured, &unused)), textured);
     }
 #endif
-    vf reach = 3.0f * 5.9604645e-8f;
-    v3 error =
-        make3((fabs(corner.x) + fabs(e1.x) + fabs(e2.x)) * reach, (fabs(corner.y) + fabs(e1.y) + fabs(e2.y)) * reach,
-              (fabs(corner.z) + fabs(e1.z) + fabs(e2.z)) * reach);
     light.target = pick3(light.target, leave_surface(q, error, normalize3(n), negate3(w)), ok);
     light.direction = pick3(light.direction, w, ok);
     light.radiance = pick3(light.radiance, radiance, ok);
