@@ -5,12 +5,13 @@
 #include "cli/commands.h"
 #include "cli/present_commands.h"
 #include "cli/program.h"
+#include "gleaner/version.h"
 
 int main(int argc, char** argv) {
   gleaner::cli::silence_grpc();
   CLI::App app{"Gleaner: a render farm that splits one frame", "gleaner"};
   app.require_subcommand(1);
-  app.set_version_flag("--version", "gleaner 0.1.0");
+  app.set_version_flag("--version", std::string("gleaner ") + gleaner::version);
   gleaner::cli::Run run;
 #define GLEANER_ADD(command) gleaner::cli::add_##command(app, run);
   GLEANER_COMMANDS(GLEANER_ADD)

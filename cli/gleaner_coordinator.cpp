@@ -15,6 +15,7 @@
 #include "coordinator/blobs/store.h"
 #include "coordinator/gateway/server.h"
 #include "coordinator/jobs/farm.h"
+#include "gleaner/version.h"
 #include "scene/model/error.h"
 
 namespace gleaner::cli {
@@ -77,7 +78,7 @@ int main(int argc, char** argv) {
   using namespace gleaner::cli;
   silence_grpc();
   CLI::App app{"Takes jobs, splits their frames among workers, writes the pictures", "gleaner-coordinator"};
-  app.set_version_flag("--version", "gleaner-coordinator 0.1.0");
+  app.set_version_flag("--version", std::string("gleaner-coordinator ") + gleaner::version);
   CoordinatorOptions options;
   app.add_option("--listen", options.listen, "HOST:PORT; port 0 takes a free one. Prints HOST:PORT on standard output")
       ->capture_default_str();

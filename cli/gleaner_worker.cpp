@@ -9,6 +9,7 @@
 
 #include "cli/program.h"
 #include "cli/signals.h"
+#include "gleaner/version.h"
 #include "scene/model/error.h"
 #include "worker/agent/agent.h"
 
@@ -69,7 +70,7 @@ int main(int argc, char** argv) {
   using namespace gleaner::cli;
   silence_grpc();
   CLI::App app{"Runs a farm's batches on one OpenCL device", "gleaner-worker"};
-  app.set_version_flag("--version", "gleaner-worker 0.1.0");
+  app.set_version_flag("--version", std::string("gleaner-worker ") + gleaner::version);
   WorkerOptions options;
   app.add_option("--coordinator", options.coordinator, "HOST:PORT (default: $GLEANER_COORDINATOR)")
       ->envname("GLEANER_COORDINATOR");
