@@ -224,8 +224,7 @@ FN vf light_pdf(const Scene* scene, vu emitter, v3 p, v3 w, vf distance, vf tota
   vf projected = -dot3(n, w);
   vf chance = e[EMITTER_PMF];
 #if CLUSTERS > 1
-  chance *=
-      cluster_importance_at(scene, as_vu(e[EMITTER_CLUSTER]), p) / total;
+  chance *= cluster_importance_at(scene, as_vu(e[EMITTER_CLUSTER]), p) / total;
 #endif
   vf pdf = chance * 2.0f * distance * distance / projected;
   return pick(zero_f(), pdf, (projected > zero_f()) & finite_f(pdf));

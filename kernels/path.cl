@@ -475,10 +475,10 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   vi alive =
       active & none(passes) & (max_component(next_throughput) > zero_f()) & finite3(next_throughput) & finite3(out);
   vu next_depth = min(depth + 1u, (vu)META_DEPTH_MASK);
-  if (most) {
-    // The last scattering's ray can only find emission: without lights to find, it is not sent.
-    alive = alive & (next_depth <= most);
-  }
+#if !defined(NEED_EMISSIVE_TRIANGLES) && !defined(NEED_ENVIRONMENT) && !defined(NEED_UNLIT)
+  // The last scattering's ray could find emission alone, and here is none.
+  if (most) alive = alive & (next_depth < most);
+#endif
   // Russian roulette on what the path still carries; radiance squeezed by refraction is taken at its worth outside.
   vf carried = max_component(next_throughput) * eta * eta;
   vi roulette = alive & (next_depth >= ROULETTE_DEPTH);

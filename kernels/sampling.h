@@ -1,6 +1,6 @@
 // Random numbers and what is made of them. A number depends on (key, sample, dimension) alone, where the key is a hash
-// of (seed, pixel, sequence): Owen-scrambled Sobol points, two dimensions at a time, padded by shuffling the order of the
-// samples anew for each pair (Burley 2020, "Practical Hash-based Owen Scrambling").
+// of (seed, pixel, sequence): Owen-scrambled Sobol points, two dimensions at a time, padded by shuffling the order of
+// the samples anew for each pair (Burley 2020, "Practical Hash-based Owen Scrambling").
 #ifndef GLEANER_KERNELS_SAMPLING_H
 #define GLEANER_KERNELS_SAMPLING_H
 
@@ -36,8 +36,9 @@ FN vu permute_upward(vu x, vu seed) {
   return x;
 }
 
-// The second Sobol dimension, bit-reversed, of indices below 65536: its matrix is Pascal's triangle mod 2, whose rows are the
-// subsets of each other's bits (Lucas), so that the product is a sum over supersets, four steps for sixteen bits.
+// The second Sobol dimension, bit-reversed, of indices below 65536: its matrix is Pascal's triangle mod 2, whose rows
+// are the subsets of each other's bits (Lucas), so that the product is a sum over supersets, four steps for sixteen
+// bits.
 FN vu sobol1_reversed(vu i) {
   i ^= (i >> 1) & 0x5555u;
   i ^= (i >> 2) & 0x3333u;
@@ -48,7 +49,8 @@ FN vu sobol1_reversed(vu i) {
 // In [0, 1): 24 bits, so that 1 is never reached by rounding.
 FN vf unit_float(vu x) { return to_f(x >> 8) * (vf)5.9604644775390625e-8f; }
 
-// Two dimensions, stratified together over any aligned run of 2^k samples. `sample` < `samples`, a power of two, at most 65536.
+// Two dimensions, stratified together over any aligned run of 2^k samples. `sample` < `samples`, a power of two, at
+// most 65536.
 FN void sample_pair(vu key, vu sample, uint samples, uint dimension, vf* u0, vf* u1) {
   vu h = hash_u(key ^ (vu)(dimension * 0x9e3779b9u));
   vu shuffled = reverse_bits(permute_upward(reverse_bits(sample), h)) & (vu)(samples - 1u);

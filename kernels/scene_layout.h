@@ -12,7 +12,7 @@
 #define TRIANGLE_P2 6u
 #define TRIANGLE_MATERIAL 9u
 #define TRIANGLE_EMITTER 10u  // row of the emitter table, or GLEANER_NONE
-#define TRIANGLE_SECOND 16u  // where the second line begins
+#define TRIANGLE_SECOND 16u   // where the second line begins
 #define TRIANGLE_N0 16u
 #define TRIANGLE_N1 19u
 #define TRIANGLE_N2 22u

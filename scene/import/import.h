@@ -7,8 +7,8 @@
 
 namespace gleaner::scene {
 
-// Reads .gltf, .glb or .obj by its extension. The result is validated and finished. A file without a camera gets one that
-// frames it, and a warning. Throws Error::bad_input naming the file, the element and what was expected.
+// Reads .gltf, .glb or .obj by its extension. The result is validated and finished. A file without a camera gets one
+// that frames it, and a warning. Throws Error::bad_input naming the file, the element and what was expected.
 Scene import_scene(const std::string& path);
 
 // Reads a lat-long .exr or .hdr. Throws Error::bad_input; every value must be finite and not negative.

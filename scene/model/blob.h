@@ -1,6 +1,7 @@
 #pragma once
-// The scene's blob: one run of bytes with a table of 64-byte aligned sections, the same on disk, on the wire and in memory.
-// The BVH of the OpenCL tracer travels in a blob of its own (kind `bvh`), so that who traces with Embree never fetches it.
+// The scene's blob: one run of bytes with a table of 64-byte aligned sections, the same on disk, on the wire and in
+// memory. The BVH of the OpenCL tracer travels in a blob of its own (kind `bvh`), so that who traces with Embree never
+// fetches it.
 
 #include <cstddef>
 #include <cstdint>
@@ -25,7 +26,8 @@ struct Bvh {
 Bytes serialize(const Scene& scene);
 Bytes serialize(const Bvh& bvh);
 
-// Throw Error::bad_input (named `origin`) on truncated, oversized, misaligned or inconsistent bytes; the result passed validate().
+// Throw Error::bad_input (named `origin`) on truncated, oversized, misaligned or inconsistent bytes; the result passed
+// validate().
 Scene parse_scene(std::span<const std::byte> bytes, const std::string& origin);
 Bvh parse_bvh(std::span<const std::byte> bytes, std::size_t triangle_count, const std::string& origin);
 

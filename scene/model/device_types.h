@@ -13,7 +13,8 @@ typedef int gl_int;
 using gl_float = float;
 using gl_uint = std::uint32_t;
 using gl_int = std::int32_t;
-#define GLEANER_SIZE(type, bytes) static_assert(sizeof(type) == (bytes), #type " must have the same layout on host and device")
+#define GLEANER_SIZE(type, bytes) \
+  static_assert(sizeof(type) == (bytes), #type " must have the same layout on host and device")
 #endif
 
 #endif

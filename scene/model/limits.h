@@ -14,6 +14,6 @@ inline constexpr std::uint32_t kMaxEnvironmentSide = 16384;
 // Squared areas of triangles stay below the largest float.
 inline constexpr float kMaxCoordinate = 1e9f;
 inline constexpr float kMaxCameraCoordinate = 8e9f;  // far enough off to see the largest scene whole
-inline constexpr double kUnitTolerance = 1e-3;  // of a unit vector's squared length
+inline constexpr double kUnitTolerance = 1e-3;       // of a unit vector's squared length
 
 }  // namespace gleaner::scene

@@ -18,36 +18,36 @@ namespace gleaner::scene {
 #define GLEANER_ALBEDO_ROWS 33
 
 // Material::flags
-#define GLEANER_MATERIAL_SOLID 1u         // transmission refracts into a solid (KHR_materials_volume); else a thin sheet
-#define GLEANER_MATERIAL_UNLIT 2u         // emits base_color, scatters nothing (KHR_materials_unlit)
-#define GLEANER_MATERIAL_ALPHA_BLEND 4u   // opacity = alpha; what is not opaque lets light go on unbent
-#define GLEANER_MATERIAL_ALPHA_MASK 8u    // opacity = alpha >= alpha_cutoff
-#define GLEANER_MATERIAL_ATTENUATES 16u   // a solid with a finite attenuation distance
+#define GLEANER_MATERIAL_SOLID 1u        // transmission refracts into a solid (KHR_materials_volume); else a thin sheet
+#define GLEANER_MATERIAL_UNLIT 2u        // emits base_color, scatters nothing (KHR_materials_unlit)
+#define GLEANER_MATERIAL_ALPHA_BLEND 4u  // opacity = alpha; what is not opaque lets light go on unbent
+#define GLEANER_MATERIAL_ALPHA_MASK 8u   // opacity = alpha >= alpha_cutoff
+#define GLEANER_MATERIAL_ATTENUATES 16u  // a solid with a finite attenuation distance
 
 // glTF 2.0 metallic-roughness with KHR_materials_{specular,ior,transmission,volume,emissive_strength,unlit}.
 // Textures are indices into the texture records, or GLEANER_NONE. 144 bytes.
 typedef struct {
-  gl_float base_color[3];      // linear, in [0, 1]
-  gl_float alpha;              // baseColorFactor[3]
-  gl_float emission[3];        // radiance: emissiveFactor * emissiveStrength; leaves the front face alone
+  gl_float base_color[3];  // linear, in [0, 1]
+  gl_float alpha;          // baseColorFactor[3]
+  gl_float emission[3];    // radiance: emissiveFactor * emissiveStrength; leaves the front face alone
   gl_float alpha_cutoff;
   gl_float specular_color[3];  // specularColorFactor
   gl_float specular;           // specularFactor
   gl_float f0[3];              // min(((1-ior)/(1+ior))^2 * specular_color, 1), derived
   gl_float ior;
-  gl_float attenuation[3];     // absorption coefficient in 1/m: -log(attenuationColor) / attenuationDistance, derived
+  gl_float attenuation[3];  // absorption coefficient in 1/m: -log(attenuationColor) / attenuationDistance, derived
   gl_float metallic;
-  gl_float roughness;          // perceptual; alpha of GGX = roughness^2
-  gl_float transmission;       // in [0, 1]
+  gl_float roughness;     // perceptual; alpha of GGX = roughness^2
+  gl_float transmission;  // in [0, 1]
   gl_float normal_scale;
   gl_uint flags;
-  gl_uint base_color_texture;  // sRGB, alpha linear
+  gl_uint base_color_texture;          // sRGB, alpha linear
   gl_uint metallic_roughness_texture;  // linear, G roughness, B metallic
-  gl_uint normal_texture;      // linear, tangent space
-  gl_uint emission_texture;    // sRGB
-  gl_uint transmission_texture;  // linear, R
-  gl_uint specular_texture;      // linear, A specular
-  gl_uint specular_color_texture;  // sRGB
+  gl_uint normal_texture;              // linear, tangent space
+  gl_uint emission_texture;            // sRGB
+  gl_uint transmission_texture;        // linear, R
+  gl_uint specular_texture;            // linear, A specular
+  gl_uint specular_color_texture;      // sRGB
   // First float, in the albedo tables, of this material's table of what the specular lobe leaves to the diffuse layer:
   // rows of {1 - s E((i + 0.5)/NODES) for i < NODES, then 1 - s M}; albedo_rows is 1 or GLEANER_ALBEDO_ROWS;
   // GLEANER_NONE where the specular lobe takes nothing.
@@ -58,7 +58,7 @@ typedef struct {
 GLEANER_SIZE(Material, 144);
 
 // Texture::flags
-#define GLEANER_TEXTURE_SRGB 1u      // RGB bytes are decoded from sRGB before they are filtered; alpha never is
+#define GLEANER_TEXTURE_SRGB 1u  // RGB bytes are decoded from sRGB before they are filtered; alpha never is
 #define GLEANER_WRAP_REPEAT 0u
 #define GLEANER_WRAP_CLAMP 1u
 #define GLEANER_WRAP_MIRROR 2u
@@ -81,9 +81,9 @@ GLEANER_SIZE(Texture, 32);
 typedef struct {
   gl_float position[3];
   gl_uint type;
-  gl_float direction[3];     // unit, the way the light travels (glTF: the node's -Z)
-  gl_float range;            // metres; 0 = without end
-  gl_float intensity[3];     // point, spot: W/sr; directional: W/m^2
+  gl_float direction[3];  // unit, the way the light travels (glTF: the node's -Z)
+  gl_float range;         // metres; 0 = without end
+  gl_float intensity[3];  // point, spot: W/sr; directional: W/m^2
   gl_float cos_inner;
   gl_float cos_outer;
   gl_uint reserved[3];
@@ -98,7 +98,7 @@ typedef struct {
   gl_float origin[3];
   gl_uint type;
   gl_float right[3];
-  gl_float half_width;   // perspective: tan(xfov / 2) = half_height * aspect; orthographic: xmag (metres)
+  gl_float half_width;  // perspective: tan(xfov / 2) = half_height * aspect; orthographic: xmag (metres)
   gl_float up[3];
   gl_float half_height;  // perspective: tan(yfov / 2); orthographic: ymag
   gl_float forward[3];
@@ -107,8 +107,8 @@ typedef struct {
 GLEANER_SIZE(Camera, 64);
 
 // Node of the wide-free binary BVH the OpenCL tracer walks: the boxes of both children. A child index with the top bit
-// set is a leaf: bits 0..26 first triangle slot, bits 27..30 count (1..15; 0 where a scene is too small for two leaves).
-// 64 bytes.
+// set is a leaf: bits 0..26 first triangle slot, bits 27..30 count (1..15; 0 where a scene is too small for two
+// leaves). 64 bytes.
 #define GLEANER_BVH_LEAF 0x80000000u
 typedef struct {
   gl_float lower0[3], upper0[3];

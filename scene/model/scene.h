@@ -41,12 +41,12 @@ struct Scene {
   std::vector<Material> materials;
   std::vector<std::string> material_names;
   std::vector<Texture> textures;
-  std::vector<std::uint32_t> texels;             // RGBA bytes, R lowest
-  std::vector<float> albedo_tables;              // see Material::albedo_table
+  std::vector<std::uint32_t> texels;  // RGBA bytes, R lowest
+  std::vector<float> albedo_tables;   // see Material::albedo_table
   std::vector<Light> lights;
   std::vector<NamedCamera> cameras;
   Environment environment;
-  std::vector<std::string> warnings;             // what the importer wants a person to know
+  std::vector<std::string> warnings;  // what the importer wants a person to know
 
   std::size_t vertex_count() const { return positions.size() / 3; }
   std::size_t triangle_count() const { return indices.size() / 3; }
@@ -54,24 +54,24 @@ struct Scene {
 
 // What a scene needs of a renderer. What is false never enters a plan, a kernel or a buffer.
 struct SceneNeeds {
-  bool specular = false;         // a perfect mirror lobe
-  bool glossy = false;           // a rough specular lobe
-  bool metallic = false;         // any metallic lobe
-  bool transmissive = false;     // glass, thin or solid
+  bool specular = false;      // a perfect mirror lobe
+  bool glossy = false;        // a rough specular lobe
+  bool metallic = false;      // any metallic lobe
+  bool transmissive = false;  // glass, thin or solid
   bool rough_transmissive = false;
-  bool attenuation = false;      // absorption inside solids
-  bool alpha = false;            // surfaces that are not opaque
+  bool attenuation = false;  // absorption inside solids
+  bool alpha = false;        // surfaces that are not opaque
   bool unlit = false;
-  bool textures = false;         // any texture
+  bool textures = false;           // any texture
   bool material_textures = false;  // any texture but base colour's
   bool normal_maps = false;
-  bool smooth_normals = false;   // any vertex normal that differs from its triangle's own
+  bool smooth_normals = false;  // any vertex normal that differs from its triangle's own
   bool punctual_lights = false;
   bool emissive_triangles = false;
   bool environment = false;
-  bool deforming = false;        // no format read so far brings deforming meshes
+  bool deforming = false;  // no format read so far brings deforming meshes
 
-  std::uint32_t bits() const;    // one bit a field, in the order above
+  std::uint32_t bits() const;  // one bit a field, in the order above
 };
 
 SceneNeeds needs_of(const Scene& scene);
@@ -83,11 +83,12 @@ struct Bounds {
 };
 Bounds bounds_of(const Scene& scene);
 
-// Fills in what is derived from what was read: f0, attenuation, albedo tables. Importers and the scene library call it last.
+// Fills in what is derived from what was read: f0, attenuation, albedo tables. Importers and the scene library call it
+// last.
 void finish_materials(Scene& scene);
 
-// Throws Error::bad_input naming `file` and the element: non-finite vertices, indices and materials out of range, arrays
-// of the wrong length, too many triangles (2^27) or texels (2^30).
+// Throws Error::bad_input naming `file` and the element: non-finite vertices, indices and materials out of range,
+// arrays of the wrong length, too many triangles (2^27) or texels (2^30).
 void validate(const Scene& scene, const std::string& file);
 
 // A camera that frames the scene's bounds from the front, for files without one.
