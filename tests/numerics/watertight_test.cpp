@@ -139,8 +139,8 @@ TEST_P(Watertight, SpheresLoseNoRayThroughAnEdgesMiddle) {
 }
 
 // Embree's edge tests are Pluecker products: edges that meet in a vertex do not agree where it is to the last bit, and
-// a ray aimed exactly there may pass between them all: 1.15 % of such rays on the sphere of 1000 m, none on that of 2 m.
-// A stated rate, not a promise of none; no random ray has ever found one.
+// a ray aimed exactly there may pass between them all: 1.15 % of such rays on the sphere of 1000 m, none on that of 2
+// m. A stated rate, not a promise of none; no random ray has ever found one.
 constexpr double kEmbreeLosesAtVertices = 0.02;
 
 TEST_P(Watertight, SpheresLoseNoRayThroughAVertex) {
