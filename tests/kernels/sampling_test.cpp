@@ -20,10 +20,11 @@ constexpr double kFamily = 1e-3;
 
 constexpr const char* kText = R"CL(
 #include "kernels/sampling.h"
+#include "kernels/stage_records.h"
 
-// As path_generate makes it of seed, pixel and chunk.
-FN vu key_of(uint seed, vu pixel, vu chunk) {
-  return hash_combine(hash_combine(hash_combine((vu)seed, (vu)0u), pixel), chunk);
+// As path_generate makes it of seed, pixel and sequence.
+FN vu key_of(uint seed, vu pixel, vu sequence) {
+  return hash_combine(hash_combine(hash_combine((vu)seed, (vu)0u), pixel), sequence);
 }
 FN vu lane_id(void) { return (vu)((uint)get_global_id(0) * LANES) + lane_index(); }
 
@@ -32,11 +33,13 @@ kernel void keys(uint seed, uint pixels, global uint* out) {
   scatter_u(out, i, key_of(seed, i % pixels, i / pixels));
 }
 
-// Set i / samples, sample i % samples: pixel = set, chunk given.
-kernel void pairs(uint seed, uint chunk, uint samples, uint dimension, global float* a, global float* b) {
+// Run i / samples, each of a pixel of its own: an aligned run of the pixel's sequence.
+kernel void pairs(uint seed, uint sequence, uint samples, uint dimension, global float* a, global float* b) {
   vu i = lane_id();
   vf u0, u1;
-  sample_pair(key_of(seed, i / samples, (vu)chunk), i & (vu)(samples - 1u), samples, dimension, &u0, &u1);
+  vu run = i / samples;
+  vu first = (hash_u(run) & (GLEANER_PATH_SEQUENCE / samples - 1u)) * samples;
+  sample_pair(key_of(seed, run, (vu)sequence), first + (i & (samples - 1u)), GLEANER_PATH_SEQUENCE, dimension, &u0, &u1);
   scatter_f(a, i, u0);
   scatter_f(b, i, u1);
 }
@@ -46,7 +49,7 @@ kernel void vertex_pairs(uint seed, uint bounce, uint dimension, global float* a
   vu i = lane_id();
   vf u0, u1;
   vu key = hash_combine(key_of(seed, i, (vu)0u), (vu)(bounce * 4u + 1u));
-  sample_pair(key, (vu)0u, 1u, dimension, &u0, &u1);
+  sample_pair(key, hash_u(i) & (GLEANER_PATH_SEQUENCE - 1u), GLEANER_PATH_SEQUENCE, dimension, &u0, &u1);
   scatter_f(a, i, u0);
   scatter_f(b, i, u1);
 }
@@ -83,11 +86,11 @@ class Sampling : public ::testing::TestWithParam<unsigned> {
  protected:
   Sampling() : bench_(GetParam()), program_(bench_.build(kText)) {}
 
-  std::pair<std::vector<float>, std::vector<float>> pairs(cl_uint seed, cl_uint chunk, cl_uint samples,
+  std::pair<std::vector<float>, std::vector<float>> pairs(cl_uint seed, cl_uint sequence, cl_uint samples,
                                                           cl_uint dimension, std::size_t count) {
     cl::Kernel kernel(program_, "pairs");
     cl::Buffer a = bench_.space(count), b = bench_.space(count);
-    set_arguments(kernel, 0, seed, chunk, samples, dimension, a, b);
+    set_arguments(kernel, 0, seed, sequence, samples, dimension, a, b);
     bench_.run(kernel, count);
     return {bench_.read<float>(a, count), bench_.read<float>(b, count)};
   }
@@ -145,10 +148,11 @@ TEST_P(Sampling, UniformAlongAndAcross) {
   }
 }
 
-// Sobol's points stay a (0, m, 2)-net under Owen scrambling: every elementary interval of area 1 / n holds one of n.
-TEST_P(Sampling, EveryItemIsANet) {
-  for (const cl_uint samples : {2u, 4u, 16u, 64u}) {
-    const std::size_t sets = 1024, count = sets * samples;
+// Sobol's points stay a (0, m, 2)-net under Owen scrambling: every elementary interval of area 1 / n holds one of n,
+// for the samples of any item and for aligned runs of items.
+TEST_P(Sampling, EveryRunIsANet) {
+  for (const cl_uint samples : {2u, 4u, 16u, 64u, 4096u}) {
+    const std::size_t sets = std::min(1024u, 262144u / samples), count = sets * samples;
     for (const cl_uint dimension : {0u, 1u, 3u}) {
       const auto [a, b] = pairs(9, 1, samples, dimension, count);
       std::size_t broken = 0;
@@ -185,7 +189,7 @@ TEST_P(Sampling, NothingIsCorrelated) {
       add("bounce " + std::to_string(bounce) + ", dimension " + std::to_string(d),
           {bench_.read<float>(a, count), bench_.read<float>(b, count)});
     }
-  for (const cl_uint chunk : {1u, 2u, 64u}) add("chunk " + std::to_string(chunk), pairs(7, chunk, 1, 0, count));
+  for (const cl_uint s : {1u, 2u, 64u}) add("sequence " + std::to_string(s), pairs(7, s, 1, 0, count));
   add("seed 8", pairs(8, 0, 1, 0, count));
   const auto first = columns[0].second;
   for (const std::size_t away : {1u, 2u, 16u, 512u}) {
@@ -224,23 +228,23 @@ TEST_P(Sampling, DimensionsOfANetAreShuffledApart) {
     }
 }
 
-// path_generate's keys are those tested here; for one pixel no two chunks share a key, for one chunk no two pixels.
+// For one pixel no two sequences share a key, for one sequence no two pixels.
 TEST_P(Sampling, StreamsAreDisjoint) {
-  constexpr std::size_t pixels = 1 << 14, chunks = 64, count = pixels * chunks;
+  constexpr std::size_t pixels = 1 << 14, sequences = 64, count = pixels * sequences;
   const std::vector<std::uint32_t> all = keys(1, pixels, count);
-  for (const std::size_t chunk : {std::size_t{0}, std::size_t{63}}) {
-    std::vector<std::uint32_t> some(all.begin() + static_cast<std::ptrdiff_t>(chunk * pixels),
-                                    all.begin() + static_cast<std::ptrdiff_t>((chunk + 1) * pixels));
+  for (const std::size_t sequence : {std::size_t{0}, std::size_t{63}}) {
+    std::vector<std::uint32_t> some(all.begin() + static_cast<std::ptrdiff_t>(sequence * pixels),
+                                    all.begin() + static_cast<std::ptrdiff_t>((sequence + 1) * pixels));
     std::sort(some.begin(), some.end());
-    EXPECT_EQ(std::adjacent_find(some.begin(), some.end()), some.end()) << "chunk " << chunk;
+    EXPECT_EQ(std::adjacent_find(some.begin(), some.end()), some.end()) << "sequence " << sequence;
   }
   for (std::size_t pixel = 0; pixel < pixels; pixel += 97) {
     std::vector<std::uint32_t> some;
-    for (std::size_t chunk = 0; chunk < chunks; ++chunk) some.push_back(all[chunk * pixels + pixel]);
+    for (std::size_t sequence = 0; sequence < sequences; ++sequence) some.push_back(all[sequence * pixels + pixel]);
     std::sort(some.begin(), some.end());
     ASSERT_EQ(std::adjacent_find(some.begin(), some.end()), some.end()) << "pixel " << pixel;
   }
-  // Over pixels and chunks together 32 bits collide as often as chance has it: n^2 / 2^33 pairs.
+  // Over pixels and sequences together 32 bits collide as often as chance has it: n^2 / 2^33 pairs.
   std::vector<std::uint32_t> sorted = all;
   std::sort(sorted.begin(), sorted.end());
   std::size_t collisions = 0;
@@ -251,8 +255,12 @@ TEST_P(Sampling, StreamsAreDisjoint) {
   EXPECT_LT(static_cast<double>(collisions), expected + 5 * std::sqrt(2 * expected));
 }
 
+// path_generate's keys are those tested here; chunks go by turns to two sequences, and no two chunks of a pixel share a
+// sample.
 TEST_P(Sampling, TheTracerUsesTheseKeys) {
-  constexpr std::uint32_t width = 8, height = 4, chunks = 3, count = width * height * chunks;
+  constexpr std::uint32_t width = 4, height = 2, pixels = width * height, samples = 2;
+  // As many as two pairs of sequences hold, and one more.
+  constexpr std::uint32_t chunks = 2 * 2 * GLEANER_PATH_SEQUENCE / samples + 1, count = pixels * chunks * samples;
   kernels::PathParameters p{};
   p.camera.type = GLEANER_CAMERA_ORTHOGRAPHIC;
   p.camera.right[0] = p.camera.up[1] = 1;
@@ -261,9 +269,9 @@ TEST_P(Sampling, TheTracerUsesTheseKeys) {
   p.camera.half_height = height / 2.0f;
   p.width = width;
   p.height = height;
-  p.samples_per_item = p.last_item_samples = 1;
+  p.samples_per_item = p.last_item_samples = samples;
   p.seed_low = 21;
-  p.items_low = count;
+  p.items_low = pixels * chunks;
   cl::Program program = bench_.build("#include \"kernels/path.cl\"\n");
   cl::Kernel generate(program, "path_generate");
   cl::Buffer parameters = bench_.buffer(std::vector<kernels::PathParameters>{p});
@@ -274,15 +282,23 @@ TEST_P(Sampling, TheTracerUsesTheseKeys) {
   bench_.run(generate, count);
   const auto rows = bench_.read<std::uint32_t>(paths, count * PATH_ROWS);
   const auto floats = bench_.read<float>(paths, count * PATH_ROWS);
-  const auto expected = keys(21, width * height, count);
+  const auto keys_of_sequences = keys(21, pixels, pixels * 16);
+  std::vector<std::vector<std::uint64_t>> used(pixels);
   for (std::uint32_t i = 0; i < count; ++i) {
     const auto row = [&](std::uint32_t r) { return (i / 16) * 16 * PATH_ROWS + r * 16 + i % 16; };
-    ASSERT_EQ(rows[row(ROW_KEY)], expected[i]) << "path " << i;
+    const std::uint32_t pixel = i / samples % pixels, chunk = i / samples / pixels;
+    const std::uint32_t sequence = chunk / (2 * GLEANER_PATH_SEQUENCE / samples) * 2 + chunk % 2;
+    ASSERT_EQ(rows[row(ROW_KEY)], keys_of_sequences[sequence * pixels + pixel]) << "path " << i;
+    const std::uint32_t sample = (rows[row(ROW_META)] >> META_SAMPLE) & META_SAMPLE_MASK;
+    used[pixel].push_back(std::uint64_t{rows[row(ROW_KEY)]} << 32 | sample);
     // And the sample lies in its pixel: row 0 is the top.
-    const std::uint32_t pixel = i % (width * height);
     const float x = floats[row(ROW_ORIGIN)] + width / 2.0f, y = height / 2.0f - floats[row(ROW_ORIGIN + 1)];
     ASSERT_EQ(static_cast<std::uint32_t>(x), pixel % width);
     ASSERT_EQ(static_cast<std::uint32_t>(y), pixel / width);
+  }
+  for (auto& one : used) {
+    std::sort(one.begin(), one.end());
+    EXPECT_EQ(std::adjacent_find(one.begin(), one.end()), one.end());
   }
 }
 
