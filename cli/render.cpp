@@ -80,6 +80,7 @@ int render(const RenderOptions& options) {
   request.first_frame = frame.first_frame;
   request.last_frame = frame.last_frame;
   request.exposure_stops = options.frame.exposure_stops;
+  request.time_limit = options.frame.time_limit;
   // What no plan takes is refused before devices are opened.
   coordinator::make_plan(request.settings, request.scene);
 

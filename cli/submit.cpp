@@ -35,6 +35,7 @@ int submit(const SubmitOptions& options) {
   request.set_scene_blob(coordinator::sha256_hex(scene_blob));
   request.set_bvh_blob(coordinator::sha256_hex(bvh_blob));
   *request.mutable_settings() = gateway::to_proto(frame.settings);
+  request.mutable_settings()->set_time_limit_seconds(options.frame.time_limit);
   request.set_first_frame(frame.first_frame);
   request.set_last_frame(frame.last_frame);
   request.set_exposure_stops(options.frame.exposure_stops);

@@ -115,6 +115,9 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
     job.camera_name = request->camera_name();
     job.settings = from_proto(request->settings());
     job.exposure_stops = request->exposure_stops();
+    job.time_limit = request->settings().time_limit_seconds();
+    if (!(job.time_limit >= 0 && job.time_limit < 1e9))
+      return {StatusCode::INVALID_ARGUMENT, "settings.time_limit_seconds: expected a number that is not negative"};
     if (request->first_frame() != 0 || request->last_frame() != 0) {
       job.first_frame = request->first_frame();
       job.last_frame = request->last_frame();

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cstring>
+#include <future>
 #include <random>
 #include <utility>
 
@@ -238,6 +239,7 @@ struct Farm::Impl {
     report.job = job.id;
     report.frame = frame;
     report.settings = job.request.settings;
+    report.time_limit = job.request.time_limit;
     return report;
   }
 
@@ -246,23 +248,29 @@ struct Farm::Impl {
       std::lock_guard lock(mutex);
       job->report = new_report(*job, frame);
     }
-    Step step;
-    {
+    double plan_seconds = 0;
+    // The plan's calls are timed: with the stages' seconds they say where a frame's time went.
+    auto timed = [&](auto call) {
       std::lock_guard plan_lock(job->plan_mutex);
-      step = job->plan->next(nullptr);
-    }
+      Seconds before = now();
+      auto value = call(*job->plan);
+      plan_seconds += now() - before;
+      return value;
+    };
+    Step step = timed([](Plan& plan) { return plan.next(nullptr); });
     while (!step.done) {
       post(job, step);
-      FinishedStage finished = await_stage(*job);
-      std::lock_guard plan_lock(job->plan_mutex);
-      step = job->plan->next(&finished);
+      std::optional<FinishedStage> finished = await_stage(*job);
+      if (!finished) break;  // the time limit; the plan has made do with what there is
+      step = timed([&](Plan& plan) { return plan.next(&*finished); });
     }
     end_frame(*job);
+    Film film = timed([](Plan& plan) { return plan.film(); });
     std::lock_guard plan_lock(job->plan_mutex);
-    Film film = job->plan->film();
     std::lock_guard lock(mutex);
     job->report.skips = job->plan->skips();
     job->report.plan_parameters = job->plan->parameters_json();
+    job->report.plan_seconds = plan_seconds;
     return film;
   }
 
@@ -360,8 +368,10 @@ struct Farm::Impl {
     stage.job->events.notify_all();
   }
 
-  // The job's thread: draws accepted batches until a stage is whole.
-  FinishedStage await_stage(Job& job) {
+  // The job's thread: draws accepted batches until a stage is whole. None: the time limit has ended the frame.
+  std::optional<FinishedStage> await_stage(Job& job) {
+    const double limit = job.request.time_limit;
+    bool concludes = limit > 0;
     std::unique_lock lock(mutex);
     for (;;) {
       if (job.cancel || stopping) throw Cancelled{};
@@ -369,7 +379,13 @@ struct Farm::Impl {
       if (!job.finished.empty()) {
         auto stage = job.finished.front();
         job.finished.pop_front();
-        return {stage->spec.name, std::exchange(stage->records, nullptr)};
+        return FinishedStage{stage->spec.name, std::exchange(stage->records, nullptr)};
+      }
+      const double left = job.accepted + limit - now();
+      if (concludes && left <= 0) {
+        if (conclude(job, lock)) return std::nullopt;
+        concludes = false;  // too early for a picture: this stage must be whole, the next one need not
+        continue;
       }
       if (!job.undrawn.empty()) {
         UndrawnBatch batch = std::move(job.undrawn.front());
@@ -383,8 +399,32 @@ struct Farm::Impl {
         lock.lock();
         continue;
       }
-      job.events.wait(lock);
+      if (concludes)
+        job.events.wait_for(lock, std::chrono::duration<double>(left));
+      else
+        job.events.wait(lock);
     }
+  }
+
+  // Offers the plan what came in of the stage that runs. The lock is held before and after.
+  bool conclude(Job& job, std::unique_lock<std::mutex>& lock) {
+    auto stage = job.stages.back();
+    FinishedStage cut{stage->spec.name, stage->records};
+    std::vector<ItemRange> whole = stage->copied;
+    lock.unlock();
+    std::sort(whole.begin(), whole.end(), [](const ItemRange& a, const ItemRange& b) { return a.first < b.first; });
+    bool concluded;
+    {
+      std::lock_guard plan_lock(job.plan_mutex);
+      concluded = job.plan->conclude(cut, whole);
+    }
+    lock.lock();
+    if (!concluded) return false;
+    job.report.time_limit_reached = true;
+    std::uint64_t items = 0;
+    for (const ItemRange& range : whole) items += range.count;
+    stage->report.items = items;  // what the picture is made of
+    return true;
   }
 
   // Whatever the frame still has with scheduler and workers is taken back; its figures move into the report.
@@ -398,6 +438,7 @@ struct Farm::Impl {
         active_stages.erase(stage->id);
         stage->delivered = true;
       }
+      if (stage->last_result >= 0) stage->report.seconds = stage->last_result - stage->first_lease;
       stage->records.reset();
     }
     records_ready.notify_all();
@@ -424,11 +465,18 @@ struct Farm::Impl {
       fs::create_directories(path.parent_path(), code);
       if (code) throw Error::failed(path.parent_path().string() + ": cannot make the folder: " + code.message());
     }
+    Seconds begun_writing = now();
+    // Compressing takes longer than the disk does: the PNG is made beside the EXR.
+    std::future<void> png;
+    if (!paths.png.empty())
+      png = std::async(std::launch::async, [&] { write_png(film, paths.png.string(), job.request.exposure_stops); });
     report.pixels_sha256 = pixels_sha256(film);
     report.seconds = now() - begun;
+    report.write_seconds = now() - begun_writing;
     if (!paths.exr.empty()) write_exr(film, report_metadata(report), paths.exr.string());
-    if (!paths.png.empty()) write_png(film, paths.png.string(), job.request.exposure_stops);
+    if (png.valid()) png.get();
     report.seconds = now() - begun;
+    report.write_seconds = now() - begun_writing;
     if (!paths.report.empty()) {
       std::string text = report_json(report);
       write_atomically(paths.report.string(), std::as_bytes(std::span(text)));
@@ -473,6 +521,7 @@ struct Farm::Impl {
     lock.unlock();
     if (target) std::memcpy(target->data() + lease.first * stage->spec.record_bytes, records.data(), records.size());
     lock.lock();
+    if (target) stage->copied.push_back({lease.first, lease.count});
     --stage->writers;
     deliver_if_complete(stage);
     if (settings.preview && !stage->delivered) {

@@ -33,6 +33,7 @@ struct RunningStage {
   unsigned writers = 0;  // accepted batches that are being copied in
   bool complete = false, delivered = false;
   std::uint64_t items_done = 0;
+  std::vector<ItemRange> copied;  // accepted and copied in, in any order
   Seconds first_lease = -1, last_result = -1;
   std::string last_failure;
   StageReport report;

@@ -19,6 +19,7 @@ struct JobRequest {
   FrameSettings settings;
   std::uint32_t first_frame = 1, last_frame = 1;  // inclusive
   double exposure_stops = 0;                      // of the PNG
+  double time_limit = 0;  // seconds from acceptance after which the frame is finished with what there is; 0 = none
 };
 
 enum class JobState { queued, running, done, failed, cancelled };

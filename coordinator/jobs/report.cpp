@@ -57,6 +57,8 @@ std::string report_json(const FrameReport& report) {
                {"size", {report.settings.width, report.settings.height}},
                {"parameters", parameters_of(report)},
                {"seconds", report.seconds},
+               {"plan_seconds", report.plan_seconds},
+               {"write_seconds", report.write_seconds},
                {"stages", stages},
                {"rays",
                 {{"camera", report.camera_rays},
@@ -71,6 +73,8 @@ std::string report_json(const FrameReport& report) {
                {"pixels_sha256", report.pixels_sha256},
                {"frame", report.frame},
                {"job", report.job}};
+  if (report.time_limit > 0)
+    root["time_limit"] = {{"seconds", report.time_limit}, {"reached", report.time_limit_reached}};
   // Names come from people and drivers: bytes that are not UTF-8 are replaced instead of failing the frame.
   return root.dump(2, ' ', false, json::error_handler_t::replace) + "\n";
 }

@@ -29,6 +29,9 @@ struct FrameReport {
   FrameSettings settings;
   std::string plan_parameters;  // JSON object
   double seconds = 0;           // wall, from the accepted job to the written file
+  double time_limit = 0;        // seconds; 0 = none
+  bool time_limit_reached = false;
+  double plan_seconds = 0, write_seconds = 0;  // of it: the plan's own work, and making and writing the files
   std::vector<StageReport> stages;
   std::uint64_t camera_rays = 0, scatter_rays = 0, shadow_rays = 0;
   std::uint64_t uploaded_bytes = 0, downloaded_bytes = 0;  // as seen from the coordinator: to and from workers

@@ -130,20 +130,7 @@ Step PathPlan::next(const FinishedStage* finished) {
     return stage(std::move(planned));
   }
   const Planned& planned = planned_.back();
-  if (finished->name != planned.name || !finished->records)
-    throw Error::failed("plan path: " + finished->name + " was not asked for");
-  const std::size_t stride = planned.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord);
-  if (finished->records->size() != planned.items * stride)
-    throw Error::failed("plan path: " + finished->name + " has " + std::to_string(finished->records->size()) +
-                        " bytes, expected " + std::to_string(planned.items * stride));
-  for (std::uint64_t i = 0; i < planned.items; ++i) {
-    const std::uint32_t samples = i + 1 == planned.items ? planned.last_item_samples : chunk_samples_;
-    const PathItem item = item_of(planned, i);
-    PathFeatureRecord record{};
-    std::memcpy(&record, finished->records->data() + i * stride, stride);
-    film_.add(item.pixel, item.chunk, record.direct, record.indirect, samples, samples == chunk_samples_);
-    if (planned.features) film_.add_features(item.pixel, record, samples);
-  }
+  absorb(planned, *finished, {0, planned.items});
   // Lists are large, and needed no more.
   planned_.back().list.reset();
 
@@ -166,6 +153,46 @@ Step PathPlan::next(const FinishedStage* finished) {
   // few chunks: each stage ends with workers waiting for the last.
   const bool halves = planned_.size() == 1 && left >= pixels() * chunk_samples_ * 4;
   return spend(halves ? left / 2 : left);
+}
+
+std::uint64_t PathPlan::samples_of(const Planned& planned, const ItemRange& range) const {
+  const bool last = range.count > 0 && range.first + range.count == planned.items;
+  return range.count * chunk_samples_ - (last ? chunk_samples_ - planned.last_item_samples : 0);
+}
+
+// Adds the records of a range of a stage's items to the film.
+void PathPlan::absorb(const Planned& planned, const FinishedStage& finished, const ItemRange& range) {
+  if (finished.name != planned.name || !finished.records)
+    throw Error::failed("plan path: " + finished.name + " was not asked for");
+  const std::size_t stride = planned.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord);
+  if (finished.records->size() != planned.items * stride || range.first + range.count > planned.items)
+    throw Error::failed("plan path: " + finished.name + " has " + std::to_string(finished.records->size()) +
+                        " bytes, expected " + std::to_string(planned.items * stride));
+  for (std::uint64_t i = range.first; i < range.first + range.count; ++i) {
+    const std::uint32_t samples = i + 1 == planned.items ? planned.last_item_samples : chunk_samples_;
+    const PathItem item = item_of(planned, i);
+    PathFeatureRecord record{};
+    std::memcpy(&record, finished.records->data() + i * stride, stride);
+    film_.add(item.pixel, item.chunk, record.direct, record.indirect, samples, samples == chunk_samples_);
+    if (planned.features) film_.add_features(item.pixel, record, samples);
+  }
+}
+
+bool PathPlan::conclude(const FinishedStage& cut, const std::vector<ItemRange>& whole) {
+  // The first stage gives every pixel its first samples: before it is whole there are holes.
+  if (planned_.size() < 2) return false;
+  const Planned& planned = planned_.back();
+  const std::uint64_t asked = samples_of(planned, {0, planned.items});
+  std::uint64_t taken = 0;
+  for (const ItemRange& range : whole) {
+    absorb(planned, cut, range);
+    taken += samples_of(planned, range);
+  }
+  const std::uint64_t left_out = budget() - (spent_ - asked + taken);
+  spent_ = spent_ - asked + taken;
+  planned_.back().list.reset();
+  skips_.push_back({"samples", "the time limit ended the frame", left_out});
+  return true;
 }
 
 PathItem PathPlan::item_of(const Planned& planned, std::uint64_t item) const {

@@ -14,6 +14,7 @@ class PathPlan final : public Plan {
   PathPlan(const FrameSettings& settings, const SceneSummary& scene);
 
   Step next(const FinishedStage* finished) override;
+  bool conclude(const FinishedStage& cut, const std::vector<ItemRange>& whole) override;
   void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override;
   Film preview_film() const override;
   Film film() const override { return film_.film(); }
@@ -33,6 +34,8 @@ class PathPlan final : public Plan {
 
   std::uint64_t pixels() const { return std::uint64_t{settings_.width} * settings_.height; }
   std::uint64_t budget() const;  // samples in all, for now
+  std::uint64_t samples_of(const Planned& planned, const ItemRange& range) const;
+  void absorb(const Planned& planned, const FinishedStage& finished, const ItemRange& range);
   Step stage(Planned planned);
   Step spend(std::uint64_t samples);
   kernels::PathItem item_of(const Planned& planned, std::uint64_t item) const;

@@ -38,6 +38,10 @@ struct FinishedStage {
   std::shared_ptr<const Bytes> records;  // items * record_bytes, in item order
 };
 
+struct ItemRange {
+  std::uint64_t first = 0, count = 0;
+};
+
 struct Step {
   std::vector<StageSpec> stages;                                 // to run now (in any order, at the same time)
   std::map<ArtifactId, std::shared_ptr<const Bytes>> artifacts;  // data of the plan's own that those stages read
@@ -69,7 +73,14 @@ class Plan {
   // Any order of batches; null film layers are made on first use.
   virtual void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) = 0;
   virtual Film preview_film() const = 0;
-  // After `done`: the layers, whole.
+  // The time is up. `cut` is a stage that was asked for and has not finished; of its records only those of the items in
+  // `whole` (in order, apart from each other) are there, and none where `whole` is empty (`records` may be null then).
+  // True: film() holds what there is. False: that is no picture yet, the stage must be finished; nothing has changed.
+  virtual bool conclude(const FinishedStage& cut, const std::vector<ItemRange>& whole) {
+    static_cast<void>(cut), static_cast<void>(whole);
+    return false;
+  }
+  // After `done`, or after conclude() said yes: the layers.
   virtual Film film() const = 0;
   virtual std::vector<Skip> skips() const = 0;
   // Parameters that the method settled on, as they stand in the report (JSON object text).

@@ -188,6 +188,7 @@ TEST_F(FarmEngine, RendersAFrameWithOneWorker) {
   EXPECT_EQ(json["parameters"]["fake"], true);
   EXPECT_EQ(json["parameters"]["seed"], 5);
   EXPECT_GT(json["seconds"], 0.0);
+  EXPECT_GE(json["seconds"], json["plan_seconds"].get<double>() + json["write_seconds"].get<double>());
   ASSERT_EQ(json["stages"].size(), 2u);
   const auto& scatter = json["stages"][0];
   EXPECT_EQ(scatter["name"], "scatter");
@@ -531,6 +532,57 @@ TEST_F(FarmEngine, FramesOfAStillSceneAreRenderedOnce) {
   EXPECT_EQ(first["rays"]["total"], 6 * 2560);
   EXPECT_EQ(last["rays"]["total"], 0);
   EXPECT_THAT(last["skips"].back()["why"], HasSubstr("frame 3"));
+}
+
+TEST_F(FarmEngine, ATimeLimitEndsTheFrameWithWhatThereIs) {
+  std::atomic<double> time{0};
+  FarmSettings farm_settings = settings(128);
+  farm_settings.clock = [&] { return time.load(); };
+  farm_settings.silence = farm_settings.scheduler.lease_floor = 1e9;
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  auto deliver = [&](int batches) {
+    for (int batch = 0; batch < batches; ++batch) {
+      auto offer = worker.next();
+      ASSERT_TRUE(offer);
+      EXPECT_EQ(worker.deliver(*offer, worker.compute(*offer, blobs_)), Verdict::accepted);
+    }
+  };
+  JobRequest limited = request();
+  limited.time_limit = 1000;
+
+  // Within the second stage: 16 batches of the first one, 3 of the second one's 4.
+  std::string job = farm.submit(limited);
+  deliver(18);
+  time = 2000;
+  deliver(1);
+  JobStatus status = end_of(farm, job);
+  ASSERT_EQ(status.state, JobState::done) << status.message;
+  auto json = report(farm, job);
+  EXPECT_EQ(json["time_limit"]["reached"], true);
+  EXPECT_EQ(json["stages"][0]["items"], 2048);
+  EXPECT_EQ(json["stages"][1]["items"], 384);
+  EXPECT_NE(json["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+
+  // Within the first stage, which must be whole: the second one is not waited for.
+  job = farm.submit(limited);
+  deliver(3);
+  time = 4000;
+  deliver(13);
+  status = end_of(farm, job);
+  ASSERT_EQ(status.state, JobState::done) << status.message;
+  json = report(farm, job);
+  EXPECT_EQ(json["time_limit"]["reached"], true);
+  EXPECT_EQ(json["stages"][0]["items"], 2048);
+  EXPECT_EQ(json["stages"][1]["items"], 0);
+
+  // Early enough: the limit changes nothing.
+  job = farm.submit(limited);
+  serve(farm, worker, job);
+  EXPECT_EQ(end_of(farm, job).state, JobState::done);
+  EXPECT_EQ(report(farm, job)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+  EXPECT_EQ(report(farm, job)["time_limit"]["reached"], false);
 }
 
 TEST_F(FarmEngine, NamesAreUniqueAmongWhoIsThere) {

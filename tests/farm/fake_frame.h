@@ -113,12 +113,18 @@ class FakePlan final : public coordinator::Plan {
     return step;
   }
 
-  void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override {
+  // "scatter" must be whole; of "gather" any part will do.
+  bool conclude(const coordinator::FinishedStage& cut, const std::vector<coordinator::ItemRange>& whole) override {
+    if (cut.name != "gather") return false;
+    for (const auto& range : whole) preview("gather", range.first, range.count, slice(*cut.records, range));
+    return true;
+  }
+
+  void preview(const std::string& stage, std::uint64_t first, std::uint64_t, const Bytes& records) override {
     if (stage != "gather") return;
     auto values = values_of<float>(records);
     for (auto& channel : film_.channels)
       std::copy(values.begin(), values.end(), channel.values.begin() + static_cast<long>(first));
-    previewed_ += count;
   }
 
   Film preview_film() const override { return film_; }
@@ -128,9 +134,13 @@ class FakePlan final : public coordinator::Plan {
   std::vector<std::string> outline() const override { return {"scatter", "gather"}; }
 
  private:
+  static Bytes slice(const Bytes& records, const coordinator::ItemRange& range) {
+    auto begin = records.begin() + static_cast<long>(range.first * 4);
+    return {begin, begin + static_cast<long>(range.count * 4)};
+  }
+
   coordinator::FrameSettings settings_;
   Film film_;
-  std::uint64_t previewed_ = 0;
 };
 
 inline std::unique_ptr<coordinator::Plan> make_fake_plan(const coordinator::FrameSettings& settings,

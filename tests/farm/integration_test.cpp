@@ -307,6 +307,24 @@ TEST_F(Farm, StatusesAndWordsOfErrors) {
   EXPECT_EQ(lonely.wait(), 4) << lonely.err();
 }
 
+TEST_F(Farm, ATimeLimitIsKeptAndSaid) {
+  std::vector<std::string> words = frame(1000000);
+  std::string out = folder("limited.exr").string(), report_file = folder("limited.json").string();
+  words.insert(words.begin(), "render");
+  for (const std::string& word :
+       {std::string("-o"), out, std::string("--report"), report_file, std::string("--time-limit"), std::string("2")})
+    words.push_back(word);
+  Ran ran = run(words);
+  ASSERT_EQ(ran.status, 0) << ran.err;
+  EXPECT_TRUE(fs::exists(out));
+  json report = json::parse(read_text(report_file));
+  EXPECT_EQ(report["time_limit"]["reached"], true);
+  EXPECT_LT(report["parameters"]["samples"], 80ll * 60 * 1000000);
+  bool said = false;
+  for (const auto& skip : report["skips"]) said = said || (skip["what"] == "samples" && skip["count"] > 0);
+  EXPECT_TRUE(said);
+}
+
 TEST_F(Farm, HelpIsNoError) {
   EXPECT_EQ(run({"--help"}).status, 0);
   EXPECT_EQ(run({"render", "--help"}).status, 0);
