@@ -27,7 +27,8 @@ struct Shot {
   std::shared_ptr<const Scene> scene;
   scene::Camera camera{};  // half_width is made to fit the size
   std::uint32_t width = 32, height = 32;
-  std::uint32_t samples = 16, chunks = 4;  // a chunk's samples of one pixel; chunks are independent
+  // A chunk's samples of one pixel. Each chunk is of a sequence of its own: chunks are independent.
+  std::uint32_t samples = 16, chunks = 4;
   std::uint32_t depth = 0;
   std::uint64_t seed = 1;
   worker::TraceKind trace = worker::TraceKind::automatic;
@@ -91,6 +92,16 @@ inline worker::StageTask task_of(const kernels::PathParameters& parameters, cons
   return task;
 }
 
+// All pixels of the first chunk, of the second, ...: the first chunks of the pixels' sequences.
+inline std::shared_ptr<const scene::Bytes> list_of(const Shot& shot) {
+  const std::uint32_t pixels = shot.width * shot.height, turns = GLEANER_PATH_SEQUENCE / shot.samples;
+  auto list = std::make_shared<scene::Bytes>(std::size_t{pixels} * shot.chunks * sizeof(kernels::PathItem));
+  auto* item = reinterpret_cast<kernels::PathItem*>(list->data());
+  for (std::uint32_t c = 0; c < shot.chunks; ++c)
+    for (std::uint32_t pixel = 0; pixel < pixels; ++pixel) *item++ = {pixel, c % 2 + c / 2 * 2 * turns};
+  return list;
+}
+
 // One executor of one thread for each way to trace.
 inline worker::Executor& executor(worker::TraceKind trace) {
   static std::map<worker::TraceKind, std::unique_ptr<worker::Executor>> executors;
@@ -117,7 +128,9 @@ inline std::string load(worker::Executor& on, const std::shared_ptr<const Scene>
 inline Picture shoot(const Shot& shot) {
   worker::Executor& on = executor(shot.trace);
   const std::uint64_t items = std::uint64_t{shot.width} * shot.height * shot.chunks;
-  const worker::BatchResult result = on.run(task_of(parameters_of(shot), load(on, shot.scene)), 0, items);
+  worker::StageTask task = task_of(parameters_of(shot), load(on, shot.scene));
+  task.inputs["items"] = list_of(shot);
+  const worker::BatchResult result = on.run(task, 0, items);
   Picture picture{shot.width, shot.height, shot.chunks, {}, {}, result.counters};
   picture.direct.resize(items * 3);
   picture.indirect.resize(items * 3);

@@ -275,6 +275,9 @@ BatchResult run_path_stage(const Device& device, Workspace& workspace, DeviceSce
     }
     for (auto& error : errors)
       if (error) std::rethrow_exception(error);
+    // The stage's last item may have fewer samples: the paths that pad it sent no ray.
+    if (shared.first_item + part == total)
+      result.counters.camera_rays -= parameters.samples_per_item - parameters.last_item_samples;
     for (auto& lane : all) {
       result.counters.camera_rays += lane->counters.camera;
       result.counters.scatter_rays += lane->counters.scatter;
