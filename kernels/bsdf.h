@@ -108,7 +108,8 @@ FN void prepare_lobe(const Scene* scene, Surface* m, vf nv) {
   vf share = clamp_f(s / max_f(s + d, (vf)1e-6f), (vf)0.1f, (vf)0.9f);
   share = pick(share, one_f(), m->metallic >= one_f());
   m->lobe_share = pick(zero_f(), share, has);
-  m->mirror = has & (m->alpha2 <= zero_f());
+  // Of a roughness below 1e-5 the densities soon leave the range of float, and no picture shows it.
+  m->mirror = has & (m->alpha2 < (vf)1e-20f);
 }
 
 #endif

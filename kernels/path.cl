@@ -159,7 +159,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
     environment_uv(d, &u, &v);
     v3 radiance = environment_radiance(scene, u, v);
     vf light = environment_pdf(scene, u, v, safe_sqrt(one_f() - d.y * d.y)) * environment_chance(scene, last_total);
-    vf weight = pick(one_f(), last_pdf * last_pdf / (last_pdf * last_pdf + light * light), last_pdf > zero_f());
+    vf weight = pick(one_f(), power_heuristic(last_pdf, light), last_pdf > zero_f());
     add_to_slots(slots, slot_count, slot, found_indirect, scale3(mul3(throughput, radiance), weight), missed);
   }
 #endif
@@ -225,7 +225,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       v3 to_hit = sub3(p, origin);
       vf distance = length3(to_hit);
       vf light = light_pdf(scene, emitter, origin, direction, distance, last_total);
-      vf weight = pick(one_f(), last_pdf * last_pdf / (last_pdf * last_pdf + light * light), last_pdf > zero_f());
+      vf weight = pick(one_f(), power_heuristic(last_pdf, light), last_pdf > zero_f());
       add_to_slots(slots, slot_count, slot, found_indirect, scale3(mul3(throughput, radiance), weight), emits);
     }
   }
@@ -440,7 +440,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       f = scale3(f, opaque_share);
       pdf *= opaque_share;
 #endif
-      vf weight = light.pdf * light.pdf / (light.pdf * light.pdf + pdf * pdf);
+      vf weight = power_heuristic(light.pdf, pdf);
       weight = pick(weight, one_f(), light.delta);
       contribution = scale3(mul3(mul3(throughput, f), light.radiance), weight / light.pdf);
       connected = seen & (max_component(contribution) > zero_f());

@@ -88,6 +88,14 @@ FN v3 sample_cosine(vf u0, vf u1) {
   return make3(r * c, r * s, safe_sqrt(one_f() - u1));
 }
 
+// The power heuristic with exponent 2 (Veach 1997, 9.2.3): the weight of a sample drawn with density `taken`, where the
+// other way would have had density `other`. By their ratio: densities of far lights and of near-mirrors have squares
+// that no float holds.
+FN vf power_heuristic(vf taken, vf other) {
+  vf ratio = other / taken;
+  return one_f() / fma(ratio, ratio, one_f());
+}
+
 // Barycentric coordinates, uniform over a triangle (weights of the second and third corner).
 FN void sample_triangle(vf u0, vf u1, vf* b1, vf* b2) {
   vf s = sqrt(u0);
