@@ -121,7 +121,11 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
   }
   vf e[16];
   load_words(scene->emitters, (first + low) * EMITTER_WORDS, e);
+#ifdef NEED_ENVIRONMENT
+  chance *= pick(e[EMITTER_PMF], one_f(), kind == CLUSTER_ENVIRONMENT);  // which has no row of its own
+#else
   chance *= e[EMITTER_PMF];
+#endif
 #endif
 #ifdef NEED_EMISSIVE_TRIANGLES
   {
