@@ -220,7 +220,8 @@ class Checker {
     unit(c.up, named("up"));
     unit(c.forward, named("forward"));
     for (float half : {c.half_width, c.half_height})
-      if (!(half > 0 && std::isfinite(half))) fail(item("cameras", i), "a film wider than 0", number(half));
+      if (!(half > 0 && half <= kMaxCoordinate))
+        fail(item("cameras", i), "a film wider than 0 and at most " + number(kMaxCoordinate), number(half));
     not_negative(named_camera.aspect, named("aspect"));
   }
 

@@ -49,6 +49,10 @@ PathParameters read_parameters(const StageTask& task) {
   if (p.last_item_samples == 0 || p.last_item_samples > p.samples_per_item)
     throw Error::bad_input("stage path", "last_item_samples", "1 to samples_per_item",
                            std::to_string(p.last_item_samples));
+  // A ray that is not finite ends Embree and the environment's look-up alike.
+  scene::Scene with_camera;
+  with_camera.cameras.push_back({"camera", p.camera});
+  scene::validate(with_camera, "stage path");
   return p;
 }
 

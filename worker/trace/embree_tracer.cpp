@@ -70,9 +70,14 @@ struct alignas(64) Valid {
 };
 
 // Lanes of the first `count` that ask something: what the others hold may be anything, and Embree must not look at it.
-Valid asking(const float* far, std::uint32_t count) {
+// Neither at numbers beyond what it takes for infinite, nor at NaN: Debian's aborts the program.
+Valid asking(const float* block, std::uint32_t count) {
+  constexpr float most = 1.844e18f;
   Valid valid;
-  for (std::uint32_t k = 0; k < 16; ++k) valid.lanes[k] = k < count && far[k] > 0 ? -1 : 0;
+  for (std::uint32_t k = 0; k < 16; ++k) valid.lanes[k] = k < count && block[RAY_BLOCK * ROW_FAR + k] > 0 ? -1 : 0;
+  for (unsigned row : {ROW_ORIGIN, ROW_ORIGIN + 1, ROW_ORIGIN + 2, ROW_DIRECTION, ROW_DIRECTION + 1, ROW_DIRECTION + 2})
+    for (std::uint32_t k = 0; k < 16; ++k)
+      valid.lanes[k] = std::fabs(block[RAY_BLOCK * row + k]) <= most ? valid.lanes[k] : 0;
   return valid;
 }
 
@@ -157,7 +162,7 @@ class EmbreeTracer final : public Tracer {
     const auto run = [&](Query query, std::uint32_t base, std::uint32_t count) {
       for (std::uint32_t i = 0; i < count; i += RAY_BLOCK) {
         float* block = mapped.floats() + stride * ((base + i) / RAY_BLOCK);
-        visit(query, asking(block + RAY_BLOCK * ROW_FAR, count - i), block, scene_);
+        visit(query, asking(block, count - i), block, scene_);
       }
     };
     run(Query(scene_, false), 0, range.incoherent);
