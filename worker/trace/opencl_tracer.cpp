@@ -48,9 +48,13 @@ class OpenClTracer final : public Tracer {
                                cl::NDRange(group));
     std::uint32_t overflow = 0;
     queue.enqueueReadBuffer(overflow_, CL_TRUE, 0, sizeof overflow, &overflow);
-    if (overflow)
+    if (overflow) {
+      // The next batch's rays have their own say.
+      const std::uint32_t zero = 0;
+      queue.enqueueWriteBuffer(overflow_, CL_TRUE, 0, sizeof zero, &zero);
       throw Error::failed("the traversal stack of the OpenCL tracer was too small for " + std::to_string(overflow) +
                           " rays");
+    }
   }
 
   cl::Buffer triangles_;
