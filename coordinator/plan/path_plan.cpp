@@ -20,6 +20,8 @@ using kernels::PathRecord;
 
 // Where only an error is wished for, samples may grow to this a pixel before the frame gives up.
 constexpr std::uint64_t kMostSamplesForTarget = 1u << 16;
+// A stage's records and list stay below a gigabyte, however many samples are wished for.
+constexpr std::uint64_t kMostItems = std::uint64_t{1} << 25;
 // Neighbours asked about a pixel's noise: (2 r + 1)^2 - 1, two chunks each. Fewer would make the counts themselves
 // noisy.
 constexpr int kNoiseRadius = 2;
@@ -101,6 +103,7 @@ Step PathPlan::stage(Planned planned) {
 
 // A stage of so many samples, given out by the noise seen so far.
 Step PathPlan::spend(std::uint64_t samples) {
+  samples = std::min(samples, kMostItems * chunk_samples_);
   const std::uint64_t whole = samples / chunk_samples_;
   const std::uint32_t rest = static_cast<std::uint32_t>(samples % chunk_samples_);
   const std::uint64_t items = whole + (rest ? 1 : 0);
