@@ -163,6 +163,10 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
       radiance = pick3(radiance, mul3(radiance, texture_lookup(scene, texture, u, v, textured, &unused)), textured);
     }
 #endif
+    // A query knows the light's corners by their offsets from where it begins: their rounding, and that of its sums of
+    // products, grow with the distance. A target within that of the light would be in its own light's way.
+    const vf unit = (vf)(16.0f * 5.9604645e-8f);
+    error = add3(error, make3(unit * fabs(d.x), unit * fabs(d.y), unit * fabs(d.z)));
     light.target = pick3(light.target, leave_surface(q, error, normalize3(n), negate3(w)), ok);
     light.direction = pick3(light.direction, w, ok);
     light.radiance = pick3(light.radiance, radiance, ok);

@@ -152,6 +152,43 @@ TEST(ClosedForm, ManyPunctualLights) {
   if (!expect_mean(picture.mean(1), expected, "42 punctual lights", kFamily, 2e-3)) keep_failure(picture, "many");
 }
 
+// A small lamp far away is seen whole: none of its triangles stands in the way of the light samples on it, although a
+// query's own rounding grows with the distance (the lamp's coordinates do not: it is the origin) and many of them are
+// seen at a grazing angle.
+TEST(ClosedForm, DistantLamp) {
+  const Vec eye{-20, -60, 10};
+  SceneBuilder b("lamp");
+  b.mesh("lamp");
+  b.sphere({}, 0.1, 64, b.material("lamp", scene::emitter(scene::grey(1e5))));
+  b.mesh("floor");
+  b.quad(eye + Vec{-9, 0, 9}, eye + Vec{9, 0, 9}, eye + Vec{9, 0, -9}, eye + Vec{-9, 0, -9},
+         b.material("floor", scene::lambert(scene::grey(kFloor))));
+  b.camera("camera", {0, 5, 5}, {}, 40, 16, 16);
+  Shot shot{.scene = std::make_shared<const Scene>(b.finish())};
+  const Scene& scene = *shot.scene;
+  double irradiance = 0;
+  for (std::size_t i = 0; i < scene.triangle_count(); ++i) {
+    Vec corner[3];
+    for (std::size_t k = 0; k < 3; ++k) {
+      const float* p = &scene.positions[3 * std::size_t{scene.indices[3 * i + k]}];
+      corner[k] = Vec{p[0], p[1], p[2]} - eye;
+    }
+    if (corner[0].y < 1) continue;  // the floor
+    const Vec n = scene::cross(corner[1] - corner[0], corner[2] - corner[0]);
+    const Vec at = (1.0 / 3) * (corner[0] + corner[1] + corner[2]);
+    const double d2 = scene::dot(at, at), facing = -scene::dot(n, at) / 2;
+    if (facing > 0) irradiance += 1e5 * facing * at.y / (d2 * d2);
+  }
+  shot.camera = orthographic({eye.x, eye.y + 1, eye.z}, {1, 0, 0}, {0, 0, -1}, 1e-6);
+  shot.width = shot.height = 64;
+  shot.chunks = 16;
+  for (const auto trace : {worker::TraceKind::automatic, worker::TraceKind::opencl}) {
+    shot.trace = trace;
+    expect_mean(shoot(shot).mean(1), kFloor / M_PI * irradiance,
+                trace == worker::TraceKind::opencl ? "distant lamp, OpenCL" : "distant lamp", sidak(kFamily, 2), 1e-3);
+  }
+}
+
 TEST(ClosedForm, RangeEndsALight) {
   for (const double range : {1.2, 2.0, 5.0}) {
     SceneBuilder b("range");
