@@ -9,7 +9,8 @@ namespace {
 class OpenClTracer final : public Tracer {
  public:
   OpenClTracer(const Device& device, const scene::Bvh& bvh, const cl::Buffer& triangles)
-      : triangles_(triangles),
+      : cpu_(device.info().cpu),
+        triangles_(triangles),
         // One entry a level below the root suffices; multiples of 16 keep the number of variants small.
         program_(device.build("kernels/bvh_trace.cl",
                               "-D LANES=1 -D STACK_SIZE=" + std::to_string((bvh.max_depth / 16 + 1) * 16))),
@@ -44,7 +45,11 @@ class OpenClTracer final : public Tracer {
     kernel.setArg(5, range.end());
     kernel.setArg(6, overflow_);
     constexpr std::size_t group = 64;
-    queue.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange((range.end() + group - 1) / group * group),
+    // On CPU devices always a grid of the buffer's size: PoCL 3.1 loses count of a kernel's users where two threads
+    // launch it with several sizes (pocl_release_dlhandle_cache aborts).
+    std::size_t items = range.end();
+    if (cpu_) items = rays.getInfo<CL_MEM_SIZE>() / (range.rows * sizeof(float));
+    queue.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange((items + group - 1) / group * group),
                                cl::NDRange(group));
     std::uint32_t overflow = 0;
     queue.enqueueReadBuffer(overflow_, CL_TRUE, 0, sizeof overflow, &overflow);
@@ -57,6 +62,7 @@ class OpenClTracer final : public Tracer {
     }
   }
 
+  bool cpu_;
   cl::Buffer triangles_;
   cl::Program program_;
   cl::Buffer nodes_, slots_, overflow_;
