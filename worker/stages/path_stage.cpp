@@ -128,6 +128,12 @@ class Lane {
     connect_.setArg(1, shared.slots);
     connect_.setArg(2, static_cast<cl_uint>(slot_count()));
   }
+  Lane(const Lane&) = delete;
+  Lane& operator=(const Lane&) = delete;
+  // Where a call failed, what was enqueued before it still writes to buffers that the next batch takes.
+  ~Lane() {
+    if (shared_.failed) clFinish(queue_());
+  }
 
   void run() {
     std::uint32_t survivors = 0;
@@ -157,7 +163,7 @@ class Lane {
       const double generated = seconds_now();
       shared_.scene.tracer().closest(queue_, paths_[current], range);
       const double hit = seconds_now();
-      const cl_uint zero[2] = {0, 0};
+      static constexpr cl_uint zero[2] = {0, 0};  // read after the call, also where a later one throws
       queue_.enqueueWriteBuffer(counters_, CL_FALSE, 0, sizeof zero, zero);
       shade_.setArg(shade_arguments_, survivors);
       shade_.setArg(shade_arguments_ + 1, base);
