@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
 #include <cstdio>
 #include <cstring>
@@ -179,7 +180,9 @@ inline void keep_failure(const Picture& picture, const std::string& name) {
     auto& values = film.channel(std::string(1, "RGB"[k])).values;
     for (std::size_t i = 0; i < picture.pixels(); ++i) values[i] = static_cast<float>(picture.pixel(i, k).mean);
   }
-  const std::string path = (folder / (std::string(test->test_suite_name()) + "." + name + ".exr")).string();
+  std::string file = std::string(test->test_suite_name()) + "." + name + ".exr";
+  std::replace(file.begin(), file.end(), '/', '_');  // of a suite that is instantiated
+  const std::string path = (folder / file).string();
   coordinator::write_exr(film, {}, path);
   std::printf("wrote %s; again: --gtest_filter=%s.%s\n", path.c_str(), test->test_suite_name(), test->name());
 }
