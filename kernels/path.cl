@@ -1,12 +1,15 @@
 // The path tracer, as a wave of paths that moves in step:
 //
 //   repeat
-//     path_generate   new camera paths fill the room that ended ones left          (fresh blocks: 16 paths of
-//     neighbours) trace           closest hits; fresh blocks as coherent packets, others one ray at a time path_shade
-//     emission with MIS; one light sample -> a shadow ray; one scattered ray, packed to the front trace           any
-//     hit on the shadow rays path_connect    light samples that arrived are added to their paths' slots
+//     path_generate   new camera paths fill the room that ended ones left; fresh blocks: 16 paths of neighbours
+//     trace           closest hits; fresh blocks as coherent packets, others one ray at a time
+//     path_shade      emission with MIS; one light sample -> a shadow ray; one scattered ray, packed to the front
+//     trace           any hit on the shadow rays
+//     path_connect    light samples that arrived are added to their paths' slots
 //   until no path is left
 //   path_resolve      slots are summed to the items' records, in the order of the samples
+//
+// With alpha and punctual lights, trace (closest hits) and path_pass take turns on the shadow rays until none is left.
 //
 // What a path gathers depends on (scene, parameters, pixel, chunk, sample) alone: its random numbers are keyed by them,
 // its slot is its own, and survivors are traced one by one, so neither their order nor the wave's size can be seen in
@@ -35,6 +38,18 @@ FN void add_to_slots(global float* slots, uint slot_count, vu slot, vi indirect,
   scatter_f(slots + 1, at, sum.y);
   scatter_f(slots + 2, at, sum.z);
 }
+
+#ifdef NEED_ALPHA
+// What of a material of opacity `alpha` is in light's way.
+FN vf opacity_of(const Scene* scene, vu material, vu flags, vf alpha) {
+  vf masked = pick(zero_f(), one_f(), alpha >= material_f(scene, material, MATERIAL_ALPHA_CUTOFF));
+  alpha = pick(alpha, masked, (flags & GLEANER_MATERIAL_ALPHA_MASK) != 0u);
+  return pick(one_f(), alpha, (flags & (GLEANER_MATERIAL_ALPHA_MASK | GLEANER_MATERIAL_ALPHA_BLEND)) != 0u);
+}
+#endif
+
+// How far shadow rays go, the light being at 1.
+#define SHADOW_FAR 0.9999999f
 
 kernel WIDE void path_generate(global const PathParameters* restrict parameters, global const uint* restrict items,
                                uint listed, uint first_item_low, uint first_item_high, uint first_path, uint base,
@@ -255,9 +270,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   }
 #endif
 #ifdef NEED_ALPHA
-  m.opacity = pick(m.opacity, pick(zero_f(), one_f(), m.opacity >= material_f(scene, material, MATERIAL_ALPHA_CUTOFF)),
-                   (flags & GLEANER_MATERIAL_ALPHA_MASK) != 0u);
-  m.opacity = pick(one_f(), m.opacity, (flags & (GLEANER_MATERIAL_ALPHA_MASK | GLEANER_MATERIAL_ALPHA_BLEND)) != 0u);
+  m.opacity = opacity_of(scene, material, flags, m.opacity);
 #endif
 
   // The shading frame: interpolated normals decide the side and the cosine; both sides scatter.
@@ -415,6 +428,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 0u, &u_choice, &u_roulette);
   vf light_total = one_f();
   vi connected = no_lanes();
+  vu shadow_bits = pick_u((vu)0u, (vu)SHADOW_INDIRECT, diffuse_count > 0u);
 #ifdef NEED_LIGHTS
   {
     vi lit = active & none(passes);
@@ -446,7 +460,11 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       connected = seen & (max_component(contribution) > zero_f());
       shadow_origin = leave_surface(p, error, geometric, light.direction);
       shadow_direction = pick3(sub3(light.target, shadow_origin), light.direction, light.infinite);
-      shadow_far = pick((vf)-1.0f, pick((vf)0.9999999f, (vf)INFINITY, light.infinite), connected);
+      shadow_far = pick((vf)-1.0f, pick((vf)SHADOW_FAR, (vf)INFINITY, light.infinite), connected);
+#ifdef VEILS
+      shadow_bits |=
+          pick_u((vu)0u, (vu)SHADOW_PASSES, light.delta) | pick_u((vu)0u, (vu)SHADOW_INFINITE, light.infinite);
+#endif
     }
   }
 #endif
@@ -459,8 +477,10 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   set_row_u(shadows, SHADOW_ROWS, block, ROW_SOURCE, primitive);
   set_row_u(shadows, SHADOW_ROWS, block, ROW_FLAGS, (vu)0u);
   set_row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION, contribution);
-  set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_SLOT,
-            pick_u((vu)slot_count, slot | pick_u((vu)0u, (vu)SHADOW_INDIRECT, diffuse_count > 0u), connected));
+  set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_SLOT, pick_u((vu)slot_count, slot | shadow_bits, connected));
+#ifdef VEILS
+  set_row_u(shadows, SHADOW_ROWS, block, ROW_GEOMETRY, (vu)GLEANER_NONE);
+#endif
 
   // One scattered ray.
   vf d0, d1;
@@ -537,6 +557,78 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   scatter_f(next + 16u * ROW_ETA, to, eta);
 }
 
+#ifdef VEILS
+
+// Shadow rays and their closest hits: adds the light samples that arrived, and sends on, weakened, those of point, spot
+// and directional lights that met a surface which is not opaque. The others are blocked by it: their light is found by
+// paths that pass it themselves.
+kernel WIDE void path_pass(global float* restrict shadows, global float* restrict slots, uint slot_count, uint count,
+                           global uint* counters, SCENE_PARAMETERS) {
+  uint block = (uint)get_global_id(0);
+  if (block * LANES >= count) return;
+  Scene scene_value = SCENE_FROM_PARAMETERS;
+  const Scene* scene = &scene_value;
+  vu slot = row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_SLOT);
+  vi asked = (slot != slot_count) & ((vu)(block * LANES) + lane_index() < count);
+  if (!any_lane(asked)) return;
+  vi infinite = (slot & SHADOW_INFINITE) != 0u;
+  // A tracer that looks on behind the ray's own source may come back with a hit beyond the light.
+  vi hit = asked & (row_u(shadows, SHADOW_ROWS, block, ROW_GEOMETRY) != GLEANER_NONE) &
+           (infinite | (row_f(shadows, SHADOW_ROWS, block, ROW_FAR) <= (vf)SHADOW_FAR));
+  v3 contribution = row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION);
+  vi arrived = asked & none(hit);
+  if (any_lane(arrived))
+    add_to_slots(slots, slot_count, slot & ~SHADOW_BITS, (slot & SHADOW_INDIRECT) != 0u, contribution, arrived);
+
+  vi passes = hit & ((slot & SHADOW_PASSES) != 0u);
+  v3 origin = row_3(shadows, SHADOW_ROWS, block, ROW_ORIGIN);
+  v3 direction = row_3(shadows, SHADOW_ROWS, block, ROW_DIRECTION);
+  vu primitive = pick_u((vu)0u, row_u(shadows, SHADOW_ROWS, block, ROW_PRIMITIVE), passes);
+  vu triangle = primitive * TRIANGLE_WORDS;
+  vf b1 = row_f(shadows, SHADOW_ROWS, block, ROW_U), b2 = row_f(shadows, SHADOW_ROWS, block, ROW_V);
+  vf t[16];
+  load_words(scene->triangles, triangle, t);
+  vu material = as_vu(t[TRIANGLE_MATERIAL]);
+  vf opacity = material_f(scene, material, MATERIAL_ALPHA);
+#ifdef NEED_TEXTURES
+  vu texture = material_u(scene, material, MATERIAL_BASE_COLOR_TEXTURE);
+  vi textured = passes & (texture != GLEANER_NONE);
+  if (any_lane(textured)) {
+    vf t2[16], alpha, b0 = one_f() - b1 - b2;
+    load_words(scene->triangles + TRIANGLE_SECOND, triangle, t2);
+    vf tu = b0 * t2[TRIANGLE_UV0 - TRIANGLE_SECOND] + b1 * t2[TRIANGLE_UV1 - TRIANGLE_SECOND] +
+            b2 * t2[TRIANGLE_UV2 - TRIANGLE_SECOND];
+    vf tv = b0 * t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1] + b1 * t2[TRIANGLE_UV1 - TRIANGLE_SECOND + 1] +
+            b2 * t2[TRIANGLE_UV2 - TRIANGLE_SECOND + 1];
+    texture_lookup(scene, texture, tu, tv, textured, &alpha);
+    opacity = pick(opacity, opacity * alpha, textured);
+  }
+#endif
+  opacity = opacity_of(scene, material, material_u(scene, material, MATERIAL_FLAGS), opacity);
+  contribution = scale3(contribution, one_f() - opacity);
+  passes = passes & (max_component(contribution) > zero_f());
+  v3 p0 = words3(t, TRIANGLE_P0);
+  v3 e1 = sub3(words3(t, TRIANGLE_P1), p0), e2 = sub3(words3(t, TRIANGLE_P2), p0), error;
+  v3 p = surface_point(p0, e1, e2, b1, b2, &error);
+  v3 start = leave_surface(p, error, normalize3(cross3(e1, e2)), direction);
+  passes = passes & finite3(start);
+  set_row_3(shadows, SHADOW_ROWS, block, ROW_ORIGIN, start);
+  set_row_3(shadows, SHADOW_ROWS, block, ROW_DIRECTION,
+            pick3(sub3(add3(origin, direction), start), direction, infinite));
+  set_row_f(shadows, SHADOW_ROWS, block, ROW_NEAR, zero_f());
+  set_row_f(shadows, SHADOW_ROWS, block, ROW_FAR,
+            pick((vf)-1.0f, pick((vf)SHADOW_FAR, (vf)INFINITY, infinite), passes));
+  set_row_u(shadows, SHADOW_ROWS, block, ROW_SOURCE, primitive);
+  set_row_u(shadows, SHADOW_ROWS, block, ROW_GEOMETRY, (vu)GLEANER_NONE);
+  set_row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION, contribution);
+  set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_SLOT, pick_u((vu)slot_count, slot, passes));
+  uint passing;
+  rank_lanes(passes, &passing);
+  if (passing) atomic_add(counters + COUNTER_SHADOW, passing);
+}
+
+#else
+
 // Adds the light samples whose shadow rays met nothing.
 kernel WIDE void path_connect(global const float* restrict shadows, global float* restrict slots, uint slot_count,
                               uint count) {
@@ -548,9 +640,11 @@ kernel WIDE void path_connect(global const float* restrict shadows, global float
                ((vu)(block * LANES) + lane_index() < count);
   if (!any_lane(arrived)) return;
   vi indirect = (slot & SHADOW_INDIRECT) != 0u;
-  add_to_slots(slots, slot_count, slot & ~SHADOW_INDIRECT, indirect,
-               row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION), arrived);
+  add_to_slots(slots, slot_count, slot & ~SHADOW_BITS, indirect, row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION),
+               arrived);
 }
+
+#endif
 
 // Sums each item's samples in their order. Samples that are not finite are left out and reported.
 kernel void path_resolve(global const PathParameters* restrict parameters, uint first_item_low, uint first_item_high,

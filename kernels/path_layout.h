@@ -14,11 +14,23 @@
 #define ROW_ETA 28u  // product of n_t / n_i along the path
 #define PATH_ROWS 29u
 
-// Rows of a block of 16 shadow rays: RTCRay16, then what arrives if nothing is in the way.
+// Rows of a block of 16 shadow rays: RTCRay16, then what arrives if nothing is in the way. Where a scene has both alpha
+// and lights that no scattering finds, its shadow rays go through what is not opaque: they ask for the closest hit.
+#define VEILED_SHADOW_ROWS 24u
+#if defined(NEED_ALPHA) && defined(NEED_PUNCTUAL_LIGHTS)
+#define VEILS
+#define ROW_CONTRIBUTION 20u
+#define ROW_SHADOW_SLOT 23u
+#define SHADOW_ROWS VEILED_SHADOW_ROWS
+#else
 #define ROW_CONTRIBUTION 12u
-#define ROW_SHADOW_SLOT 15u  // the slot, with SHADOW_INDIRECT; the slot count: no ray
+#define ROW_SHADOW_SLOT 15u  // the slot and the bits below; the slot count: no ray
 #define SHADOW_ROWS 16u
+#endif
 #define SHADOW_INDIRECT 0x80000000u
+#define SHADOW_PASSES 0x40000000u    // goes through what is not opaque
+#define SHADOW_INFINITE 0x20000000u  // its light is not at `far` 1
+#define SHADOW_BITS (SHADOW_INDIRECT | SHADOW_PASSES | SHADOW_INFINITE)
 
 // ROW_META: scatterings so far, those that were not specular (0, 1, 2 = more), whether a specular one came since, rays
 // so far (the random numbers' dimension), the sample's index in its sequence.

@@ -91,15 +91,17 @@ TEST(ClosedForm, PerpendicularSquares) {
 
 // A Lambert floor of albedo 0.8, looked down upon at (x, z) through a keyhole.
 constexpr double kFloor = 0.8;
-Picture floor_picture(const SceneBuilder& lit, double x, double z, std::uint32_t chunks) {
+Picture floor_picture(const SceneBuilder& lit, double x, double z, std::uint32_t chunks,
+                      worker::TraceKind trace = worker::TraceKind::automatic) {
   SceneBuilder b = lit;
   b.mesh("floor");
   b.quad({-9, 0, 9}, {9, 0, 9}, {9, 0, -9}, {-9, 0, -9}, b.material("floor", scene::lambert(scene::grey(kFloor))));
   b.camera("camera", {0, 5, 5}, {}, 40, 16, 16);
   Shot shot{.scene = std::make_shared<const Scene>(b.finish())};
-  shot.camera = orthographic({x, 1, z}, {1, 0, 0}, {0, 0, -1}, 1e-6);
+  shot.camera = orthographic({x, 0.1, z}, {1, 0, 0}, {0, 0, -1}, 1e-6);
   shot.width = shot.height = 4;
   shot.chunks = chunks;
+  shot.trace = trace;
   return shoot(shot);
 }
 double floor_radiance(const SceneBuilder& lit, double x, double z) { return floor_picture(lit, x, z, 1).mean(1).mean; }
@@ -150,6 +152,73 @@ TEST(ClosedForm, ManyPunctualLights) {
   expected += kFloor / M_PI * 2 / std::sqrt(1.17);
   const Picture picture = floor_picture(b, 0, 0, 256);
   if (!expect_mean(picture.mean(1), expected, "42 punctual lights", kFamily, 2e-3)) keep_failure(picture, "many");
+}
+
+// Black sheets over the floor at heights 0.3, 0.4, ..., wide enough to shade all of it, of these opacities. A negative
+// one is cut out by a texture: its mask leaves three quarters open, and the light falls through the middle of a hole.
+SceneBuilder veiled(const std::vector<double>& opacities) {
+  SceneBuilder b("veiled");
+  b.mesh("sheets");
+  double height = 0.3;
+  for (const double opacity : opacities) {
+    scene::Material m = scene::lambert(scene::grey(0));
+    m.flags |= opacity < 0 ? GLEANER_MATERIAL_ALPHA_MASK : GLEANER_MATERIAL_ALPHA_BLEND;
+    m.alpha = static_cast<float>(std::abs(opacity));
+    if (opacity < 0)
+      m.base_color_texture = b.texture(64, 64, true, [](std::uint32_t x, std::uint32_t y) {
+        return scene::Texel{255, 255, 255, static_cast<std::uint8_t>(x < 32 && y < 32 ? 255 : 100)};
+      });
+    b.quad({-9, height, 9}, {9, height, 9}, {9, height, -9}, {-9, height, -9}, b.material("sheet", m));
+    height += 0.1;
+  }
+  return b;
+}
+
+// Alpha lets light go on in proportion, that of lights which no scattering finds as well; and the light of an emitter
+// that both ways find is not counted twice.
+TEST(ClosedForm, LightThroughAlpha) {
+  const Vec lamp{0.3, 1.2, -0.4};
+  const struct {
+    std::vector<double> opacities;
+    double passes;
+  } cases[] = {{{0.25}, 0.75}, {{0.5, 0.25, 0.9}, 0.0375}, {{1}, 0}, {{0}, 1}, {{-1}, 1}, {{-1, 0.5}, 0.5}};
+  for (const auto trace : {worker::TraceKind::automatic, worker::TraceKind::opencl})
+    for (const auto& c : cases) {
+      const auto check = [&](const std::string& what, const SceneBuilder& lit, double unveiled) {
+        const double seen = floor_picture(lit, 1.5, -2.5, 1, trace).mean(1).mean;
+        const double expected = c.passes * unveiled;
+        std::printf("  %-12s through %zu sheets: %.8g, expected %.8g\n", what.c_str(), c.opacities.size(), seen,
+                    expected);
+        EXPECT_NEAR(seen, expected, 4e-6 * unveiled) << what;
+      };
+      const Vec to = lamp - Vec{1.5, 0, -2.5};
+      const double d2 = scene::dot(to, to), cosine = lamp.y / std::sqrt(d2);
+      SceneBuilder point = veiled(c.opacities), spot = veiled(c.opacities), sun = veiled(c.opacities);
+      point.point_light(lamp, scene::grey(7));
+      check("point light", point, kFloor / M_PI * 7 * cosine / d2);
+      spot.spot_light(lamp, {0, -1, 0}, scene::grey(7), 1.2, 1.4);
+      check("spot", spot, kFloor / M_PI * 7 * cosine / d2 * spot_factor(cosine, 1.2, 1.4));
+      sun.directional_light({0.3, -0.5, 0.2}, scene::grey(3));
+      check("sun", sun, kFloor / M_PI * 3 * 0.5 / std::sqrt(0.09 + 0.25 + 0.04));
+    }
+
+  // Sheets beyond the lamp are not in its way.
+  SceneBuilder beyond = veiled({0.5});
+  beyond.point_light({1.5, 0.25, -2.5}, scene::grey(7));
+  EXPECT_NEAR(floor_radiance(beyond, 1.5, -2.5), kFloor / M_PI * 7 / 0.0625, 4e-6 * kFloor / M_PI * 7 / 0.0625);
+
+  // An emitter and a sun together, behind a veil.
+  SceneBuilder both = veiled({0.4});
+  const std::vector<Vec> corners{{0, 2, -4}, {4, 2, -4}, {4, 2, -1}, {0, 2, -1}};
+  both.mesh("emitter");
+  both.quad(corners[0], corners[1], corners[2], corners[3], both.material("emitter", scene::emitter(scene::grey(5))));
+  both.directional_light({0.8, -0.3, 0.2}, scene::grey(1));
+  const double expected =
+      kFloor * 0.6 *
+      (5 * polygon_form_factor({1.5, 0, -2.5}, {0, 1, 0}, corners) + 0.3 / std::sqrt(0.64 + 0.09 + 0.04) / M_PI);
+  const Picture picture = floor_picture(both, 1.5, -2.5, 512);
+  if (!expect_mean(picture.mean(1), expected, "emitter and sun behind a veil", kFamily, 5e-3))
+    keep_failure(picture, "veil");
 }
 
 // A small lamp far away is seen whole: none of its triangles stands in the way of the light samples on it, although a

@@ -26,6 +26,15 @@ std::shared_ptr<const Scene> made(const std::string& name) {
   return std::make_shared<const Scene>(scene::make_scene(name));
 }
 
+// Its shadow rays go on through a cut-out, turn by turn.
+std::shared_ptr<const Scene> made_with_alpha() {
+  Scene scene = scene::make_scene("cornell-textured");
+  scene::Light light = scene::make_scene("furnace-point").lights.at(0);
+  for (int k = 0; k < 3; ++k) light.position[k] = camera_of(scene).origin[k];
+  scene.lights.push_back(light);
+  return std::make_shared<const Scene>(std::move(scene));
+}
+
 // Runs the items by batches that end at `cuts`, the last ones first.
 scene::Bytes run_in_batches(worker::Executor& on, const worker::StageTask& task, std::uint64_t items,
                             std::vector<std::uint64_t> cuts, std::size_t stride) {
@@ -78,17 +87,20 @@ TEST_P(SameBits, WhereverBatchesAreCut) {
 }
 
 TEST_P(SameBits, HoweverManyThreads) {
-  // Several waves a thread: their sizes differ with the threads, and who is beside whom.
-  Shot shot{.scene = made("cornell-box"), .width = 40, .height = 30, .samples = 16, .chunks = 4};
-  shot.camera = camera_of(*shot.scene);
-  const std::uint64_t items = 40 * 30 * 4;
-  scene::Bytes first;
-  for (const unsigned threads : {1u, 2u, 3u, 7u}) {
-    auto on = executor_of(threads, GetParam());
-    const worker::StageTask task = task_of(parameters_of(shot), load(*on, shot.scene));
-    const scene::Bytes records = on->run(task, 0, items).records;
-    if (first.empty()) first = records;
-    EXPECT_EQ(first_difference(first, records, sizeof(kernels::PathRecord)), -1) << threads << " threads";
+  for (const auto& scene : {made("cornell-box"), made_with_alpha()}) {
+    // Several waves a thread: their sizes differ with the threads, and who is beside whom.
+    Shot shot{.scene = scene, .width = 40, .height = 30, .samples = 16, .chunks = 4};
+    shot.camera = camera_of(*shot.scene);
+    const std::uint64_t items = 40 * 30 * 4;
+    scene::Bytes first;
+    for (const unsigned threads : {1u, 2u, 3u, 7u}) {
+      auto on = executor_of(threads, GetParam());
+      const worker::StageTask task = task_of(parameters_of(shot), load(*on, shot.scene));
+      const scene::Bytes records = on->run(task, 0, items).records;
+      if (first.empty()) first = records;
+      EXPECT_EQ(first_difference(first, records, sizeof(kernels::PathRecord)), -1)
+          << threads << " threads, " << scene->name;
+    }
   }
 }
 

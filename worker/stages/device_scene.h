@@ -18,6 +18,8 @@ class DeviceScene {
   // Compiler options that select the variant: one NEED_... a need, and how many light clusters there are.
   const std::string& kernel_options() const { return options_; }
   Tracer& tracer() { return *tracer_; }
+  // Shadow rays to punctual lights may meet surfaces that are not opaque (kernels/path_layout.h: VEILS).
+  bool veils() const { return veils_; }
   // Sets the scene's buffers as arguments from `first` on, in the order of SCENE_PARAMETERS; returns the next index.
   unsigned set_arguments(cl::Kernel& kernel, unsigned first) const;
   std::size_t bytes() const { return bytes_; }
@@ -28,6 +30,7 @@ class DeviceScene {
   std::string options_;
   std::unique_ptr<Tracer> tracer_;
   cl::Buffer triangles_, materials_, textures_, texels_, srgb_, albedo_tables_, emitters_, clusters_, environment_;
+  bool veils_ = false;
   std::size_t bytes_ = 0;
 };
 

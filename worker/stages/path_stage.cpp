@@ -100,14 +100,15 @@ class Lane {
         queue_(shared.device.make_queue()),
         generate_(shared.program, "path_generate"),
         shade_(shared.program, "path_shade"),
-        connect_(shared.program, "path_connect"),
+        veils_(shared.scene.veils()),
+        connect_(shared.program, veils_ ? "path_pass" : "path_connect"),
         counters_(workspace.take("path.counters." + std::to_string(index), COUNTERS * 4)) {
     // One block more: ended lanes write behind the wave.
     const std::size_t blocks = shared.capacity / RAY_BLOCK + 1;
     for (int k = 0; k < 2; ++k)
       paths_[k] = workspace.take("path.paths." + std::to_string(2 * index + static_cast<unsigned>(k)),
                                  blocks * RAY_BLOCK * PATH_ROWS * 4);
-    shadows_ = workspace.take("path.shadows." + std::to_string(index), blocks * RAY_BLOCK * SHADOW_ROWS * 4);
+    shadows_ = workspace.take("path.shadows." + std::to_string(index), blocks * RAY_BLOCK * shadow_rows() * 4);
     generate_.setArg(0, shared.parameter_buffer);
     generate_.setArg(1, shared.items);
     generate_.setArg(2, static_cast<cl_uint>(shared.listed));
@@ -127,6 +128,10 @@ class Lane {
     connect_.setArg(0, shadows_);
     connect_.setArg(1, shared.slots);
     connect_.setArg(2, static_cast<cl_uint>(slot_count()));
+    if (veils_) {
+      connect_.setArg(4, counters_);
+      shared.scene.set_arguments(connect_, 5);
+    }
   }
   Lane(const Lane&) = delete;
   Lane& operator=(const Lane&) = delete;
@@ -178,12 +183,16 @@ class Lane {
       counters.shadow += counted[COUNTER_SHADOW];
       double shadowed = shaded;
       if (counted[COUNTER_SHADOW]) {
-        range.rows = SHADOW_ROWS;
-        shared_.scene.tracer().any(queue_, shadows_, range);
-        shadowed = seconds_now();
+        range.rows = shadow_rows();
         connect_.setArg(3, range.end());
-        launch(connect_, range.end());
-        queue_.finish();
+        if (veils_) {
+          shadowed += pass(range.end());
+        } else {
+          shared_.scene.tracer().any(queue_, shadows_, range);
+          shadowed = seconds_now();
+          launch(connect_, range.end());
+          queue_.finish();
+        }
       }
       survivors = counted[COUNTER_ALIVE];
       current = 1 - current;
@@ -195,6 +204,32 @@ class Lane {
   LaneCounters counters;
 
  private:
+  std::uint32_t shadow_rows() const { return veils_ ? VEILED_SHADOW_ROWS : SHADOW_ROWS; }
+
+  // Shadow rays through what is not opaque, one surface a turn. Rays that went on stand beside others that ended:
+  // traced as single rays, so that an answer does not depend on its neighbours. Returns the tracer's seconds.
+  double pass(std::uint32_t rays) {
+    RayRange range;
+    range.rows = shadow_rows();
+    range.incoherent = rays;
+    cl_uint left = rays;
+    double traced = 0;
+    // As many surfaces as a path may meet.
+    for (unsigned turn = 0; left && turn <= META_BOUNCE_MASK; ++turn) {
+      const double start = seconds_now();
+      shared_.scene.tracer().closest(queue_, shadows_, range);
+      traced += seconds_now() - start;
+      static constexpr cl_uint zero[2] = {0, 0};
+      queue_.enqueueWriteBuffer(counters_, CL_FALSE, 0, sizeof zero, zero);
+      launch(connect_, rays);
+      cl_uint counted[2];
+      queue_.enqueueReadBuffer(counters_, CL_TRUE, 0, sizeof counted, counted);
+      left = counted[COUNTER_SHADOW];
+      counters.shadow += left;
+    }
+    return traced;
+  }
+
   std::uint32_t slot_count() const { return (shared_.paths + RAY_BLOCK - 1) / RAY_BLOCK * RAY_BLOCK; }
 
   void launch(cl::Kernel& kernel, std::uint32_t rays) {
@@ -211,7 +246,9 @@ class Lane {
 
   Shared& shared_;
   cl::CommandQueue queue_;
-  cl::Kernel generate_, shade_, connect_;
+  cl::Kernel generate_, shade_;
+  bool veils_;
+  cl::Kernel connect_;
   cl::Buffer counters_, paths_[2], shadows_;
   unsigned shade_arguments_ = 0;
 };
