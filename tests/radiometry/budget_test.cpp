@@ -141,6 +141,28 @@ TEST(Budget, PunctualLightsNeedNoLastRay) {
   EXPECT_EQ(two.rays.shadow_rays, 2 * kPaths);
 }
 
+// A shadow ray is asked once more for each surface that lets its light through, and all of a wave's together.
+TEST(Budget, ShadowRaysThroughAlpha) {
+  SceneBuilder b("floor under two veils");
+  b.mesh("floor");
+  b.quad({-9, 0, 9}, {9, 0, 9}, {9, 0, -9}, {-9, 0, -9}, b.material("floor", scene::lambert(grey(0.5))));
+  scene::Material veil = scene::lambert(grey(0));
+  veil.flags |= GLEANER_MATERIAL_ALPHA_BLEND;
+  veil.alpha = 0.5f;
+  const auto material = b.material("veil", veil);
+  for (const double y : {1.0, 2.0}) b.quad({-9, y, 9}, {9, y, 9}, {9, y, -9}, {-9, y, -9}, material);
+  b.directional_light({0, -1, 0}, grey(1));
+  b.camera("camera", {0, 0.5, 0.1}, {}, 20, 16, 16);
+  Shot shot = small("furnace", 1);
+  shot.scene = std::make_shared<const Scene>(b.finish());
+  shot.camera = camera_of(*shot.scene);
+  const Cost cost = cost_of(shot);
+  EXPECT_EQ(cost.rays.scatter_rays, 0u);
+  EXPECT_EQ(cost.rays.shadow_rays, 3 * kPaths);
+  // Generate, shade, three times pass, resolve.
+  EXPECT_EQ(cost.launches, 6u);
+}
+
 TEST(Budget, WithoutLightsNothingIsAskedOfThem) {
   SceneBuilder b("room without a light");
   b.mesh("walls");
