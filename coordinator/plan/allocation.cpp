@@ -3,19 +3,23 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numeric>
+#include <utility>
 
 namespace gleaner::coordinator {
 
 std::vector<float> neighbours_variance(const PixelNoise& noise, int radius) {
   const std::size_t w = noise.width, h = noise.height;
-  // Sums over windows from a summed-area table.
-  std::vector<double> table((w + 1) * (h + 1), 0.0);
-  for (std::size_t y = 0; y < h; ++y) {
-    double row = 0;
-    for (std::size_t x = 0; x < w; ++x) {
-      row += noise.chunk_variance[y * w + x];
-      table[(y + 1) * (w + 1) + x + 1] = table[y * (w + 1) + x + 1] + row;
+  // Sums over windows from a summed-area table for each colour.
+  std::vector<double> tables[2];
+  for (std::size_t color = 0; color < 2; ++color) {
+    std::vector<double>& table = tables[color];
+    table.assign((w + 1) * (h + 1), 0.0);
+    for (std::size_t y = 0; y < h; ++y) {
+      double row = 0;
+      for (std::size_t x = 0; x < w; ++x) {
+        if ((x + y) % 2 == color) row += noise.chunk_variance[y * w + x];
+        table[(y + 1) * (w + 1) + x + 1] = table[y * (w + 1) + x + 1] + row;
+      }
     }
   }
   std::vector<float> result(w * h);
@@ -24,11 +28,13 @@ std::vector<float> neighbours_variance(const PixelNoise& noise, int radius) {
     for (std::size_t x = 0; x < w; ++x) {
       const std::size_t x0 = x >= r ? x - r : 0, x1 = std::min(x + r + 1, w);
       const std::size_t y0 = y >= r ? y - r : 0, y1 = std::min(y + r + 1, h);
-      const double others = static_cast<double>((x1 - x0) * (y1 - y0) - 1);
-      const double sum = table[y1 * (w + 1) + x1] - table[y0 * (w + 1) + x1] - table[y1 * (w + 1) + x0] +
-                         table[y0 * (w + 1) + x0] - noise.chunk_variance[y * w + x];
-      // A picture of one pixel has no neighbours; any number serves, as nothing competes with it.
-      result[y * w + x] = others > 0 ? static_cast<float>(std::max(0.0, sum / others)) : 1.0f;
+      const std::size_t other = (x + y + 1) % 2, area = (x1 - x0) * (y1 - y0);
+      // A window of odd area has one more of its corner's colour.
+      const auto count = static_cast<double>((x0 + y0) % 2 == other ? (area + 1) / 2 : area / 2);
+      const std::vector<double>& table = tables[other];
+      const double sum =
+          table[y1 * (w + 1) + x1] - table[y0 * (w + 1) + x1] - table[y1 * (w + 1) + x0] + table[y0 * (w + 1) + x0];
+      result[y * w + x] = count > 0 ? static_cast<float>(std::max(0.0, sum / count)) : 1.0f;
     }
   return result;
 }
@@ -61,21 +67,48 @@ std::vector<std::uint32_t> allocate_chunks(const std::vector<float>& variance, c
     const double middle = (low + high) / 2;
     (wanted(middle) < static_cast<double>(extra) ? low : high) = middle;
   }
-  double carried = 0;
   std::uint64_t given = 0;
-  for (std::size_t i = 0; i < n && given < extra; ++i) {
-    carried += std::max(0.0, high * deviation[i] - chunks[i]);
-    const auto whole = static_cast<std::uint64_t>(std::max(0.0, std::floor(carried + 1e-9)));
-    const std::uint64_t take =
-        std::min<std::uint64_t>({whole, extra - given, std::numeric_limits<std::uint32_t>::max()});
-    more[i] = static_cast<std::uint32_t>(take);
-    carried -= static_cast<double>(take);
-    given += take;
+  for (std::size_t i = 0; i < n; ++i) {
+    const double share = std::clamp(std::floor(high * deviation[i] - chunks[i]), 0.0, static_cast<double>(extra));
+    more[i] = static_cast<std::uint32_t>(std::min<std::uint64_t>(
+        {static_cast<std::uint64_t>(share), extra - given, std::numeric_limits<std::uint32_t>::max()}));
+    given += more[i];
   }
-  // What the last rounding left over goes to the noisiest pixel.
-  if (given < extra)
-    more[static_cast<std::size_t>(std::max_element(deviation.begin(), deviation.end()) - deviation.begin())] +=
-        static_cast<std::uint32_t>(extra - given);
+  // One more chunk takes v / c - v / (c + 1) off.
+  const auto gain = [&](std::size_t i) {
+    const double c = static_cast<double>(chunks[i]) + more[i];
+    return c > 0 ? variance[i] / (c * (c + 1)) : std::numeric_limits<double>::infinity();
+  };
+  std::vector<std::pair<double, std::size_t>> best(n);
+  for (std::size_t i = 0; i < n; ++i) best[i] = {-gain(i), i};
+  const auto rest = static_cast<std::size_t>(std::min<std::uint64_t>(extra - given, n));
+  std::nth_element(best.begin(), best.begin() + static_cast<std::ptrdiff_t>(rest), best.end());
+  for (std::size_t k = 0; k < rest; ++k) ++more[best[k].second];
+  // Shares below one each and their sum leave less than n; what the bisection's own rounding adds is next to nothing.
+  more[static_cast<std::size_t>(std::max_element(deviation.begin(), deviation.end()) - deviation.begin())] +=
+      static_cast<std::uint32_t>(extra - given - rest);
+  return more;
+}
+
+std::vector<std::uint32_t> allocate_by_noise(const PixelNoise& noise, const std::vector<std::uint32_t>& chunks,
+                                             std::uint64_t extra, int radius) {
+  const std::vector<float> variance = neighbours_variance(noise, radius);
+  const std::size_t n = variance.size();
+  std::vector<std::uint32_t> more(n, 0);
+  std::uint64_t left = extra;
+  for (std::size_t color : {1u, 0u}) {
+    std::vector<std::size_t> pixels;
+    for (std::size_t i = 0; i < n; ++i)
+      if ((i % noise.width + i / noise.width) % 2 == color) pixels.push_back(i);
+    std::vector<float> of_color;
+    std::vector<std::uint32_t> have;
+    for (const std::size_t i : pixels) of_color.push_back(variance[i]), have.push_back(chunks[i]);
+    // The corner's colour, of which there is never less, takes what the division leaves.
+    const std::uint64_t part = color ? extra / n * pixels.size() + extra % n * pixels.size() / n : left;
+    left -= part;
+    const std::vector<std::uint32_t> given = allocate_chunks(of_color, have, part);
+    for (std::size_t k = 0; k < pixels.size(); ++k) more[pixels[k]] = given[k];
+  }
   return more;
 }
 

@@ -13,14 +13,20 @@ struct PixelNoise {
   std::uint32_t width = 0, height = 0;
 };
 
-// For each pixel the mean of its neighbours' variances in a (2 radius + 1)^2 window, itself left out: where its own
-// samples decided how many more it gets, its mean would be biased (dark beginnings would stay dark).
+// For each pixel the mean of its neighbours' variances in a (2 radius + 1)^2 window, as far as they are of the other
+// colour of a chessboard; 1 where it has none (a picture of one pixel).
 std::vector<float> neighbours_variance(const PixelNoise& noise, int radius);
 
 // Further chunks a pixel, `extra` in all. The sum over the pixels of variance / chunks is least where chunks go as the
-// square root of the variance (Lagrange); pixels that have more than their share already keep what they have. Rounding
-// is carried from pixel to pixel, so that the total is exact. Deterministic.
+// square root of the variance (Lagrange); pixels that have more than their share already keep what they have. What
+// rounding down leaves goes, one chunk each, to where it takes most off. Deterministic.
 std::vector<std::uint32_t> allocate_chunks(const std::vector<float>& variance, const std::vector<std::uint32_t>& chunks,
                                            std::uint64_t extra);
+
+// The same by what the noise seen so far says. Where its own samples decided how many more a pixel gets, its mean would
+// be biased: dark beginnings would stay dark, and a bright one, which draws samples to its neighbours, would go short
+// itself. So each colour of a chessboard has its own half of `extra`, given out by what the other colour's samples say.
+std::vector<std::uint32_t> allocate_by_noise(const PixelNoise& noise, const std::vector<std::uint32_t>& chunks,
+                                             std::uint64_t extra, int radius);
 
 }  // namespace gleaner::coordinator

@@ -22,9 +22,9 @@ using kernels::PathRecord;
 constexpr std::uint64_t kMostSamplesForTarget = 1u << 16;
 // A stage's records and list stay below a gigabyte, however many samples are wished for.
 constexpr std::uint64_t kMostItems = std::uint64_t{1} << 25;
-// Neighbours asked about a pixel's noise: (2 r + 1)^2 - 1, two chunks each. Fewer would make the counts themselves
+// Neighbours asked about a pixel's noise: half of (2 r + 1)^2, two chunks each. Fewer would make the counts themselves
 // noisy.
-constexpr int kNoiseRadius = 2;
+constexpr int kNoiseRadius = 3;
 
 // The budget in quarters: two chunks for every pixel first (the least that shows a variance), then as the noise asks.
 std::uint32_t chunk_samples(std::uint32_t spp) {
@@ -107,9 +107,7 @@ Step PathPlan::spend(std::uint64_t samples) {
   const std::uint64_t whole = samples / chunk_samples_;
   const std::uint32_t rest = static_cast<std::uint32_t>(samples % chunk_samples_);
   const std::uint64_t items = whole + (rest ? 1 : 0);
-  const PixelNoise noise = film_.noise();
-  const std::vector<float> variance = neighbours_variance(noise, kNoiseRadius);
-  const std::vector<std::uint32_t> more = allocate_chunks(variance, used_chunks_, items);
+  const std::vector<std::uint32_t> more = allocate_by_noise(film_.noise(), used_chunks_, items, kNoiseRadius);
   auto list = std::make_shared<Bytes>(items * sizeof(PathItem));
   auto* item = reinterpret_cast<PathItem*>(list->data());
   for (std::uint32_t pixel = 0; pixel < more.size(); ++pixel)
