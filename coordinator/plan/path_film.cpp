@@ -57,11 +57,16 @@ PixelNoise PathFilm::noise() const {
   return noise;
 }
 
-double PathFilm::squared_error() const {
-  double sum = 0;
-  for (const Pixel& p : pixels_)
-    for (int k = 0; k < 3; ++k) sum += p.variance(k);
-  return pixels_.empty() ? 0 : sum / (3.0 * static_cast<double>(pixels_.size()));
+// Of a pixel whose mean has variance s^2, the squared error and its estimate (one degree of freedom) are independent,
+// with a variance of 2 s^4 each; the estimate's square is 3 s^4 on average. Channels are taken to err together.
+double PathFilm::squared_error_bound() const {
+  double sum = 0, squares = 0;
+  for (const Pixel& p : pixels_) {
+    const double own = p.variance(0) + p.variance(1) + p.variance(2);
+    sum += own;
+    squares += own * own;
+  }
+  return pixels_.empty() ? 0 : (sum + 2 * std::sqrt(squares * 4 / 3)) / (3.0 * static_cast<double>(pixels_.size()));
 }
 
 double PathFilm::mean_radiance() const {

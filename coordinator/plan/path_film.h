@@ -23,8 +23,9 @@ class PathFilm {
   // The sample variance of whole chunks' means, mean over the channels; 0 for pixels of fewer than two. Chunks of one
   // sequence repel each other, so that it overstates what more of them would leave: a guide to where the noise is.
   PixelNoise noise() const;
-  // The picture's expected squared error: mean over pixels and channels of the variance of the pixel's mean.
-  double squared_error() const;
+  // What the picture's squared error, the mean over pixels and channels, stays below in 97.7 % of pictures: the estimate
+  // from the pixels' variances and two standard deviations more.
+  double squared_error_bound() const;
   double mean_radiance() const;
 
   // Layers R G B, direct.*, indirect.*, variance.*, samples.Y and, where features were added, albedo.*, normal.*,

@@ -140,7 +140,7 @@ Step PathPlan::next(const FinishedStage* finished) {
   const std::uint64_t all = budget();
   if (spent_ >= all) return done;
   if (settings_.target_error > 0) {
-    const double error = std::sqrt(film_.squared_error());
+    const double error = std::sqrt(film_.squared_error_bound());
     const double mean = film_.mean_radiance();
     const double relative = mean > 0 ? error / mean : error;
     if (relative <= settings_.target_error) return done;
