@@ -144,6 +144,16 @@ FN v3 eval_bsdf(const Scene* scene, const Surface* m, v3 v, v3 l, vf* pdf) {
 #endif
 }
 
+// The part of eval_bsdf() that the diffuse layer scatters.
+FN v3 eval_layer(const Scene* scene, const Surface* m, vf nl) {
+#ifdef NEED_LOBE
+  vf layer = m->left_view * left_to_layer(scene, m, nl) * (one_f() - m->metallic) / m->left_mean;
+  return scale3(m->base, layer * nl * INV_PI);
+#else
+  return scale3(m->base, nl * INV_PI);
+#endif
+}
+
 // Exact unpolarized Fresnel reflectance from cos_i > 0 with eta = n_t / n_i; cos_t = 0 on total reflection.
 FN vf fresnel_dielectric(vf cos_i, vf eta, vf* cos_t) {
   vf sin2_t = (one_f() - cos_i * cos_i) / (eta * eta);

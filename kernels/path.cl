@@ -15,37 +15,29 @@
 // its slot is its own, and survivors are traced one by one, so neither their order nor the wave's size can be seen in
 // the result.
 
-#include "kernels/bsdf.h"
+#include "kernels/camera.h"
 #include "kernels/lights.h"
 #include "kernels/path_layout.h"
 #include "kernels/stage_records.h"
-
-#ifdef __has_attribute
-#if __has_attribute(min_vector_width)
-#define WIDE __attribute__((min_vector_width(512)))
-#endif
-#endif
-#ifndef WIDE
-#define WIDE
-#endif
+#include "kernels/surface.h"
+#include "kernels/wide.h"
 
 // Fields of PathParameters are read one by one: the struct itself never lands in registers.
 FN void add_to_slots(global float* slots, uint slot_count, vu slot, vi indirect, v3 value, vi active) {
   // Lanes with nothing to add write to a slot that nobody reads.
-  vu at = pick_u((vu)slot_count, slot, active) * SLOT_WORDS + pick_u((vu)0u, (vu)3u, indirect & active);
+  vu at = pick_u((vu)slot_count, slot, active) * SLOT_WORDS + pick_u((vu)0u, (vu)SLOT_INDIRECT, indirect & active);
   v3 sum = add3(gather3(slots, at), value);
   scatter_f(slots, at, sum.x);
   scatter_f(slots + 1, at, sum.y);
   scatter_f(slots + 2, at, sum.z);
 }
 
-#ifdef NEED_ALPHA
-// What of a material of opacity `alpha` is in light's way.
-FN vf opacity_of(const Scene* scene, vu material, vu flags, vf alpha) {
-  vf masked = pick(zero_f(), one_f(), alpha >= material_f(scene, material, MATERIAL_ALPHA_CUTOFF));
-  alpha = pick(alpha, masked, (flags & GLEANER_MATERIAL_ALPHA_MASK) != 0u);
-  return pick(one_f(), alpha, (flags & (GLEANER_MATERIAL_ALPHA_MASK | GLEANER_MATERIAL_ALPHA_BLEND)) != 0u);
+#ifdef COVERED
+FN void add_clamped(global float* slots, uint slot_count, vu slot, v3 value, vi active) {
+  if (any_lane(active)) add_to_slots(slots + (SLOT_CLAMPED - SLOT_INDIRECT), slot_count, slot, active, value, active);
 }
+#else
+FN void add_clamped(global float* slots, uint slot_count, vu slot, v3 value, vi active) {}
 #endif
 
 // How far shadow rays go, the light being at 1.
@@ -89,22 +81,8 @@ kernel WIDE void path_generate(global const PathParameters* restrict parameters,
       hash_combine(hash_combine(hash_combine((vu)parameters->seed_low, (vu)parameters->seed_high), pixel), sequence);
   vf jx, jy;
   sample_pair(key, sample, GLEANER_PATH_SEQUENCE, 0u, &jx, &jy);
-  vu row = pixel / width;
-  vu column = pixel - row * width;
-  vf sx = 2.0f * (to_f(column) + jx) / (float)width - 1.0f;
-  vf sy = 1.0f - 2.0f * (to_f(row) + jy) / (float)height;
-  global const Camera* camera = &parameters->camera;
-  v3 origin = uniform3(camera->origin[0], camera->origin[1], camera->origin[2]);
-  v3 right = uniform3(camera->right[0], camera->right[1], camera->right[2]);
-  v3 up = uniform3(camera->up[0], camera->up[1], camera->up[2]);
-  v3 direction = uniform3(camera->forward[0], camera->forward[1], camera->forward[2]);
-  vf ax = sx * camera->half_width, ay = sy * camera->half_height;
-  v3 aside = mad3(right, ax, scale3(up, ay));
-  if (camera->type == GLEANER_CAMERA_ORTHOGRAPHIC) {
-    origin = add3(origin, aside);
-  } else {
-    direction = normalize3(add3(direction, aside));
-  }
+  v3 origin, direction;
+  camera_ray(&parameters->camera, width, height, pixel, jx, jy, &origin, &direction);
   // The stage's last item may have fewer samples than the others.
   uint last_local = (uint)min(total - 1u - first_item, (ulong)0xfffffffeu);
   vi idle = (local_item > last_local) |
@@ -126,6 +104,9 @@ kernel WIDE void path_generate(global const PathParameters* restrict parameters,
   set_row_u(paths, PATH_ROWS, at, ROW_META, (sample << META_SAMPLE) | pick_u((vu)0u, (vu)META_IDLE, idle));
   set_row_u(paths, PATH_ROWS, at, ROW_KEY, key);
   set_row_f(paths, PATH_ROWS, at, ROW_ETA, one_f());
+#ifdef COVERED
+  set_row_f(paths, PATH_ROWS, at, ROW_COVER, zero_f());
+#endif
   for (uint k = 0; k < SLOT_WORDS; ++k)
     store_f(slots + (ulong)SLOT_WORDS * (first_path + first_lane) + k * LANES, 0, zero_f());
   if (parameters->features)
@@ -158,6 +139,12 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   vi specular_since = (meta & META_SPECULAR_SINCE) != 0u;
   vu bounce = (meta >> META_BOUNCE) & META_BOUNCE_MASK;
   vu sample = (meta >> META_SAMPLE) & META_SAMPLE_MASK;
+#ifdef COVERED
+  vf cover = row_f(paths, PATH_ROWS, block, ROW_COVER);
+  vi clamped = cover < (vf)(0.5f * (COVER_FREE + COVER_CLAMPED));
+#else
+  vi clamped = no_lanes();
+#endif
   // Light found from here counts as direct where it was reflected at most once, and then came straight.
   vi found_indirect = (diffuse_count > 1u) | ((diffuse_count == 1u) & specular_since);
 
@@ -175,7 +162,9 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
     v3 radiance = environment_radiance(scene, u, v);
     vf light = environment_pdf(scene, u, v, safe_sqrt(one_f() - d.y * d.y)) * environment_chance(scene, last_total);
     vf weight = pick(one_f(), power_heuristic(last_pdf, light), last_pdf > zero_f());
-    add_to_slots(slots, slot_count, slot, found_indirect, scale3(mul3(throughput, radiance), weight), missed);
+    v3 found = scale3(mul3(throughput, radiance), weight);
+    add_to_slots(slots, slot_count, slot, found_indirect, found, missed);
+    add_clamped(slots, slot_count, slot, found, missed & clamped);
   }
 #endif
   active = hit;
@@ -185,130 +174,39 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
     return;
   }
 
-  // The hit: from the corners, not along the ray, so that its error is the corners' and not the distance's.
-  vf t[16];
-  load_words(scene->triangles, triangle, t);
-#if defined(NEED_SMOOTH_NORMALS) || defined(NEED_TEXTURES)
-  vf t2[16];
-  load_words(scene->triangles + TRIANGLE_SECOND, triangle, t2);
-#endif
-  v3 p0 = words3(t, TRIANGLE_P0);
-  v3 p1 = words3(t, TRIANGLE_P1);
-  v3 p2 = words3(t, TRIANGLE_P2);
-  vf b1 = row_f(paths, PATH_ROWS, block, ROW_U), b2 = row_f(paths, PATH_ROWS, block, ROW_V);
-  vf b0 = one_f() - b1 - b2;
-  v3 e1 = sub3(p1, p0), e2 = sub3(p2, p0), error;
-  v3 p = surface_point(p0, e1, e2, b1, b2, &error);
-  v3 geometric = normalize3(cross3(e1, e2));
-  vi front = dot3(geometric, direction) < zero_f();
-  vu material = as_vu(t[TRIANGLE_MATERIAL]);
-  vf w[16];  // the material's first line
-  load_words(scene->materials, material * MATERIAL_WORDS, w);
-#ifdef NEED_TEXTURES
-  vf tu = b0 * t2[TRIANGLE_UV0 - TRIANGLE_SECOND] + b1 * t2[TRIANGLE_UV1 - TRIANGLE_SECOND] +
-          b2 * t2[TRIANGLE_UV2 - TRIANGLE_SECOND];
-  vf tv = b0 * t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1] + b1 * t2[TRIANGLE_UV1 - TRIANGLE_SECOND + 1] +
-          b2 * t2[TRIANGLE_UV2 - TRIANGLE_SECOND + 1];
-#endif
-
-#ifdef NEED_ATTENUATION
-  // A solid's back face was reached from within it: what it absorbs of this segment.
-  {
-    vi within = active & none(front) & ((as_vu(w[MATERIAL_FLAGS]) & GLEANER_MATERIAL_ATTENUATES) != 0u);
-    if (any_lane(within)) {
-      vf distance = length3(sub3(p, origin));
-      v3 k = material_3(scene, material, MATERIAL_ATTENUATION);
-      v3 left = make3(exp(-k.x * distance), exp(-k.y * distance), exp(-k.z * distance));
-      throughput = pick3(throughput, mul3(throughput, left), within);
-    }
-  }
-#endif
+  Hit h =
+      load_hit(scene, primitive, row_f(paths, PATH_ROWS, block, ROW_U), row_f(paths, PATH_ROWS, block, ROW_V), active);
+  v3 p = h.p;
+  throughput = absorbed(scene, &h, origin, direction, throughput, active);
 
 #ifdef NEED_EMISSIVE_TRIANGLES
   {
-    vu emitter = as_vu(t[TRIANGLE_EMITTER]);
-    vi emits = active & front & (emitter != GLEANER_NONE);
+    vu emitter = as_vu(h.first[TRIANGLE_EMITTER]);
+    vi emits = active & (dot3(h.geometric, direction) < zero_f()) & (emitter != GLEANER_NONE);
     if (any_lane(emits)) {
       emitter = pick_u((vu)0u, emitter, emits);
       v3 radiance = gather3(scene->emitters + EMITTER_RADIANCE, emitter * EMITTER_WORDS);
 #ifdef NEED_EMISSION_TEXTURES
-      vu texture = material_u(scene, material, MATERIAL_EMISSION_TEXTURE);
+      vu texture = material_u(scene, h.material, MATERIAL_EMISSION_TEXTURE);
       vi textured = emits & (texture != GLEANER_NONE);
       vf unused;
-      radiance = pick3(radiance, mul3(radiance, texture_lookup(scene, texture, tu, tv, textured, &unused)), textured);
+      radiance = pick3(radiance, mul3(radiance, texture_lookup(scene, texture, h.u, h.v, textured, &unused)), textured);
 #endif
       v3 to_hit = sub3(p, origin);
       vf distance = length3(to_hit);
       vf light = light_pdf(scene, emitter, origin, direction, distance, last_total);
       vf weight = pick(one_f(), power_heuristic(last_pdf, light), last_pdf > zero_f());
-      add_to_slots(slots, slot_count, slot, found_indirect, scale3(mul3(throughput, radiance), weight), emits);
+      v3 found = scale3(mul3(throughput, radiance), weight);
+      add_to_slots(slots, slot_count, slot, found_indirect, found, emits);
+      add_clamped(slots, slot_count, slot, found, emits & clamped);
     }
   }
 #endif
 
-  // The material.
   Surface m;
-  m.base = words3(w, MATERIAL_BASE_COLOR);
-#ifdef NEED_ALPHA
-  vu flags = as_vu(w[MATERIAL_FLAGS]);
-  m.opacity = w[MATERIAL_ALPHA];
-#elif defined(NEED_UNLIT) || defined(NEED_TRANSMISSIVE)
-  vu flags = as_vu(w[MATERIAL_FLAGS]);
-#endif
-#ifdef NEED_TEXTURES
-  {
-    vu texture = as_vu(w[MATERIAL_BASE_COLOR_TEXTURE]);
-    vi textured = active & (texture != GLEANER_NONE);
-    if (any_lane(textured)) {
-      vf alpha;
-      v3 color = texture_lookup(scene, texture, tu, tv, textured, &alpha);
-      m.base = pick3(m.base, mul3(m.base, color), textured);
-#ifdef NEED_ALPHA
-      m.opacity = pick(m.opacity, m.opacity * alpha, textured);
-#endif
-    }
-  }
-#endif
-#ifdef NEED_ALPHA
-  m.opacity = opacity_of(scene, material, flags, m.opacity);
-#endif
-
-  // The shading frame: interpolated normals decide the side and the cosine; both sides scatter.
-  v3 normal = geometric;
-#ifdef NEED_SMOOTH_NORMALS
-  {
-    v3 n = mad3(
-        words3(t2, TRIANGLE_N0 - TRIANGLE_SECOND), b0,
-        mad3(words3(t2, TRIANGLE_N1 - TRIANGLE_SECOND), b1, scale3(words3(t2, TRIANGLE_N2 - TRIANGLE_SECOND), b2)));
-    vf l2 = dot3(n, n);
-    normal = pick3(geometric, scale3(n, one_f() / sqrt(l2)), l2 > (vf)1e-12f);
-  }
-#endif
-#ifdef NEED_NORMAL_MAPS
-  {
-    vu texture = material_u(scene, material, MATERIAL_NORMAL_TEXTURE);
-    vi mapped = active & (texture != GLEANER_NONE);
-    if (any_lane(mapped)) {
-      vf unused;
-      v3 n = texture_lookup(scene, texture, tu, tv, mapped, &unused);
-      vf strength = material_f(scene, material, MATERIAL_NORMAL_SCALE);
-      n = make3((2.0f * n.x - 1.0f) * strength, (2.0f * n.y - 1.0f) * strength, 2.0f * n.z - 1.0f);
-      vf du1 = t2[TRIANGLE_UV1 - TRIANGLE_SECOND] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND];
-      vf dv1 = t2[TRIANGLE_UV1 - TRIANGLE_SECOND + 1] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1];
-      vf du2 = t2[TRIANGLE_UV2 - TRIANGLE_SECOND] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND];
-      vf dv2 = t2[TRIANGLE_UV2 - TRIANGLE_SECOND + 1] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1];
-      vf area = du1 * dv2 - du2 * dv1;
-      // dp/du, made perpendicular to the normal; the bitangent's sense is that of -dv (v grows downwards in glTF).
-      v3 tangent = scale3(sub3(scale3(e1, dv2), scale3(e2, dv1)), pick((vf)-1.0f, one_f(), area > zero_f()));
-      tangent = sub3(tangent, scale3(normal, dot3(normal, tangent)));
-      vi usable = mapped & (dot3(tangent, tangent) > zero_f()) & (area != zero_f());
-      tangent = normalize3(tangent);
-      v3 bitangent = scale3(cross3(normal, tangent), pick(one_f(), (vf)-1.0f, area > zero_f()));
-      v3 bent = normalize3(mad3(tangent, n.x, mad3(bitangent, n.y, scale3(normal, n.z))));
-      normal = pick3(normal, bent, usable & (dot3(bent, bent) > zero_f()));
-    }
-  }
-#endif
+  load_color(scene, &h, &m, active);
+  // Interpolated and mapped normals decide the side and the cosine; both sides scatter.
+  v3 normal = h.normal;
 
   if (parameters->features) {
     vi first_hit = active & (bounce == 0u);
@@ -341,9 +239,10 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 #endif
 #ifdef NEED_UNLIT
   {
-    vi unlit = active & none(passes) & ((flags & GLEANER_MATERIAL_UNLIT) != 0u);
+    vi unlit = active & none(passes) & ((as_vu(h.words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_UNLIT) != 0u);
     if (any_lane(unlit)) {
       add_to_slots(slots, slot_count, slot, found_indirect, mul3(throughput, m.base), unlit);
+      add_clamped(slots, slot_count, slot, mul3(throughput, m.base), unlit & clamped);
       active = active & none(unlit);
     }
   }
@@ -351,64 +250,19 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   uint most = parameters->depth;
   if (most) active = active & ((depth < most) | passes);
 
-#if defined(NEED_LOBE) || defined(NEED_TRANSMISSIVE)
-  m.alpha = w[MATERIAL_ROUGHNESS];
-#ifdef NEED_LOBE
-  m.metallic = w[MATERIAL_METALLIC];
-  m.specular = w[MATERIAL_SPECULAR];
-  m.f0 = words3(w, MATERIAL_F0);
-  m.table = as_vu(w[MATERIAL_ALBEDO_TABLE]);
-  m.table_row = zero_f();
-#endif
-#ifdef NEED_TRANSMISSIVE
-  m.transmission = w[MATERIAL_TRANSMISSION];
-  m.ior = w[MATERIAL_IOR];
-  m.solid = (flags & GLEANER_MATERIAL_SOLID) != 0u;
-#endif
-#ifdef NEED_MATERIAL_TEXTURES
-  {
-    vf unused;
-    vu texture = material_u(scene, material, MATERIAL_METALLIC_ROUGHNESS_TEXTURE);
-    vi textured = active & (texture != GLEANER_NONE);
-    if (any_lane(textured)) {
-      v3 c = texture_lookup(scene, texture, tu, tv, textured, &unused);
-      m.alpha = pick(m.alpha, m.alpha * c.y, textured);
-#ifdef NEED_LOBE
-      m.metallic = pick(m.metallic, m.metallic * c.z, textured);
-#endif
-    }
-#ifdef NEED_LOBE
-    vu rows = as_vu(w[MATERIAL_ALBEDO_ROWS]);
-    m.table_row = pick(zero_f(), clamp_f(m.alpha, zero_f(), one_f()) * (vf)(float)(GLEANER_ALBEDO_ROWS - 1), rows > 1u);
-    texture = material_u(scene, material, MATERIAL_SPECULAR_TEXTURE);
-    textured = active & (texture != GLEANER_NONE);
-    if (any_lane(textured)) {
-      vf a;
-      texture_lookup(scene, texture, tu, tv, textured, &a);
-      m.specular = pick(m.specular, m.specular * a, textured);
-    }
-    texture = material_u(scene, material, MATERIAL_SPECULAR_COLOR_TEXTURE);
-    textured = active & (texture != GLEANER_NONE);
-    if (any_lane(textured)) {
-      v3 c = texture_lookup(scene, texture, tu, tv, textured, &unused);
-      m.f0 = pick3(m.f0, mul3(m.f0, c), textured);
-    }
-#endif
-#ifdef NEED_TRANSMISSIVE
-    texture = material_u(scene, material, MATERIAL_TRANSMISSION_TEXTURE);
-    textured = active & (texture != GLEANER_NONE);
-    if (any_lane(textured)) {
-      v3 c = texture_lookup(scene, texture, tu, tv, textured, &unused);
-      m.transmission = pick(m.transmission, m.transmission * c.x, textured);
-    }
-#endif
-  }
-#endif
-  m.alpha = m.alpha * m.alpha;
-#ifdef NEED_LOBE
-  m.alpha2 = m.alpha * m.alpha;
+#ifdef COVERED
+  // A virtual point light's place, reached straight from a surface that it lights: of what the diffuse layer here
+  // scatters, what clamping that light's geometry term (eq. 4) leaves out is all there is to find.
+  vi straight = active & none(passes) & (cover > zero_f());
+  v3 segment = sub3(p, origin);
+  vf geometry = cover * fabs(dot3(h.geometric, direction)) / dot3(segment, segment);
+  vf layer_share = pick(one_f(), clamp_f(one_f() - parameters->clamp / geometry, zero_f(), one_f()), straight);
+#if !defined(NEED_LOBE) && !defined(NEED_TRANSMISSIVE)
+  active = active & (passes | (layer_share > zero_f()));
+  clamped = clamped | straight;
 #endif
 #endif
+  load_lobes(scene, &h, &m, active);
 
   v3 tangent, bitangent;
   vf facing = dot3(normal, direction);
@@ -428,7 +282,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 0u, &u_choice, &u_roulette);
   vf light_total = one_f();
   vi connected = no_lanes();
-  vu shadow_bits = pick_u((vu)0u, (vu)SHADOW_INDIRECT, diffuse_count > 0u);
+  vu shadow_bits =
+      pick_u((vu)0u, (vu)SHADOW_INDIRECT, diffuse_count > 0u) | pick_u((vu)0u, (vu)SHADOW_CLAMPED, clamped);
 #ifdef NEED_LIGHTS
   {
     vi lit = active & none(passes);
@@ -450,6 +305,11 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       vi seen = lit & (light.pdf > zero_f()) & (toward.z > (vf)1e-6f);
       vf pdf;
       v3 f = eval_bsdf(scene, &m, view, make3(toward.x, toward.y, max_f(toward.z, (vf)1e-6f)), &pdf);
+#ifdef COVERED
+      v3 layer = eval_layer(scene, &m, max_f(toward.z, (vf)1e-6f));
+      f = sub3(f, scale3(layer, one_f() - layer_share));
+      f = make3(max_f(f.x, zero_f()), max_f(f.y, zero_f()), max_f(f.z, zero_f()));
+#endif
 #ifdef NEED_TRANSMISSIVE
       f = scale3(f, opaque_share);
       pdf *= opaque_share;
@@ -458,7 +318,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       weight = pick(weight, one_f(), light.delta);
       contribution = scale3(mul3(mul3(throughput, f), light.radiance), weight / light.pdf);
       connected = seen & (max_component(contribution) > zero_f());
-      shadow_origin = leave_surface(p, error, geometric, light.direction);
+      shadow_origin = leave_surface(p, h.error, h.geometric, light.direction);
       shadow_direction = pick3(sub3(light.target, shadow_origin), light.direction, light.infinite);
       shadow_far = pick((vf)-1.0f, pick((vf)SHADOW_FAR, (vf)INFINITY, light.infinite), connected);
 #ifdef VEILS
@@ -492,6 +352,40 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   v3 next_throughput = mul3(throughput, scattered.weight);
   vi specular = scattered.pdf <= zero_f();
   vf eta = row_f(paths, PATH_ROWS, block, ROW_ETA) * scattered.eta;
+#ifdef COVERED
+  // Whether the diffuse layer scattered it or the lobe: by lot, in proportion to what each sends this way.
+  vi by_layer = none(specular);
+  vi through = no_lanes();
+#ifdef NEED_LOBE
+  {
+    vf unused_pdf, u_class, u_spare;
+    sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 4u, &u_class, &u_spare);
+    vf z = max_f(scattered.direction.z, (vf)1e-6f);
+    v3 both = eval_bsdf(scene, &m, view, make3(scattered.direction.x, scattered.direction.y, z), &unused_pdf);
+    v3 layer = eval_layer(scene, &m, z);
+    vf chance = clamp_f((layer.x + layer.y + layer.z) / (both.x + both.y + both.z), zero_f(), one_f());
+    by_layer = by_layer & (u_class < chance);
+    v3 part = pick3(sub3(both, layer), layer, by_layer);
+    vf odds = one_f() / pick(one_f() - chance, chance, by_layer);
+    v3 factor = make3(pick(zero_f(), max_f(part.x, zero_f()) / both.x * odds, both.x > zero_f()),
+                      pick(zero_f(), max_f(part.y, zero_f()) / both.y * odds, both.y > zero_f()),
+                      pick(zero_f(), max_f(part.z, zero_f()) / both.z * odds, both.z > zero_f()));
+    next_throughput = pick3(mul3(next_throughput, factor), next_throughput, specular);
+    through = m.lobe_share >= one_f();
+  }
+#endif
+#ifdef NEED_TRANSMISSIVE
+  through = through | (u_glass < m.transmission);
+#endif
+  vi first_surface = cover == zero_f();
+  next_throughput = pick3(next_throughput, scale3(next_throughput, layer_share), straight & by_layer);
+  vf next_cover = pick(cover, (vf)COVER_FREE, straight);
+  next_cover = pick(next_cover, (vf)COVER_CLAMPED, straight & by_layer);
+  next_cover = pick(next_cover, (vf)COVER_FREE, first_surface & none(through));
+  next_cover = pick(next_cover, max_f(scattered.direction.z, (vf)1e-6f), first_surface & by_layer & none(through));
+  // Through a veil no virtual point light is seen: what stands behind it is found by paths.
+  next_cover = pick(next_cover, pick(cover, (vf)COVER_FREE, cover > zero_f()), passes);
+#endif
   vi alive =
       active & none(passes) & (max_component(next_throughput) > zero_f()) & finite3(next_throughput) & finite3(out);
   vu next_depth = min(depth + 1u, (vu)META_DEPTH_MASK);
@@ -518,7 +412,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   scattered.pdf = pick(scattered.pdf, zero_f(), passes);
   alive = (alive & none(passes)) | (active & passes);
 #endif
-  v3 start = leave_surface(p, error, geometric, out);
+  v3 start = leave_surface(p, h.error, h.geometric, out);
   vu next_bounce = bounce + 1u;
   alive = alive & (next_bounce <= (vu)META_BOUNCE_MASK) & finite3(start);
 
@@ -555,6 +449,9 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   scatter_u(next_words + 16u * ROW_META, to, next_meta);
   scatter_u(next_words + 16u * ROW_KEY, to, key);
   scatter_f(next + 16u * ROW_ETA, to, eta);
+#ifdef COVERED
+  scatter_f(next + 16u * ROW_COVER, to, next_cover);
+#endif
 }
 
 #ifdef VEILS
@@ -577,8 +474,10 @@ kernel WIDE void path_pass(global float* restrict shadows, global float* restric
            (infinite | (row_f(shadows, SHADOW_ROWS, block, ROW_FAR) <= (vf)SHADOW_FAR));
   v3 contribution = row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION);
   vi arrived = asked & none(hit);
-  if (any_lane(arrived))
+  if (any_lane(arrived)) {
     add_to_slots(slots, slot_count, slot & ~SHADOW_BITS, (slot & SHADOW_INDIRECT) != 0u, contribution, arrived);
+    add_clamped(slots, slot_count, slot & ~SHADOW_BITS, contribution, arrived & ((slot & SHADOW_CLAMPED) != 0u));
+  }
 
   vi passes = hit & ((slot & SHADOW_PASSES) != 0u);
   v3 origin = row_3(shadows, SHADOW_ROWS, block, ROW_ORIGIN);
@@ -640,10 +539,17 @@ kernel WIDE void path_connect(global const float* restrict shadows, global float
                ((vu)(block * LANES) + lane_index() < count);
   if (!any_lane(arrived)) return;
   vi indirect = (slot & SHADOW_INDIRECT) != 0u;
-  add_to_slots(slots, slot_count, slot & ~SHADOW_BITS, indirect, row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION),
-               arrived);
+  v3 contribution = row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION);
+  add_to_slots(slots, slot_count, slot & ~SHADOW_BITS, indirect, contribution, arrived);
+  add_clamped(slots, slot_count, slot & ~SHADOW_BITS, contribution, arrived & ((slot & SHADOW_CLAMPED) != 0u));
 }
 
+#endif
+
+#ifdef COVERED
+#define SUMS 9u
+#else
+#define SUMS 6u
 #endif
 
 // Sums each item's samples in their order. Samples that are not finite are left out and reported.
@@ -656,18 +562,18 @@ kernel void path_resolve(global const PathParameters* restrict parameters, uint 
   ulong index = (((ulong)first_item_high << 32) | first_item_low) + item;
   ulong total = ((ulong)parameters->items_high << 32) | parameters->items_low;
   uint used = index == total - 1u ? parameters->last_item_samples : samples;
-  float sum[6] = {0, 0, 0, 0, 0, 0};
+  float sum[SLOT_WORDS] = {0};
   uint lost = 0;
   for (uint s = 0; s < used; ++s) {
     global const float* slot = slots + (ulong)SLOT_WORDS * (item * samples + s);
     int fine = 1;
-    for (uint k = 0; k < 6; ++k) fine = fine && fabs(slot[k]) <= 3.402823466e38f;
+    for (uint k = 0; k < SUMS; ++k) fine = fine && fabs(slot[k]) <= 3.402823466e38f;
     if (fine)
-      for (uint k = 0; k < 6; ++k) sum[k] += slot[k];
+      for (uint k = 0; k < SUMS; ++k) sum[k] += slot[k];
     else
       ++lost;
   }
-  uint words = parameters->features ? 14u : 6u;
+  uint words = (parameters->features ? 14u : 6u) + (SUMS - 6u);
   global float* record = records + (ulong)words * item;
   for (uint k = 0; k < 6; ++k) record[k] = sum[k];
   if (parameters->features) {
@@ -676,6 +582,8 @@ kernel void path_resolve(global const PathParameters* restrict parameters, uint 
       for (uint k = 0; k < 8; ++k) f[k] += features[(ulong)FEATURE_WORDS * (item * samples + s) + k];
     for (uint k = 0; k < 8; ++k) record[6 + k] = f[k];
   }
+  // What was clamped stands last.
+  for (uint k = 6u; k < SUMS; ++k) record[words - SUMS + k] = sum[k];
   if (lost) {
     atomic_add(report, lost);
     uint at = atomic_inc(report + 1);

@@ -11,8 +11,15 @@
 #define ROW_SLOT 25u
 #define ROW_META 26u
 #define ROW_KEY 27u
-#define ROW_ETA 28u  // product of n_t / n_i along the path
-#define PATH_ROWS 29u
+#define ROW_ETA 28u    // product of n_t / n_i along the path
+#define ROW_COVER 29u  // COVERED: what virtual point lights do with light that arrives on this ray, see COVER_...
+#define PATH_ROWS 30u
+
+// ROW_COVER: 0: the path has met nothing but mirrors and glass. Above 0: it left the diffuse layer of its first other
+// surface, at this cosine; the diffuse layer that it meets next is a virtual point light. Below: paths alone find what
+// is to be found.
+#define COVER_FREE -1.0f
+#define COVER_CLAMPED -2.0f  // as COVER_FREE, of what clamping the geometry term took
 
 // Rows of a block of 16 shadow rays: RTCRay16, then what arrives if nothing is in the way. Where a scene has both alpha
 // and lights that no scattering finds, its shadow rays go through what is not opaque: they ask for the closest hit.
@@ -30,7 +37,10 @@
 #define SHADOW_INDIRECT 0x80000000u
 #define SHADOW_PASSES 0x40000000u    // goes through what is not opaque
 #define SHADOW_INFINITE 0x20000000u  // its light is not at `far` 1
-#define SHADOW_BITS (SHADOW_INDIRECT | SHADOW_PASSES | SHADOW_INFINITE)
+#define SHADOW_CLAMPED 0x10000000u   // counts as given back of what was clamped
+#define SHADOW_BITS (SHADOW_INDIRECT | SHADOW_PASSES | SHADOW_INFINITE | SHADOW_CLAMPED)
+// Of rays between points and virtual point lights.
+#define VISIBILITY_ROWS 16u
 
 // ROW_META: scatterings so far, those that were not specular (0, 1, 2 = more), whether a specular one came since, rays
 // so far (the random numbers' dimension), the sample's index in its sequence.
@@ -43,8 +53,16 @@
 #define META_SAMPLE_MASK 4095u
 #define META_IDLE (1u << 31)
 
-// A path's slot: direct RGB, indirect RGB, two words of padding.
-#define SLOT_WORDS 8u
+// A path's slot: direct RGB, indirect RGB, (covered: of that, what was clamped), padding.
+#define PLAIN_SLOT_WORDS 8u
+#define COVERED_SLOT_WORDS 12u
+#ifdef COVERED
+#define SLOT_WORDS COVERED_SLOT_WORDS
+#else
+#define SLOT_WORDS PLAIN_SLOT_WORDS
+#endif
+#define SLOT_INDIRECT 3u
+#define SLOT_CLAMPED 6u
 // Albedo, normal, depth, 1 where something was hit.
 #define FEATURE_WORDS 8u
 

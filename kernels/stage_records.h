@@ -29,7 +29,11 @@ typedef struct {
   gl_uint seed_low, seed_high;
   gl_uint features;               // 1: records are PathFeatureRecord, else PathRecord
   gl_uint items_low, items_high;  // items of the whole stage
-  gl_uint reserved[5];
+  // 1: light that reaches the first non-specular surface straight from another one is left to virtual point lights
+  // (kernels/vpl.cl), but for what they clamp; records then end with three words more, the sums of what was clamped.
+  gl_uint covered;
+  gl_float clamp;  // covered: the geometry term's bound, 1/m^2; infinity: none
+  gl_uint reserved[3];
 } PathParameters;
 GLEANER_SIZE(PathParameters, 128);
 
@@ -57,6 +61,92 @@ typedef struct {
   gl_float hits;   // samples that hit anything
 } PathFeatureRecord;
 GLEANER_SIZE(PathFeatureRecord, 56);
+
+// Virtual point lights (VPLs), and clusters of them: rows of VPL_WORDS words. The first line is all that shading and
+// visibility read.
+#define VPL_WORDS 24u
+#define VPL_POSITION 0u
+#define VPL_NORMAL 3u     // for shading, on the side that the light came from
+#define VPL_GEOMETRIC 6u  // of the triangle, on that side
+#define VPL_FLUX 9u       // W/sr at a cosine of 1, RGB: what the diffuse layer sends on; 0: no VPL
+#define VPL_TRIANGLE 12u  // uint
+#define VPL_B1 13u
+#define VPL_B2 14u
+#define VPL_TABLE 15u   // uint: the albedo table of the layer above the diffuse one, or GLEANER_NONE
+#define VPL_ROW 16u     // its fractional row
+#define VPL_ERROR 17u   // bound of the position's rounding
+#define VPL_RADIUS 20u  // clusters: of the sphere about the position that holds every member
+#define VPL_COS 21u     // clusters: least cosine between the normal and a member's
+#define VPL_COUNT 22u   // clusters: members (float)
+#define VPL_DEPTH 23u   // scatterings on the light's way, this one included (float)
+
+// Slots of a light path: one more VPL than these takes the last slot in turn, so that no energy is lost.
+#define VPL_PATH_SLOTS 8u
+
+// Stage kind "vpl_trace". An item is a light path; its record is VPL_PATH_SLOTS rows of VPL_WORDS.
+typedef struct {
+  gl_uint items_low, items_high;
+  gl_uint depth;  // most scatterings that end in a VPL; 0 = until Russian roulette ends the path
+  gl_uint set;    // sets are independent of each other
+  gl_uint seed_low, seed_high;
+  gl_uint reserved[2];
+} VplTraceParameters;
+GLEANER_SIZE(VplTraceParameters, 32);
+
+// Points to be shaded, and clusters of them: rows of POINT_WORDS words.
+#define POINT_WORDS 16u
+#define POINT_POSITION 0u
+#define POINT_NORMAL 3u  // for shading, on the viewer's side
+#define POINT_TABLE 6u   // uint, as VPL_TABLE
+#define POINT_ROW 7u
+#define POINT_WEIGHT 8u  // spare in points; clusters: members (float)
+#define POINT_ALBEDO \
+  9u  // what a unit of irradiance adds to the pixel, RGB: throughput times the diffuse layer's albedo
+#define POINT_TRIANGLE 12u  // uint; GLEANER_NONE: nothing to shade
+#define POINT_B1 13u
+#define POINT_B2 14u
+#define POINT_COS 15u  // clusters: least cosine between the normal and a member's
+
+// Camera paths that end at the first surface with a diffuse layer. Stage kinds "vpl_points" and "vpl_shade".
+typedef struct {
+  Camera camera;
+  gl_uint width, height;  // pixels
+  gl_uint samples;        // of a pixel in this set: a power of two, at most 64
+  gl_uint set;
+  gl_uint seed_low, seed_high;
+  gl_uint items_low, items_high;
+  gl_uint depth;           // most scatterings on a light's way; 0 = without end
+  gl_uint stride;          // vpl_points: item i is pixel i * stride, sample i % samples
+  gl_uint clusters;        // vpl_shade: rows of the input "lights", a multiple of 32 * samples; sample j of a pixel
+                           // sees one slice of clusters / samples rows
+  gl_uint point_clusters;  // vpl_shade: rows of the input "points"; 0: every point asks for itself
+  gl_uint fuzziness;       // clusters a point belongs to
+  gl_uint equal_weights;   // 1: eq. 8, else eq. 9-10
+  gl_float clamp;          // bound of the geometry term, 1/m^2; infinity: none
+  gl_float cell;           // edge of the grid over the point clusters, m
+} VplPointParameters;
+GLEANER_SIZE(VplPointParameters, 128);
+
+// Stage kinds "vpl_cluster" (input "lights": rows of VPL_WORDS) and "point_cluster" (input "points"); solo. An item is
+// a cluster; its record is a row of VPL_WORDS or POINT_WORDS words, of flux 0 or triangle GLEANER_NONE where empty.
+typedef struct {
+  gl_uint clusters;
+  gl_uint iterations;
+  gl_float least_cosine;  // eq. 7: nt
+  gl_uint reserved;
+} ClusterParameters;
+GLEANER_SIZE(ClusterParameters, 16);
+
+// Stage kind "vpl_visibility" (inputs "lights", "points"). An item is a point cluster; its record is a bit a light, 32
+// to a word, then one word: how many were not asked because they face away.
+typedef struct {
+  gl_uint clusters;        // rows of "lights", a multiple of 32
+  gl_uint point_clusters;  // rows of "points"
+  gl_uint reserved[2];
+} VisibilityParameters;
+GLEANER_SIZE(VisibilityParameters, 16);
+
+#define MOST_FUZZINESS 8u
 
 #ifndef __OPENCL_VERSION__
 }  // namespace gleaner::kernels

@@ -46,6 +46,11 @@ void PathFilm::add_features(std::uint32_t pixel, const kernels::PathFeatureRecor
   f.samples += samples;
 }
 
+void PathFilm::add_clamped(std::uint32_t pixel, const float clamped[3]) {
+  if (clamped_.empty()) clamped_.resize(pixels_.size() * 3);
+  for (std::size_t k = 0; k < 3; ++k) clamped_[std::size_t{pixel} * 3 + k] += clamped[k];
+}
+
 PixelNoise PathFilm::noise() const {
   PixelNoise noise{std::vector<float>(pixels_.size()), std::vector<std::uint32_t>(pixels_.size()), width_, height_};
   for (std::size_t i = 0; i < pixels_.size(); ++i) {
@@ -104,6 +109,10 @@ Film PathFilm::film() const {
     layer(std::string("variance.") + kColor[k],
           [&](std::size_t i) { return static_cast<float>(pixels_[i].variance(k)); });
   layer("samples.Y", [&](std::size_t i) { return static_cast<float>(pixels_[i].samples); });
+  if (!clamped_.empty())
+    for (std::size_t k = 0; k < 3; ++k)
+      layer(std::string("clamped.") + kColor[k],
+            [&](std::size_t i) { return mean(clamped_[3 * i + k], pixels_[i].samples); });
   if (features_.empty()) return film;
   for (int k = 0; k < 3; ++k)
     layer(std::string("albedo.") + kColor[k],

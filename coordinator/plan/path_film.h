@@ -19,17 +19,19 @@ class PathFilm {
   void add(std::uint32_t pixel, std::uint32_t chunk, const float direct[3], const float indirect[3],
            std::uint32_t samples, bool whole);
   void add_features(std::uint32_t pixel, const kernels::PathFeatureRecord& record, std::uint32_t samples);
+  // Of the sums that add() got, what the paths gave back of virtual point lights' clamped light.
+  void add_clamped(std::uint32_t pixel, const float clamped[3]);
 
   // The sample variance of whole chunks' means, mean over the channels; 0 for pixels of fewer than two. Chunks of one
   // sequence repel each other, so that it overstates what more of them would leave: a guide to where the noise is.
   PixelNoise noise() const;
-  // What the picture's squared error, the mean over pixels and channels, stays below in 97.7 % of pictures: the estimate
-  // from the pixels' variances and two standard deviations more.
+  // What the picture's squared error, the mean over pixels and channels, stays below in 97.7 % of pictures: the
+  // estimate from the pixels' variances and two standard deviations more.
   double squared_error_bound() const;
   double mean_radiance() const;
 
   // Layers R G B, direct.*, indirect.*, variance.*, samples.Y and, where features were added, albedo.*, normal.*,
-  // depth.Z.
+  // depth.Z; where add_clamped() was called, clamped.* (a part of indirect.*).
   Film film() const;
 
  private:
@@ -48,6 +50,7 @@ class PathFilm {
   std::uint32_t width_, height_;
   std::vector<Pixel> pixels_;
   std::vector<Features> features_;
+  std::vector<float> clamped_;  // RGB sums
 };
 
 }  // namespace gleaner::coordinator

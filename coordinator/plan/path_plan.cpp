@@ -33,9 +33,10 @@ std::uint32_t chunk_samples(std::uint32_t spp) {
 
 }  // namespace
 
-PathPlan::PathPlan(const FrameSettings& settings, const SceneSummary& scene)
+PathPlan::PathPlan(const FrameSettings& settings, const SceneSummary& scene, Covered covered)
     : settings_(settings),
       scene_(scene),
+      covered_(covered),
       chunk_samples_(chunk_samples(settings.spp)),
       first_chunks_(std::min<std::uint32_t>(2, settings.spp / chunk_samples_)),
       film_(settings.width, settings.height),
@@ -67,6 +68,10 @@ std::uint64_t PathPlan::budget() const {
   return pixels() * kMostSamplesForTarget;
 }
 
+std::size_t PathPlan::record_bytes(const Planned& planned) const {
+  return (planned.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord)) + (covered_.covered ? 12 : 0);
+}
+
 Step PathPlan::stage(Planned planned) {
   PathParameters p{};
   p.camera = settings_.camera;
@@ -80,6 +85,8 @@ Step PathPlan::stage(Planned planned) {
   p.features = planned.features ? 1 : 0;
   p.items_low = static_cast<std::uint32_t>(planned.items);
   p.items_high = static_cast<std::uint32_t>(planned.items >> 32);
+  p.covered = covered_.covered ? 1 : 0;
+  p.clamp = covered_.clamp;
   StageSpec spec;
   spec.name = planned.name;
   spec.kind = "path";
@@ -88,7 +95,7 @@ Step PathPlan::stage(Planned planned) {
   spec.tile = std::max(1u, 16 / chunk_samples_);
   spec.parameters.resize(sizeof p);
   std::memcpy(spec.parameters.data(), &p, sizeof p);
-  spec.record_bytes = planned.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord);
+  spec.record_bytes = static_cast<std::uint32_t>(record_bytes(planned));
   Step step;
   if (planned.list) {
     const ArtifactId id = sha256_hex(*planned.list);
@@ -165,7 +172,7 @@ std::uint64_t PathPlan::samples_of(const Planned& planned, const ItemRange& rang
 void PathPlan::absorb(const Planned& planned, const FinishedStage& finished, const ItemRange& range) {
   if (finished.name != planned.name || !finished.records)
     throw Error::failed("plan path: " + finished.name + " was not asked for");
-  const std::size_t stride = planned.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord);
+  const std::size_t stride = record_bytes(planned);
   if (finished.records->size() != planned.items * stride || range.first + range.count > planned.items)
     throw Error::failed("plan path: " + finished.name + " has " + std::to_string(finished.records->size()) +
                         " bytes, expected " + std::to_string(planned.items * stride));
@@ -173,21 +180,30 @@ void PathPlan::absorb(const Planned& planned, const FinishedStage& finished, con
     const std::uint32_t samples = i + 1 == planned.items ? planned.last_item_samples : chunk_samples_;
     const PathItem item = item_of(planned, i);
     PathFeatureRecord record{};
-    std::memcpy(&record, finished.records->data() + i * stride, stride);
+    const std::byte* at = finished.records->data() + i * stride;
+    std::memcpy(&record, at, planned.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord));
     film_.add(item.pixel, item.chunk, record.direct, record.indirect, samples, samples == chunk_samples_);
     if (planned.features) film_.add_features(item.pixel, record, samples);
+    if (covered_.covered) {
+      float clamped[3];
+      std::memcpy(clamped, at + stride - sizeof clamped, sizeof clamped);
+      film_.add_clamped(item.pixel, clamped);
+    }
   }
 }
 
-bool PathPlan::conclude(const FinishedStage& cut, const std::vector<ItemRange>& whole) {
+bool PathPlan::conclude(const std::vector<CutStage>& cut) {
   // The first stage gives every pixel its first samples: before it is whole there are holes.
   if (planned_.size() < 2) return false;
   const Planned& planned = planned_.back();
   const std::uint64_t asked = samples_of(planned, {0, planned.items});
   std::uint64_t taken = 0;
-  for (const ItemRange& range : whole) {
-    absorb(planned, cut, range);
-    taken += samples_of(planned, range);
+  for (const CutStage& part : cut) {
+    if (part.stage.name != planned.name) continue;
+    for (const ItemRange& range : part.whole) {
+      absorb(planned, part.stage, range);
+      taken += samples_of(planned, range);
+    }
   }
   const std::uint64_t left_out = budget() - (spent_ - asked + taken);
   spent_ = spent_ - asked + taken;
@@ -206,7 +222,7 @@ PathItem PathPlan::item_of(const Planned& planned, std::uint64_t item) const {
 void PathPlan::preview(const std::string& name, std::uint64_t first, std::uint64_t count, const Bytes& records) {
   const auto planned = std::ranges::find(planned_, name, &Planned::name);
   if (planned == planned_.end()) return;
-  const std::size_t stride = planned->features ? sizeof(PathFeatureRecord) : sizeof(PathRecord);
+  const std::size_t stride = record_bytes(*planned);
   if (records.size() < count * stride || first + count > planned->items) return;
   if (name != "path.0" && !planned->list) return;  // a late batch of a stage that is already in the film
   for (std::uint64_t i = 0; i < count; ++i) {

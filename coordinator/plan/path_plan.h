@@ -11,10 +11,17 @@ namespace gleaner::coordinator {
 
 class PathPlan final : public Plan {
  public:
-  PathPlan(const FrameSettings& settings, const SceneSummary& scene);
+  // Part of another method: light that a non-specular surface sends straight to the first one is left to virtual point
+  // lights, but for what they clamp (kernels/stage_records.h).
+  struct Covered {
+    bool covered = false;
+    float clamp = 0;  // of the geometry term, 1/m^2; infinity: none
+  };
+  PathPlan(const FrameSettings& settings, const SceneSummary& scene, Covered covered);
+  PathPlan(const FrameSettings& settings, const SceneSummary& scene) : PathPlan(settings, scene, Covered{}) {}
 
   Step next(const FinishedStage* finished) override;
-  bool conclude(const FinishedStage& cut, const std::vector<ItemRange>& whole) override;
+  bool conclude(const std::vector<CutStage>& cut) override;
   void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override;
   Film preview_film() const override;
   Film film() const override { return film_.film(); }
@@ -36,12 +43,14 @@ class PathPlan final : public Plan {
   std::uint64_t budget() const;  // samples in all, for now
   std::uint64_t samples_of(const Planned& planned, const ItemRange& range) const;
   void absorb(const Planned& planned, const FinishedStage& finished, const ItemRange& range);
+  std::size_t record_bytes(const Planned& planned) const;
   Step stage(Planned planned);
   Step spend(std::uint64_t samples);
   kernels::PathItem item_of(const Planned& planned, std::uint64_t item) const;
 
   FrameSettings settings_;
   SceneSummary scene_;
+  Covered covered_;
   std::vector<Skip> skips_;
   std::uint32_t chunk_samples_ = 1, first_chunks_ = 1;
   PathFilm film_;

@@ -5,12 +5,11 @@
 #include <bit>
 #include <chrono>
 #include <cstring>
-#include <exception>
-#include <thread>
 
 #include "kernels/path_layout.h"
 #include "kernels/stage_records.h"
 #include "scene/model/error.h"
+#include "worker/stages/lane_threads.h"
 
 namespace gleaner::worker {
 namespace {
@@ -49,6 +48,8 @@ PathParameters read_parameters(const StageTask& task) {
   if (p.last_item_samples == 0 || p.last_item_samples > p.samples_per_item)
     throw Error::bad_input("stage path", "last_item_samples", "1 to samples_per_item",
                            std::to_string(p.last_item_samples));
+  if (p.covered && !(p.clamp > 0))
+    throw Error::bad_input("stage path", "clamp", "a number above 0", std::to_string(p.clamp));
   // A ray that is not finite ends Embree and the environment's look-up alike.
   scene::Scene with_camera;
   with_camera.cameras.push_back({"camera", p.camera});
@@ -277,11 +278,13 @@ BatchResult run_path_stage(const Device& device, Workspace& workspace, DeviceSce
   }
 
   const double start = seconds_now();
-  const std::size_t record_bytes = parameters.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord);
+  const std::size_t record_bytes =
+      (parameters.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord)) + (parameters.covered ? 12 : 0);
   BatchResult result;
   result.records.resize(count * record_bytes);
   cl::CommandQueue queue = device.make_queue();
-  cl::Program program = device.build("kernels/path.cl", scene.kernel_options());
+  cl::Program program =
+      device.build("kernels/path.cl", scene.kernel_options() + (parameters.covered ? " -D COVERED" : ""));
   cl::Buffer parameter_buffer = workspace.take("path.parameters", sizeof parameters);
   queue.enqueueWriteBuffer(parameter_buffer, CL_TRUE, 0, sizeof parameters, &parameters);
 
@@ -297,7 +300,8 @@ BatchResult run_path_stage(const Device& device, Workspace& workspace, DeviceSce
     shared.lanes = lanes;
     shared.capacity = wave_size(device);
     const std::uint64_t slots = (shared.paths + RAY_BLOCK - 1) / RAY_BLOCK * RAY_BLOCK + 1;
-    shared.slots = workspace.take("path.slots", slots * SLOT_WORDS * 4);
+    shared.slots =
+        workspace.take("path.slots", slots * (parameters.covered ? COVERED_SLOT_WORDS : PLAIN_SLOT_WORDS) * 4);
     shared.features = workspace.take("path.features", parameters.features ? slots * FEATURE_WORDS * 4 : 4);
     shared.items = workspace.take("path.items", list ? (part + RAY_BLOCK) * sizeof(PathItem) : 4);
     if (list)
@@ -306,22 +310,14 @@ BatchResult run_path_stage(const Device& device, Workspace& workspace, DeviceSce
 
     std::vector<std::unique_ptr<Lane>> all;
     for (unsigned k = 0; k < lanes; ++k) all.push_back(std::make_unique<Lane>(shared, workspace, k));
-    std::vector<std::exception_ptr> errors(lanes);
-    const auto run_lane = [&](unsigned k) {
+    run_lanes(lanes, [&](unsigned k) {
       try {
         all[k]->run();
       } catch (...) {
-        errors[k] = std::current_exception();
         shared.failed = true;
+        throw;
       }
-    };
-    {
-      std::vector<std::jthread> threads;
-      for (unsigned k = 1; k < lanes; ++k) threads.emplace_back(run_lane, k);
-      run_lane(0);
-    }
-    for (auto& error : errors)
-      if (error) std::rethrow_exception(error);
+    });
     // The stage's last item may have fewer samples: the paths that pad it sent no ray.
     if (shared.first_item + part == total)
       result.counters.camera_rays -= parameters.samples_per_item - parameters.last_item_samples;
