@@ -24,6 +24,13 @@ FN int any_lane(vi m) {
   int2 c = b.lo | b.hi;
   return (c.lo | c.hi) != 0;
 }
+// All bits that any lane has set.
+FN uint any_bits(vu x) {
+  uint8 a = x.lo | x.hi;
+  uint4 b = a.lo | a.hi;
+  uint2 c = b.lo | b.hi;
+  return c.lo | c.hi;
+}
 FN vf gather_f(global const float* p, vu i) {
   return (vf)(p[i.s0], p[i.s1], p[i.s2], p[i.s3], p[i.s4], p[i.s5], p[i.s6], p[i.s7], p[i.s8], p[i.s9], p[i.sa],
               p[i.sb], p[i.sc], p[i.sd], p[i.se], p[i.sf]);
@@ -112,6 +119,7 @@ FN void store_u(global uint* p, uint block, vu v) { *(global uint16*)(p + 16u * 
 FN vf as_vf(vu x) { return as_float16(x); }
 FN vu as_vu(vf x) { return as_uint16(x); }
 FN vi as_vi(vu x) { return as_int16(x); }
+FN vu as_unsigned(vi x) { return as_uint16(x); }
 FN vf to_f(vu x) { return convert_float16(x); }
 FN vf to_f_signed(vi x) { return convert_float16(x); }
 FN vu to_u(vf x) { return convert_uint16(x); }
@@ -125,6 +133,7 @@ typedef uint vu;
 
 FN vu lane_index(void) { return 0u; }
 FN int any_lane(vi m) { return m != 0; }
+FN uint any_bits(vu x) { return x; }
 FN vf gather_f(global const float* p, vu i) { return p[i]; }
 FN vu gather_u(global const uint* p, vu i) { return p[i]; }
 FN vf gather_c(constant float* p, vu i) { return p[i]; }
@@ -144,6 +153,7 @@ FN void store_u(global uint* p, uint block, vu v) { p[block] = v; }
 FN vf as_vf(vu x) { return as_float(x); }
 FN vu as_vu(vf x) { return as_uint(x); }
 FN vi as_vi(vu x) { return (int)x; }
+FN vu as_unsigned(vi x) { return (uint)x; }
 FN vf to_f(vu x) { return (float)x; }
 FN vf to_f_signed(vi x) { return (float)x; }
 FN vu to_u(vf x) { return (uint)x; }

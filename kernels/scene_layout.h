@@ -91,4 +91,12 @@
 // rows.
 #define ENVIRONMENT_HEADER 4u  // width, height, row-search steps, column-search steps
 
+// The lights as light paths choose them: this header, then each one's cumulated share of the scene's light.
+#define EMISSION_HEADER 8u
+#define EMISSION_COUNT 0u
+#define EMISSION_STEP 1u  // of the search: the largest power of two not above the count
+#define EMISSION_CENTER 2u
+#define EMISSION_RADIUS 5u
+#define EMISSION_ENVIRONMENT 6u  // 1: the last entry is the environment
+
 #endif

@@ -4,9 +4,12 @@
 #include <chrono>
 #include <cstring>
 #include <future>
+#include <list>
 #include <random>
+#include <span>
 #include <utility>
 
+#include "coordinator/blobs/sha256.h"
 #include "coordinator/film/atomic_file.h"
 #include "coordinator/film/write.h"
 #include "coordinator/jobs/frame.h"
@@ -34,6 +37,35 @@ struct Worker {
 };
 
 struct Cancelled {};
+
+// Records of stages that other frames may want, the least recently used going first.
+class KeptRecords {
+ public:
+  explicit KeptRecords(std::uint64_t most) : most_(most) {}
+
+  std::shared_ptr<const Bytes> find(const std::string& address) {
+    for (auto entry = entries_.begin(); entry != entries_.end(); ++entry)
+      if (entry->first == address) {
+        entries_.splice(entries_.begin(), entries_, entry);
+        return entry->second;
+      }
+    return nullptr;
+  }
+
+  void put(const std::string& address, std::shared_ptr<const Bytes> records) {
+    if (find(address)) return;
+    bytes_ += records->size();
+    entries_.emplace_front(address, std::move(records));
+    while (bytes_ > most_ && !entries_.empty()) {
+      bytes_ -= entries_.back().second->size();
+      entries_.pop_back();
+    }
+  }
+
+ private:
+  std::uint64_t most_, bytes_ = 0;
+  std::list<std::pair<std::string, std::shared_ptr<const Bytes>>> entries_;
+};
 
 Seconds steady_seconds() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
@@ -217,19 +249,42 @@ struct Farm::Impl {
   void run_frames(const std::shared_ptr<Job>& job) {
     Film film;
     Seconds begun = job->accepted;
-    for (std::uint32_t frame = job->request.first_frame; frame <= job->request.last_frame; ++frame) {
-      bool first = frame == job->request.first_frame;
-      if (first)
+    const std::uint32_t first = job->request.first_frame;
+    std::uint32_t rendered = first;
+    for (std::uint32_t frame = first; frame <= job->request.last_frame; ++frame) {
+      if (frame == first || !same_camera(*job, frame, rendered)) {
+        if (frame != first) aim(*job, frame);
         film = render(job, frame);
-      else
-        // Nothing moves between frames yet, so what was made for the first one holds for all.
-        reuse(*job, frame);
+        rendered = frame;
+      } else {
+        // Nothing but the camera moves: what was made for the one frame holds for the other.
+        reuse(*job, frame, rendered);
+      }
       write(*job, frame, film, begun);
       begun = now();
       std::lock_guard lock(mutex);
       ++job->frames_done;
       changed(*job);
     }
+  }
+
+  static bool same_camera(const Job& job, std::uint32_t a, std::uint32_t b) {
+    const auto& cameras = job.request.cameras;
+    const std::uint32_t first = job.request.first_frame;
+    return cameras.empty() || std::memcmp(&cameras[a - first], &cameras[b - first], sizeof(scene::Camera)) == 0;
+  }
+
+  // A plan for another frame of the job.
+  void aim(Job& job, std::uint32_t frame) {
+    FrameSettings frame_settings = job.request.settings;
+    frame_settings.camera = job.request.cameras[frame - job.request.first_frame];
+    std::shared_ptr<Plan> plan = settings.plan(frame_settings, job.request.scene);
+    std::lock_guard plan_lock(job.plan_mutex);
+    job.plan = std::move(plan);
+    job.drawn = false;
+    std::lock_guard lock(mutex);
+    job.stages.clear();
+    changed(job);
   }
 
   FrameReport new_report(const Job& job, std::uint32_t frame) const {
@@ -239,6 +294,7 @@ struct Farm::Impl {
     report.job = job.id;
     report.frame = frame;
     report.settings = job.request.settings;
+    if (!job.request.cameras.empty()) report.settings.camera = job.request.cameras[frame - job.request.first_frame];
     report.time_limit = job.request.time_limit;
     return report;
   }
@@ -269,20 +325,21 @@ struct Farm::Impl {
     std::lock_guard plan_lock(job->plan_mutex);
     std::lock_guard lock(mutex);
     job->report.skips = job->plan->skips();
+    for (Skip& skip : job->reused) job->report.skips.push_back(std::move(skip));
+    job->reused.clear();
     job->report.plan_parameters = job->plan->parameters_json();
     job->report.plan_seconds = plan_seconds;
     return film;
   }
 
-  void reuse(Job& job, std::uint32_t frame) {
+  void reuse(Job& job, std::uint32_t frame, std::uint32_t rendered) {
     std::lock_guard lock(mutex);
     FrameReport report = new_report(job, frame);
     report.plan_parameters = job.report.plan_parameters;
     report.devices = job.report.devices;
     report.skips = job.report.skips;
     std::erase_if(report.skips, [](const Skip& skip) { return skip.what == "frame"; });
-    report.skips.push_back(
-        {"frame", "same scene, camera and settings as frame " + std::to_string(job.request.first_frame), 1});
+    report.skips.push_back({"frame", "same scene, camera and settings as frame " + std::to_string(rendered), 1});
     job.report = std::move(report);
   }
 
@@ -296,7 +353,8 @@ struct Farm::Impl {
       if (job->cancel) throw Cancelled{};
       for (const auto& [id, artifact] : step.artifacts) job->artifacts.push_back(artifact);
       job->artifact_blobs.insert(ids.begin(), ids.end());
-      for (const StageSpec& spec : step.stages) posted.push_back(schedule(job, spec));
+      for (const StageSpec& spec : step.stages)
+        if (auto stage = schedule(job, spec)) posted.push_back(stage);
       pump();
       changed(*job);
     }
@@ -318,7 +376,27 @@ struct Farm::Impl {
     }
   }
 
-  std::shared_ptr<RunningStage> schedule(const std::shared_ptr<Job>& job, const StageSpec& spec) {  // mutex held
+  // Names what a stage makes by what it makes it of: the same address, the same records.
+  static std::string address_of(const StageWork& work, const StageSpec& spec) {
+    Sha256 hash;
+    const auto add = [&](const std::string& text) {
+      const std::string length = std::to_string(text.size()) + ":";
+      hash.update(std::as_bytes(std::span(length)));
+      hash.update(std::as_bytes(std::span(text)));
+    };
+    add(work.scene_blob);
+    add(work.kind);
+    add(std::to_string(spec.items) + " of " + std::to_string(spec.record_bytes));
+    add(std::string(reinterpret_cast<const char*>(spec.parameters.data()), spec.parameters.size()));
+    for (const auto& input : work.inputs) {
+      add(input.name);
+      add(input.blob);
+    }
+    return hash.hex();
+  }
+
+  // Mutex held. Null: the stage's records are there already, and were handed to the job.
+  std::shared_ptr<RunningStage> schedule(const std::shared_ptr<Job>& job, const StageSpec& spec) {
     if (spec.record_bytes == 0 || spec.items > settings.artifact_bytes / spec.record_bytes)
       throw Error::failed("stage " + spec.name + ": " + std::to_string(spec.items) + " records of " +
                           std::to_string(spec.record_bytes) + " bytes are more than this coordinator takes (" +
@@ -341,6 +419,19 @@ struct Farm::Impl {
     auto stage = std::make_shared<RunningStage>();
     stage->job = job.get();
     stage->spec = spec;
+    if (spec.keep) {
+      stage->address = address_of(*work, spec);
+      if (auto records = kept.find(stage->address)) {
+        stage->records = std::const_pointer_cast<Bytes>(records);
+        stage->delivered = true;
+        job->reused.push_back({"stage " + spec.name,
+                               "made before, from the same scene, settings and inputs: artifact " + stage->address,
+                               spec.items});
+        job->finished.push_back(stage);
+        job->events.notify_all();
+        return nullptr;
+      }
+    }
     stage->work = std::move(work);
     stage->report.name = spec.name;
     stage->report.kind = spec.kind;
@@ -364,6 +455,7 @@ struct Farm::Impl {
     stage.history.clear();
     revoke(scheduler.remove_stage(stage.id));
     active_stages.erase(stage.id);
+    if (!stage.address.empty()) kept.put(stage.address, stage.records);
     stage.job->finished.push_back(shared);
     stage.job->events.notify_all();
   }
@@ -406,24 +498,31 @@ struct Farm::Impl {
     }
   }
 
-  // Offers the plan what came in of the stage that runs. The lock is held before and after.
+  // Offers the plan what came in of the stages that run. The lock is held before and after.
   bool conclude(Job& job, std::unique_lock<std::mutex>& lock) {
-    auto stage = job.stages.back();
-    FinishedStage cut{stage->spec.name, stage->records};
-    std::vector<ItemRange> whole = stage->copied;
+    std::vector<CutStage> cut;
+    std::vector<std::shared_ptr<RunningStage>> stages;
+    for (const auto& stage : job.stages)
+      if (!stage->delivered) {
+        stages.push_back(stage);
+        cut.push_back({{stage->spec.name, stage->records}, stage->copied});
+      }
     lock.unlock();
-    std::sort(whole.begin(), whole.end(), [](const ItemRange& a, const ItemRange& b) { return a.first < b.first; });
+    for (CutStage& part : cut)
+      std::sort(part.whole.begin(), part.whole.end(),
+                [](const ItemRange& a, const ItemRange& b) { return a.first < b.first; });
     bool concluded;
     {
       std::lock_guard plan_lock(job.plan_mutex);
-      concluded = job.plan->conclude(cut, whole);
+      concluded = job.plan->conclude(cut);
     }
     lock.lock();
     if (!concluded) return false;
     job.report.time_limit_reached = true;
-    std::uint64_t items = 0;
-    for (const ItemRange& range : whole) items += range.count;
-    stage->report.items = items;  // what the picture is made of
+    for (std::size_t i = 0; i < cut.size(); ++i) {
+      stages[i]->report.items = 0;  // what the picture is made of
+      for (const ItemRange& range : cut[i].whole) stages[i]->report.items += range.count;
+    }
     return true;
   }
 
@@ -595,6 +694,7 @@ struct Farm::Impl {
   WorkerId last_worker = 0;
   std::map<Epoch, Lease> leases;  // handed out and not yet answered
   std::map<StageId, std::shared_ptr<RunningStage>> active_stages;
+  KeptRecords kept{settings.kept_bytes};
   std::map<std::string, std::shared_ptr<Job>> jobs;
   std::vector<std::string> order;  // of submission
   std::thread timer;
@@ -625,9 +725,15 @@ std::string Farm::submit(const JobRequest& request) {
   if (request.last_frame < request.first_frame || request.last_frame - request.first_frame >= 100000)
     throw Error::usage("frames " + std::to_string(request.first_frame) + "-" + std::to_string(request.last_frame) +
                        ": expected first <= last, and at most 100000 frames");
+  if (!request.cameras.empty() && request.cameras.size() != request.last_frame - request.first_frame + 1)
+    throw Error::usage("cameras: expected one for each of " +
+                       std::to_string(request.last_frame - request.first_frame + 1) + " frames, found " +
+                       std::to_string(request.cameras.size()));
   for (const std::string& id : {request.scene_blob, request.bvh_blob})
     if (!id.empty() && !impl_->blobs.has(id)) throw Error::bad_input("blob " + id, "", "to be uploaded first");
-  std::shared_ptr<Plan> plan = impl_->settings.plan(request.settings, request.scene);
+  FrameSettings first_settings = request.settings;
+  if (!request.cameras.empty()) first_settings.camera = request.cameras.front();
+  std::shared_ptr<Plan> plan = impl_->settings.plan(first_settings, request.scene);
   auto job = std::make_shared<Job>();
   job->request = request;
   job->plan = std::move(plan);

@@ -32,6 +32,7 @@ struct FarmSettings {
   unsigned active_jobs = 2;                     // jobs that run at the same time: the second fills the first one's tail
   bool preview = true;                          // accepted batches are drawn as they come
   std::uint64_t artifact_bytes = std::uint64_t{32} << 30;  // largest result of a stage
+  std::uint64_t kept_bytes = std::uint64_t{512} << 20;     // of stages' records that later frames may use again
   Seconds silence = 30;                                    // a worker not heard of for so long is lost
 };
 

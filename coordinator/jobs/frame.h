@@ -32,6 +32,7 @@ struct RunningStage {
   bool failed_to_allocate = false;
   unsigned writers = 0;  // accepted batches that are being copied in
   bool complete = false, delivered = false;
+  std::string address;  // of kept records (Impl::address_of); empty: not kept
   std::uint64_t items_done = 0;
   std::vector<ItemRange> copied;  // accepted and copied in, in any order
   Seconds first_lease = -1, last_result = -1;
@@ -74,6 +75,8 @@ struct Job {
   std::deque<UndrawnBatch> undrawn;
   std::vector<std::shared_ptr<const Bytes>> artifacts;  // kept findable for the workers until the frame ends
   std::map<ArtifactId, std::string> artifact_blobs;     // the plan's id -> the blob's
+
+  std::vector<Skip> reused;  // stages of the frame that had been made before
 
   FrameReport report;
   std::thread thread;

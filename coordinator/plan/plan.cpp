@@ -1,10 +1,11 @@
 #include "coordinator/plan/plan.h"
 
-#include <charconv>
 #include <cmath>
 #include <set>
 
 #include "coordinator/plan/path_plan.h"
+#include "coordinator/plan/setting.h"
+#include "coordinator/plan/vpl_plan.h"
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {
@@ -13,16 +14,10 @@ namespace {
 // --set names of all methods: a name that belongs to another method is not an error, so that one command line serves
 // all.
 const std::set<std::string>& known_settings() {
-  static const std::set<std::string> names = {"depth"};
+  static const std::set<std::string> names = {"depth",       "vpl.clamp",         "vpl.clusters",  "vpl.compensate",
+                                              "vpl.count",   "vpl.equal_weights", "vpl.fuzziness", "vpl.point_clusters",
+                                              "vpl.samples", "vpl.sets"};
   return names;
-}
-
-std::uint32_t whole_number(const std::string& key, const std::string& text) {
-  std::uint32_t value = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc() || end != text.data() + text.size())
-    throw Error::usage("--set " + key + ": expected a whole number, found \"" + text + "\"");
-  return value;
 }
 
 }  // namespace
@@ -50,19 +45,19 @@ std::unique_ptr<Plan> make_plan(const FrameSettings& given, const SceneSummary& 
     throw Error::usage("--spp: expected 1 to 1048576 samples a pixel, found " + std::to_string(settings.spp));
   if (!(settings.target_error >= 0) || !std::isfinite(settings.target_error))
     throw Error::usage("--target-error: expected a number above 0");
-  for (const auto& [key, value] : settings.set) {
+  for (const auto& [key, value] : settings.set)
     if (!known_settings().contains(key)) {
       std::string names;
       for (const std::string& name : known_settings()) names += (names.empty() ? "" : ", ") + name;
       throw Error::usage("--set " + key + ": no such setting; known: " + names);
     }
-    if (key == "depth") settings.depth = whole_number(key, value);
-  }
+  settings.depth = whole_setting(settings, "depth", settings.depth, 0, 1u << 30);
   if (settings.method == "path" || settings.method == "auto") {
     settings.method = "path";
     return std::make_unique<PathPlan>(settings, scene);
   }
-  throw Error::usage("--method: expected path, found " + settings.method);
+  if (settings.method == "vpl") return std::make_unique<VplPlan>(settings, scene);
+  throw Error::usage("--method: expected path or vpl, found " + settings.method);
 }
 
 }  // namespace gleaner::coordinator

@@ -31,6 +31,9 @@ struct StageSpec {
   Bytes parameters;        // little-endian struct of kernels/stage_records.h
   std::vector<StageInput> inputs;
   std::uint32_t record_bytes = 0;  // fixed stride of an item's record
+  // Its records may serve other frames of the same scene: they are kept, by what makes them (kind, parameters, inputs),
+  // and a stage that would make them again is not run.
+  bool keep = false;
 };
 
 struct FinishedStage {
@@ -40,6 +43,13 @@ struct FinishedStage {
 
 struct ItemRange {
   std::uint64_t first = 0, count = 0;
+};
+
+// A stage that the frame will not wait for. Of its records only those of the items in `whole` (in order, apart from
+// each other) are there, and none where `whole` is empty (the pointer may be null then).
+struct CutStage {
+  FinishedStage stage;
+  std::vector<ItemRange> whole;
 };
 
 struct Step {
@@ -73,11 +83,10 @@ class Plan {
   // Any order of batches; null film layers are made on first use.
   virtual void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) = 0;
   virtual Film preview_film() const = 0;
-  // The time is up. `cut` is a stage that was asked for and has not finished; of its records only those of the items in
-  // `whole` (in order, apart from each other) are there, and none where `whole` is empty (`records` may be null then).
-  // True: film() holds what there is. False: that is no picture yet, the stage must be finished; nothing has changed.
-  virtual bool conclude(const FinishedStage& cut, const std::vector<ItemRange>& whole) {
-    static_cast<void>(cut), static_cast<void>(whole);
+  // The time is up. `cut` are the stages that were asked for and have not finished. True: film() holds what there is.
+  // False: that is no picture yet, one of them must be finished; nothing has changed.
+  virtual bool conclude(const std::vector<CutStage>& cut) {
+    static_cast<void>(cut);
     return false;
   }
   // After `done`, or after conclude() said yes: the layers.

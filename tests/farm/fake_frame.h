@@ -114,9 +114,10 @@ class FakePlan final : public coordinator::Plan {
   }
 
   // "scatter" must be whole; of "gather" any part will do.
-  bool conclude(const coordinator::FinishedStage& cut, const std::vector<coordinator::ItemRange>& whole) override {
-    if (cut.name != "gather") return false;
-    for (const auto& range : whole) preview("gather", range.first, range.count, slice(*cut.records, range));
+  bool conclude(const std::vector<coordinator::CutStage>& cut) override {
+    if (cut.size() != 1 || cut[0].stage.name != "gather") return false;
+    for (const auto& range : cut[0].whole)
+      preview("gather", range.first, range.count, slice(*cut[0].stage.records, range));
     return true;
   }
 

@@ -120,6 +120,10 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
   clusters_ = upload(device, queue, lights.clusters.data(), bytes_of(lights.clusters));
   environment_ = upload(device, queue, lights.environment.data(), bytes_of(lights.environment));
 
+  emission_ = upload(device, queue, lights.emission.data(), bytes_of(lights.emission));
+  shines_ = !lights.emission.empty();
+  triangle_count_ = scene->triangle_count();
+
   if (device.info().trace == TraceKind::embree) {
     tracer_ = make_embree_tracer(*scene, device.info().threads);
   } else {

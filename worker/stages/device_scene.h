@@ -22,6 +22,10 @@ class DeviceScene {
   bool veils() const { return veils_; }
   // Sets the scene's buffers as arguments from `first` on, in the order of SCENE_PARAMETERS; returns the next index.
   unsigned set_arguments(cl::Kernel& kernel, unsigned first) const;
+  // What light paths choose their lights from (kernels/scene_layout.h); zeros where nothing shines.
+  const cl::Buffer& emission() const { return emission_; }
+  bool shines() const { return shines_; }
+  std::uint64_t triangles() const { return triangle_count_; }
   std::size_t bytes() const { return bytes_; }
 
  private:
@@ -29,8 +33,11 @@ class DeviceScene {
 
   std::string options_;
   std::unique_ptr<Tracer> tracer_;
-  cl::Buffer triangles_, materials_, textures_, texels_, srgb_, albedo_tables_, emitters_, clusters_, environment_;
+  cl::Buffer triangles_, materials_, textures_, texels_, srgb_, albedo_tables_, emitters_, clusters_, environment_,
+      emission_;
+  bool shines_ = false;
   bool veils_ = false;
+  std::uint64_t triangle_count_ = 0;
   std::size_t bytes_ = 0;
 };
 

@@ -5,8 +5,10 @@
 
 #include "scene/model/error.h"
 #include "worker/device/device.h"
+#include "worker/stages/cluster_stage.h"
 #include "worker/stages/device_scene.h"
 #include "worker/stages/path_stage.h"
+#include "worker/stages/vpl_stages.h"
 
 namespace gleaner::worker {
 namespace {
@@ -15,7 +17,15 @@ using StageProgram = BatchResult (*)(const Device&, Workspace&, DeviceScene&, co
                                      std::uint64_t);
 
 const std::map<std::string, StageProgram>& stage_programs() {
-  static const std::map<std::string, StageProgram> programs = {{"path", run_path_stage}};
+  static const std::map<std::string, StageProgram> programs = {
+      {"path", run_path_stage},
+      {"vpl_trace", run_vpl_trace_stage},
+      {"vpl_cluster", run_cluster_stage},
+      {"vpl_points", run_vpl_points_stage},
+      {"point_cluster", run_cluster_stage},
+      {"vpl_visibility", run_vpl_visibility_stage},
+      {"vpl_shade", run_vpl_shade_stage},
+  };
   return programs;
 }
 

@@ -329,6 +329,37 @@ LightTables make_light_tables(const scene::Scene& scene) {
     tables.clusters[g * CLUSTER_WORDS + CLUSTER_RADIUS] = 1;
   set_word(tables.clusters, std::size_t{tables.cluster_slots} * CLUSTER_WORDS,
            static_cast<std::uint32_t>(std::bit_floor(largest)));
+  std::vector<double> flux;
+  const Vec lower{bounds.lower[0], bounds.lower[1], bounds.lower[2]},
+      upper{bounds.upper[0], bounds.upper[1], bounds.upper[2]};
+  const Vec center = (lower + upper) * 0.5;
+  // Just beyond the scene's corners: light from afar begins on this sphere.
+  const double radius = length(upper - lower) * 0.5 * 1.0001 + length(center) * 1e-6 + 1e-6;
+  for (const Group& group : groups)
+    for (auto m : group.members) {
+      const Emitter& e = emitters[m];
+      double solid = std::numbers::pi;  // triangles: cosine-weighted over one side
+      if (e.kind == CLUSTER_DIRECTIONAL) solid = std::numbers::pi * radius * radius;
+      if (e.kind == CLUSTER_POSITIONAL) {
+        const scene::Light& light = scene.lights[e.light];
+        solid = 2 * std::numbers::pi * (light.type == GLEANER_LIGHT_SPOT ? 1.0 - light.cos_outer : 2.0);
+      }
+      flux.push_back(e.power * solid);
+    }
+  // Its power is the irradiance of one side, a quarter of what comes from all around.
+  if (environment) flux.push_back(4 * environment_power * std::numbers::pi * radius * radius);
+  const double all_flux = std::accumulate(flux.begin(), flux.end(), 0.0);
+  if (all_flux > 0) {
+    tables.emission.assign(EMISSION_HEADER, 0.0f);
+    set_word(tables.emission, EMISSION_COUNT, static_cast<std::uint32_t>(flux.size()));
+    set_word(tables.emission, EMISSION_STEP, static_cast<std::uint32_t>(std::bit_floor(flux.size())));
+    set_word(tables.emission, EMISSION_ENVIRONMENT, environment ? 1 : 0);
+    for (int k = 0; k < 3; ++k) tables.emission[EMISSION_CENTER + k] = static_cast<float>(center[k]);
+    tables.emission[EMISSION_RADIUS] = static_cast<float>(radius);
+    double sum = 0;
+    for (double f : flux) tables.emission.push_back(static_cast<float>(std::min(1.0, (sum += f) / all_flux)));
+    tables.emission.back() = 1;
+  }
   if (tables.emitters.empty()) tables.emitters.assign(EMITTER_WORDS, 0.0f);
   return tables;
 }

@@ -14,6 +14,9 @@ struct LightTables {
   std::vector<std::uint32_t> triangle_emitter;  // triangle -> row of `emitters`, or GLEANER_NONE
   unsigned cluster_slots = 0;  // 1, 4, 8, 16, 32 or 64 (few kernel variants); unused ones have power 0; 0 = no light
   std::vector<float> environment;  // header, texels, cumulated densities (kernels/scene_layout.h)
+  // From which light paths choose their light: EMISSION_HEADER words, then the cumulated share of each row of
+  // `emitters` in the scene's light (W), and, last, the environment's. Empty where nothing shines.
+  std::vector<float> emission;
 };
 
 // Groups emitters of one kind into at most MAX_CLUSTERS clusters, splitting where power times extent is largest.

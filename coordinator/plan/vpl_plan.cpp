@@ -1,0 +1,539 @@
+#include "coordinator/plan/vpl_plan.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <nlohmann/json.hpp>
+
+#include "coordinator/blobs/sha256.h"
+#include "kernels/stage_records.h"
+#include "scene/model/error.h"
+
+namespace gleaner::coordinator {
+namespace {
+
+using kernels::ClusterParameters;
+using kernels::VisibilityParameters;
+using kernels::VplPointParameters;
+using kernels::VplTraceParameters;
+
+constexpr std::uint32_t kIterations = 6;
+constexpr float kLeastCosine = 0.8660254f;  // eq. 7
+// Points looked at for each point cluster (the paper's down-sampling).
+constexpr std::uint64_t kPointsPerCluster = 8;
+constexpr std::uint32_t kMostPaths = 1u << 16;
+
+template <typename Parameters>
+Bytes bytes_of(const Parameters& parameters) {
+  Bytes bytes(sizeof parameters);
+  std::memcpy(bytes.data(), &parameters, sizeof parameters);
+  return bytes;
+}
+
+std::vector<float> floats_of(const Bytes& bytes) {
+  std::vector<float> values(bytes.size() / 4);
+  std::memcpy(values.data(), bytes.data(), values.size() * 4);
+  return values;
+}
+
+double luminance(const float* c) { return 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2]; }
+
+// In [0, 1): the systematic resampling's offset, another one for each set.
+double offset_of(std::uint64_t seed, std::uint32_t set) {
+  std::uint64_t x = seed + 0x9e3779b97f4a7c15ull * (set + 1);
+  x = (x ^ (x >> 30)) * 0xbf58476d1ce4e5b9ull;
+  x = (x ^ (x >> 27)) * 0x94d049bb133111ebull;
+  x ^= x >> 31;
+  return static_cast<double>(x >> 11) * 0x1p-53;
+}
+
+std::uint32_t spread_bits(std::uint32_t x) {
+  x = (x | (x << 16)) & 0x030000ffu;
+  x = (x | (x << 8)) & 0x0300f00fu;
+  x = (x | (x << 4)) & 0x030c30c3u;
+  return (x | (x << 2)) & 0x09249249u;
+}
+
+// Lights a square metre where lights are: from how far a light's nearest neighbour is (0.5 / sqrt(density) in the mean
+// for points strewn over a surface), of some of the lights.
+double light_density(const std::vector<float>& rows) {
+  const std::size_t count = rows.size() / VPL_WORDS;
+  if (count < 2) return 0;
+  std::vector<double> nearest;
+  const std::size_t step = std::max<std::size_t>(1, count / 512);
+  for (std::size_t i = 0; i < count; i += step) {
+    double best = std::numeric_limits<double>::infinity();
+    for (std::size_t j = 0; j < count; ++j) {
+      if (i == j) continue;
+      double d2 = 0;
+      for (unsigned k = 0; k < 3; ++k) {
+        const double d = double{rows[i * VPL_WORDS + k]} - rows[j * VPL_WORDS + k];
+        d2 += d * d;
+      }
+      if (d2 > 0) best = std::min(best, d2);
+    }
+    if (std::isfinite(best)) nearest.push_back(best);
+  }
+  if (nearest.empty()) return 0;
+  std::ranges::nth_element(nearest, nearest.begin() + static_cast<std::ptrdiff_t>(nearest.size() / 2));
+  // The median of pi rho r^2 is log 2.
+  return std::log(2.0) / (3.14159265358979 * nearest[nearest.size() / 2]);
+}
+
+std::uint32_t set_of(const std::string& name) {
+  return static_cast<std::uint32_t>(std::stoul(name.substr(name.rfind('.') + 1)));
+}
+
+}  // namespace
+
+VplPlan::VplPlan(const FrameSettings& settings, const SceneSummary& scene)
+    : settings_(settings), scene_(scene), vpl_(make_vpl_settings(settings)), sets_(vpl_.sets) {
+  sum_.assign(pixels() * 3, 0.0f);
+  preview_.assign(pixels() * 3, 0.0f);
+  if (vpl_.sets > 1) square_.assign(pixels() * 3, 0.0f);
+}
+
+StageSpec VplPlan::trace(std::uint32_t set) const {
+  VplTraceParameters p{};
+  // Several times the VPLs that are kept: which they are is then decided by what they carry.
+  p.items_low = std::clamp(vpl_.count, 1024u, kMostPaths);
+  p.depth = settings_.depth ? settings_.depth - 1 : 0;
+  p.set = set;
+  p.seed_low = static_cast<std::uint32_t>(settings_.seed);
+  p.seed_high = static_cast<std::uint32_t>(settings_.seed >> 32);
+  StageSpec spec;
+  spec.name = "vpl.trace." + std::to_string(set);
+  spec.kind = "vpl_trace";
+  spec.items = p.items_low;
+  spec.tile = 16;
+  spec.parameters = bytes_of(p);
+  spec.record_bytes = VPL_PATH_SLOTS * VPL_WORDS * 4;
+  spec.keep = true;  // another camera sees the same lights
+  return spec;
+}
+
+namespace {
+
+VplPointParameters point_parameters(const FrameSettings& settings, const VplSettings& vpl) {
+  VplPointParameters p{};
+  p.camera = settings.camera;
+  p.width = settings.width;
+  p.height = settings.height;
+  p.samples = vpl.samples;
+  p.seed_low = static_cast<std::uint32_t>(settings.seed);
+  p.seed_high = static_cast<std::uint32_t>(settings.seed >> 32);
+  p.depth = settings.depth;
+  p.stride = 1;
+  p.clamp = std::numeric_limits<float>::infinity();
+  return p;
+}
+
+}  // namespace
+
+StageSpec VplPlan::points() const {
+  VplPointParameters p = point_parameters(settings_, vpl_);
+  const std::uint64_t wanted = std::max<std::uint64_t>(1, kPointsPerCluster * vpl_.point_clusters);
+  p.stride = static_cast<std::uint32_t>(std::max<std::uint64_t>(1, pixels() / wanted));
+  // Neither even nor a divisor of the width: points in columns would leave the rest of the picture unseen.
+  if (p.stride > 1) {
+    p.stride |= 1;
+    while (settings_.width % p.stride == 0) p.stride += 2;
+  }
+  p.items_low = static_cast<std::uint32_t>((pixels() + p.stride - 1) / p.stride);
+  StageSpec spec;
+  spec.name = "vpl.points";
+  spec.kind = "vpl_points";
+  spec.items = p.items_low;
+  spec.tile = 16;
+  spec.parameters = bytes_of(p);
+  spec.record_bytes = POINT_WORDS * 4;
+  return spec;
+}
+
+// The light paths' VPLs, drawn again in equal parts: a VPL of little flux costs as much as a bright one, and its chance
+// to stay is its flux (systematic resampling; the mean picture is the same).
+void VplPlan::absorb_lights(std::uint32_t set, const Bytes& records, Step& step) {
+  const std::size_t stride = VPL_WORDS * 4;
+  const double paths = static_cast<double>(records.size() / (stride * VPL_PATH_SLOTS));
+  std::vector<float> all;
+  std::vector<double> weight;
+  double total = 0;
+  for (std::size_t at = 0; at < records.size(); at += stride) {
+    std::array<float, VPL_WORDS> row;
+    std::memcpy(row.data(), records.data() + at, stride);
+    for (unsigned k = 0; k < 3; ++k) row[VPL_FLUX + k] = static_cast<float>(row[VPL_FLUX + k] / paths);
+    const double sum = double{row[VPL_FLUX]} + row[VPL_FLUX + 1] + row[VPL_FLUX + 2];
+    if (!(sum > 0)) continue;
+    weight.push_back(std::max(luminance(&row[VPL_FLUX]), 1e-3 * sum));
+    total += weight.back();
+    all.insert(all.end(), row.begin(), row.end());
+  }
+  Set& s = sets_[set];
+  s.made = static_cast<std::uint32_t>(weight.size());
+  std::vector<float> rows;
+  if (weight.size() <= vpl_.count) {
+    rows = std::move(all);
+  } else {
+    const double part = total / vpl_.count;
+    double aim = part * offset_of(settings_.seed, set), sum = 0;
+    for (std::size_t i = 0; i < weight.size(); ++i) {
+      sum += weight[i];
+      std::uint32_t times = 0;
+      while (aim < sum) {
+        ++times;
+        aim += part;
+      }
+      if (!times) continue;
+      const std::size_t at = rows.size();
+      rows.insert(rows.end(), all.begin() + static_cast<std::ptrdiff_t>(i * VPL_WORDS),
+                  all.begin() + static_cast<std::ptrdiff_t>((i + 1) * VPL_WORDS));
+      const double scale = times * part / weight[i];
+      for (unsigned k = 0; k < 3; ++k) rows[at + VPL_FLUX + k] = static_cast<float>(rows[at + VPL_FLUX + k] * scale);
+    }
+  }
+  s.kept = static_cast<std::uint32_t>(rows.size() / VPL_WORDS);
+  if (vpl_.clusters == 0 || vpl_.clusters >= s.kept) {
+    settle_lights(set, std::move(rows), step);
+    return;
+  }
+  auto bytes = std::make_shared<Bytes>(rows.size() * 4);
+  std::memcpy(bytes->data(), rows.data(), bytes->size());
+  const Table table{sha256_hex(*bytes), bytes};
+  ClusterParameters p{};
+  p.clusters = vpl_.clusters;
+  p.iterations = kIterations;
+  p.least_cosine = kLeastCosine;
+  StageSpec spec;
+  spec.name = "vpl.cluster." + std::to_string(set);
+  spec.kind = "vpl_cluster";
+  spec.items = p.clusters;
+  spec.solo = true;
+  spec.parameters = bytes_of(p);
+  spec.inputs.push_back({"lights", table.id});
+  spec.record_bytes = VPL_WORDS * 4;
+  spec.keep = true;
+  put(step, table);
+  step.stages.push_back(std::move(spec));
+}
+
+void VplPlan::absorb_light_clusters(std::uint32_t set, const Bytes& records, Step& step) {
+  std::vector<float> rows = floats_of(records);
+  std::vector<float> held;
+  for (std::size_t at = 0; at < rows.size(); at += VPL_WORDS)
+    if (rows[at + VPL_COUNT] > 0)
+      held.insert(held.end(), rows.begin() + static_cast<std::ptrdiff_t>(at),
+                  rows.begin() + static_cast<std::ptrdiff_t>(at + VPL_WORDS));
+  settle_lights(set, std::move(held), step);
+}
+
+// The order in which lights are asked: neighbours together, so that a packet of rays goes one way, and dealt out to the
+// slices in turn, so that each slice is lit from everywhere.
+void VplPlan::settle_lights(std::uint32_t set, std::vector<float> rows, Step& step) {
+  Set& s = sets_[set];
+  const std::size_t count = rows.size() / VPL_WORDS;
+  s.clusters = static_cast<std::uint32_t>(count);
+  std::array<double, 3> lower{1e300, 1e300, 1e300}, upper{-1e300, -1e300, -1e300};
+  for (std::size_t i = 0; i < count; ++i)
+    for (unsigned k = 0; k < 3; ++k) {
+      lower[k] = std::min(lower[k], double{rows[i * VPL_WORDS + k]});
+      upper[k] = std::max(upper[k], double{rows[i * VPL_WORDS + k]});
+    }
+  double edge = 1e-30;
+  for (unsigned k = 0; k < 3; ++k) edge = std::max(edge, upper[k] - lower[k]);
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> order(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    std::uint32_t code = 0;
+    for (unsigned k = 0; k < 3; ++k)
+      code |=
+          spread_bits(static_cast<std::uint32_t>(std::min(1023.0, (rows[i * VPL_WORDS + k] - lower[k]) / edge * 1023)))
+          << k;
+    order[i] = {code, static_cast<std::uint32_t>(i)};
+  }
+  std::sort(order.begin(), order.end());
+  const std::uint32_t slices = vpl_.samples;
+  const auto width =
+      static_cast<std::uint32_t>(std::max<std::size_t>(1, ((count + slices - 1) / slices + 31) / 32) * 32);
+  s.rows = width * slices;
+  std::vector<float> table(std::size_t{s.rows} * VPL_WORDS, 0.0f);
+  for (std::size_t i = 0; i < count; ++i)
+    std::copy_n(rows.begin() + static_cast<std::ptrdiff_t>(order[i].second * VPL_WORDS), VPL_WORDS,
+                table.begin() + static_cast<std::ptrdiff_t>(((i % slices) * width + i / slices) * VPL_WORDS));
+  auto bytes = std::make_shared<Bytes>(table.size() * 4);
+  std::memcpy(bytes->data(), table.data(), bytes->size());
+  s.lights = {sha256_hex(*bytes), bytes};
+  s.traced = true;
+  if (set == 0) {
+    // Where the bound is that many times the lights' density, a light's own spot is that many times as bright as the
+    // light of all its neighbours together: free of the scene's scale.
+    const double density = light_density(rows);
+    clamp_ = vpl_.clamp > 0 && density > 0 ? static_cast<float>(vpl_.clamp * density)
+                                           : std::numeric_limits<float>::infinity();
+    begin_paths(step);
+  }
+  if (points_ready_) ask_visibility(set, step);
+}
+
+void VplPlan::begin_paths(Step& step) {
+  paths_ = std::make_unique<PathPlan>(
+      settings_, scene_,
+      PathPlan::Covered{indirect(), vpl_.compensate ? clamp_ : std::numeric_limits<float>::infinity()});
+  Step more = paths_->next(nullptr);
+  for (StageSpec& spec : more.stages) step.stages.push_back(std::move(spec));
+  step.artifacts.merge(more.artifacts);
+}
+
+void VplPlan::absorb_points(const Bytes& records, Step& step) {
+  auto bytes = std::make_shared<Bytes>(records);
+  const Table table{sha256_hex(*bytes), bytes};
+  ClusterParameters p{};
+  p.clusters = vpl_.point_clusters;
+  p.iterations = kIterations;
+  p.least_cosine = kLeastCosine;
+  StageSpec spec;
+  spec.name = "vpl.point_cluster";
+  spec.kind = "point_cluster";
+  spec.items = p.clusters;
+  spec.solo = true;
+  spec.parameters = bytes_of(p);
+  spec.inputs.push_back({"points", table.id});
+  spec.record_bytes = POINT_WORDS * 4;
+  put(step, table);
+  step.stages.push_back(std::move(spec));
+}
+
+void VplPlan::absorb_point_clusters(const Bytes& records, Step& step) {
+  auto held = std::make_shared<Bytes>();
+  for (std::size_t at = 0; at < records.size(); at += POINT_WORDS * 4) {
+    std::uint32_t triangle = 0;
+    std::memcpy(&triangle, records.data() + at + POINT_TRIANGLE * 4, 4);
+    if (triangle != GLEANER_NONE)
+      held->insert(held->end(), records.begin() + static_cast<std::ptrdiff_t>(at),
+                   records.begin() + static_cast<std::ptrdiff_t>(at + POINT_WORDS * 4));
+  }
+  point_rows_ = static_cast<std::uint32_t>(held->size() / (POINT_WORDS * 4));
+  points_ = {sha256_hex(*held), held};
+  points_ready_ = true;
+  for (std::uint32_t set = 0; set < sets_.size(); ++set)
+    if (sets_[set].traced && !sets_[set].shading) ask_visibility(set, step);
+}
+
+void VplPlan::ask_visibility(std::uint32_t set, Step& step) {
+  Set& s = sets_[set];
+  s.shading = true;
+  if (point_rows_ == 0) {
+    shade(set, step);
+    return;
+  }
+  VisibilityParameters p{};
+  p.clusters = s.rows;
+  p.point_clusters = point_rows_;
+  StageSpec spec;
+  spec.name = "vpl.visibility." + std::to_string(set);
+  spec.kind = "vpl_visibility";
+  spec.items = point_rows_;
+  spec.parameters = bytes_of(p);
+  spec.inputs = {{"lights", s.lights.id}, {"points", points_.id}};
+  spec.record_bytes = (s.rows / 32 + 1) * 4;
+  put(step, s.lights);
+  put(step, points_);
+  step.stages.push_back(std::move(spec));
+}
+
+void VplPlan::shade(std::uint32_t set, Step& step) {
+  Set& s = sets_[set];
+  VplPointParameters p = point_parameters(settings_, vpl_);
+  p.set = set;
+  p.items_low = static_cast<std::uint32_t>(pixels());
+  p.clusters = s.rows;
+  p.point_clusters = point_rows_;
+  p.fuzziness = vpl_.fuzziness;
+  p.equal_weights = vpl_.equal_weights ? 1 : 0;
+  p.clamp = clamp_;
+  StageSpec spec;
+  spec.name = "vpl.shade." + std::to_string(set);
+  spec.kind = "vpl_shade";
+  spec.items = pixels();
+  spec.tile = 16;
+  spec.parameters = bytes_of(p);
+  spec.inputs = {{"lights", s.lights.id}};
+  put(step, s.lights);
+  if (point_rows_) {
+    spec.inputs.push_back({"points", points_.id});
+    spec.inputs.push_back({"visibility", s.visibility.id});
+    put(step, points_);
+    put(step, s.visibility);
+  }
+  spec.record_bytes = 12;
+  step.stages.push_back(std::move(spec));
+}
+
+void VplPlan::absorb_shade(std::uint32_t set, const Bytes& records) {
+  for (std::size_t i = 0; i < sum_.size(); ++i) {
+    float value = 0;
+    std::memcpy(&value, records.data() + i * 4, 4);
+    sum_[i] += value;
+    if (!square_.empty()) square_[i] += value * value;
+  }
+  ++shaded_sets_;
+  sets_[set].shaded = true;
+  sets_[set].visibility = {};
+  sets_[set].lights = {};
+}
+
+Step VplPlan::next(const FinishedStage* finished) {
+  Step step;
+  if (!finished) {
+    if (!indirect()) {
+      begin_paths(step);
+      return step;
+    }
+    for (std::uint32_t set = 0; set < sets_.size(); ++set) step.stages.push_back(trace(set));
+    if (vpl_.point_clusters)
+      step.stages.push_back(points());
+    else
+      points_ready_ = true;
+    return step;
+  }
+  const std::string& name = finished->name;
+  const auto is = [&](const char* prefix) { return name.starts_with(prefix); };
+  if (is("path.")) {
+    Step more = paths_->next(finished);
+    paths_done_ = more.done;
+    for (StageSpec& spec : more.stages) step.stages.push_back(std::move(spec));
+    step.artifacts.merge(more.artifacts);
+  } else if (is("vpl.trace.")) {
+    absorb_lights(set_of(name), *finished->records, step);
+  } else if (is("vpl.cluster.")) {
+    absorb_light_clusters(set_of(name), *finished->records, step);
+  } else if (name == "vpl.points") {
+    absorb_points(*finished->records, step);
+  } else if (name == "vpl.point_cluster") {
+    absorb_point_clusters(*finished->records, step);
+  } else if (is("vpl.visibility.")) {
+    Set& s = sets_[set_of(name)];
+    const std::size_t row = (s.rows / 32 + 1) * 4;
+    for (std::size_t at = row - 4; at < finished->records->size(); at += row) {
+      std::uint32_t away = 0;
+      std::memcpy(&away, finished->records->data() + at, 4);
+      faced_away_ += away;
+    }
+    asked_ += std::uint64_t{point_rows_} * s.clusters;
+    s.visibility = {sha256_hex(*finished->records), finished->records};
+    shade(set_of(name), step);
+  } else if (is("vpl.shade.")) {
+    absorb_shade(set_of(name), *finished->records);
+  } else {
+    throw Error::failed("plan vpl: " + name + " was not asked for");
+  }
+  step.done = paths_done_ && (!indirect() || shaded_sets_ == sets_.size());
+  return step;
+}
+
+bool VplPlan::conclude(const std::vector<CutStage>& cut) {
+  // A first whole set, and the paths' first samples: less is no picture.
+  if (!paths_ || (indirect() && shaded_sets_ == 0)) return false;
+  if (!paths_done_ && !paths_->conclude(cut)) return false;
+  if (shaded_sets_ < sets_.size() && indirect())
+    skips_.push_back({"sets of virtual point lights", "the time limit ended the frame", sets_.size() - shaded_sets_});
+  return true;
+}
+
+void VplPlan::preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) {
+  if (stage.starts_with("path.") && paths_) paths_->preview(stage, first, count, records);
+  if (!stage.starts_with("vpl.shade.") || (first + count) * 3 > preview_.size() || records.size() < count * 12) return;
+  std::memcpy(&preview_[first * 3], records.data(), count * 12);
+}
+
+Film VplPlan::preview_film() const {
+  Film film = paths_ ? paths_->preview_film() : Film{settings_.width, settings_.height, {}};
+  static const char* const kColor[] = {"R", "G", "B"};
+  for (std::size_t k = 0; k < 3; ++k) {
+    std::vector<float>& values = film.channel(kColor[k]).values;
+    for (std::size_t i = 0; i < values.size(); ++i) values[i] += preview_[3 * i + k];
+  }
+  return film;
+}
+
+Film VplPlan::film() const {
+  Film film = paths_->film();
+  if (shaded_sets_ == 0) return film;
+  static const char* const kColor[] = {"R", "G", "B"};
+  const auto n = static_cast<float>(shaded_sets_);
+  for (std::size_t k = 0; k < 3; ++k) {
+    std::vector<float>& indirect = film.channel(std::string("indirect.") + kColor[k]).values;
+    const std::vector<float>& direct = film.channel(std::string("direct.") + kColor[k]).values;
+    std::vector<float>& all = film.channel(kColor[k]).values;
+    std::vector<float>& variance = film.channel(std::string("variance.") + kColor[k]).values;
+    for (std::size_t i = 0; i < all.size(); ++i) {
+      const float sum = sum_[3 * i + k];
+      indirect[i] += sum / n;
+      all[i] = direct[i] + indirect[i];
+      // Between the sets; a single one tells nothing of itself.
+      if (shaded_sets_ > 1) variance[i] += std::max(0.0f, square_[3 * i + k] - sum * sum / n) / (n * (n - 1));
+    }
+  }
+  return film;
+}
+
+std::vector<Skip> VplPlan::skips() const {
+  std::vector<Skip> skips = paths_ ? paths_->skips() : std::vector<Skip>{};
+  skips.insert(skips.end(), skips_.begin(), skips_.end());
+  if (faced_away_) skips.push_back({"visibility queries", "the clusters face away from each other", faced_away_});
+  if (!indirect()) skips.push_back({"virtual point lights", "a depth of 1 is direct light alone", 1});
+  if (indirect() && !vpl_.point_clusters)
+    skips.push_back({"point clusters", "vpl.point_clusters is 0: every point asks for itself", 1});
+  if (indirect() && !vpl_.clusters)
+    skips.push_back({"VPL clusters", "vpl.clusters is 0: every VPL stands for itself", 1});
+  return skips;
+}
+
+std::string VplPlan::parameters_json() const {
+  nlohmann::json json = paths_ ? nlohmann::json::parse(paths_->parameters_json()) : nlohmann::json::object();
+  nlohmann::json vpl = {{"count", vpl_.count},
+                        {"clusters", vpl_.clusters},
+                        {"point_clusters", vpl_.point_clusters},
+                        {"fuzziness", vpl_.fuzziness},
+                        {"equal_weights", vpl_.equal_weights},
+                        {"compensate", vpl_.compensate},
+                        {"samples", vpl_.samples},
+                        {"sets", vpl_.sets},
+                        {"visibility_pairs", asked_}};
+  if (std::isfinite(clamp_)) vpl["clamp_per_square_metre"] = clamp_;
+  std::vector<std::uint32_t> made, kept, clusters;
+  for (const Set& s : sets_) {
+    made.push_back(s.made);
+    kept.push_back(s.kept);
+    clusters.push_back(s.clusters);
+  }
+  vpl["made"] = made;
+  vpl["kept"] = kept;
+  vpl["light_clusters"] = clusters;
+  json["vpl"] = vpl;
+  return json.dump();
+}
+
+std::vector<std::string> VplPlan::outline() const {
+  std::vector<std::string> lines;
+  if (indirect()) {
+    const std::string sets = vpl_.sets > 1 ? ", for each of " + std::to_string(vpl_.sets) + " sets" : "";
+    lines.push_back("vpl.trace: " + std::to_string(trace(0).items) + " light paths, split" + sets + "; " +
+                    std::to_string(vpl_.count) + " VPLs are kept");
+    if (vpl_.clusters)
+      lines.push_back("vpl.cluster: " + std::to_string(vpl_.clusters) + " clusters of VPLs, solo" + sets);
+    if (vpl_.point_clusters) {
+      lines.push_back("vpl.points: " + std::to_string(points().items) + " points to be shaded, split");
+      lines.push_back("vpl.point_cluster: " + std::to_string(vpl_.point_clusters) + " clusters of them, solo");
+      lines.push_back("vpl.visibility: " + std::to_string(vpl_.point_clusters) +
+                      " point clusters, each against all of " + (vpl_.clusters ? "the VPL clusters" : "the VPLs") +
+                      ", split" + sets);
+    }
+    lines.push_back("vpl.shade: " + std::to_string(pixels()) + " pixels of " + std::to_string(vpl_.samples) +
+                    " samples, split" + sets);
+  }
+  for (const std::string& line : PathPlan(settings_, scene_).outline()) lines.push_back(line);
+  return lines;
+}
+
+}  // namespace gleaner::coordinator

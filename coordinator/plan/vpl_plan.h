@@ -1,0 +1,80 @@
+#pragma once
+// Method `vpl`: virtual point lights with fuzzy clusters. Stages, of which those of one line run at the same time:
+//
+//   vpl.trace.S                       light paths of set S              vpl.points      some points to be shaded
+//   vpl.cluster.S (solo)              clusters of its VPLs              vpl.point_cluster (solo)
+//   vpl.visibility.S                  which light cluster sees which point cluster          path.N   what VPLs leave
+//   out vpl.shade.S                       every pixel's indirect light
+//
+// Direct light and all that reaches a surface through mirrors, glass or a specular lobe comes from the path tracer,
+// whose paths end where a VPL would be (PathPlan, covered). Sets are independent of each other: their mean has less
+// error, and their differences tell how much.
+
+#include <memory>
+#include <optional>
+
+#include "coordinator/plan/path_plan.h"
+#include "coordinator/plan/plan.h"
+#include "coordinator/plan/vpl_settings.h"
+
+namespace gleaner::coordinator {
+
+class VplPlan final : public Plan {
+ public:
+  VplPlan(const FrameSettings& settings, const SceneSummary& scene);
+
+  Step next(const FinishedStage* finished) override;
+  bool conclude(const std::vector<CutStage>& cut) override;
+  void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override;
+  Film preview_film() const override;
+  Film film() const override;
+  std::vector<Skip> skips() const override;
+  std::string parameters_json() const override;
+  std::vector<std::string> outline() const override;
+
+ private:
+  // Data that stages read, under the name of its bytes.
+  struct Table {
+    ArtifactId id;
+    std::shared_ptr<const Bytes> bytes;
+  };
+  struct Set {
+    Table lights;  // rows of VPL_WORDS: slices of equal width, padded with rows of no flux
+    std::uint32_t rows = 0, made = 0, kept = 0, clusters = 0;
+    Table visibility;
+    bool traced = false, shading = false, shaded = false;
+  };
+
+  std::uint64_t pixels() const { return std::uint64_t{settings_.width} * settings_.height; }
+  bool indirect() const { return settings_.depth != 1; }
+  StageSpec trace(std::uint32_t set) const;
+  StageSpec points() const;
+  void absorb_lights(std::uint32_t set, const Bytes& records, Step& step);
+  void absorb_light_clusters(std::uint32_t set, const Bytes& records, Step& step);
+  void absorb_points(const Bytes& records, Step& step);
+  void absorb_point_clusters(const Bytes& records, Step& step);
+  void settle_lights(std::uint32_t set, std::vector<float> rows, Step& step);
+  void ask_visibility(std::uint32_t set, Step& step);
+  void shade(std::uint32_t set, Step& step);
+  void absorb_shade(std::uint32_t set, const Bytes& records);
+  void begin_paths(Step& step);
+  void put(Step& step, const Table& table) const { step.artifacts[table.id] = table.bytes; }
+
+  FrameSettings settings_;
+  SceneSummary scene_;
+  VplSettings vpl_;
+  std::unique_ptr<PathPlan> paths_;  // from when the clamp is known
+  bool paths_done_ = false;
+  float clamp_ = 0;  // of the geometry term, 1/m^2
+  std::vector<Set> sets_;
+  Table points_;  // rows of POINT_WORDS: the point clusters
+  std::uint32_t point_rows_ = 0;
+  bool points_ready_ = false;
+  std::vector<Skip> skips_;
+  std::uint64_t faced_away_ = 0, asked_ = 0;
+  std::uint32_t shaded_sets_ = 0;
+  std::vector<float> sum_, square_;  // a pixel's RGB over the shaded sets
+  std::vector<float> preview_;       // of the set that is being shaded
+};
+
+}  // namespace gleaner::coordinator

@@ -1,0 +1,34 @@
+#include "coordinator/plan/vpl_settings.h"
+
+#include <algorithm>
+#include <bit>
+#include <charconv>
+#include <cmath>
+
+#include "coordinator/plan/setting.h"
+#include "kernels/stage_records.h"
+#include "scene/model/error.h"
+
+namespace gleaner::coordinator {
+
+VplSettings make_vpl_settings(const FrameSettings& settings) {
+  VplSettings vpl;
+  const double pixels = static_cast<double>(settings.width) * settings.height;
+  vpl.samples = std::min<std::uint32_t>(std::bit_floor(settings.spp), 16);
+  vpl.sets = std::clamp<std::uint32_t>(settings.spp / vpl.samples, 1, 64);
+  vpl.count = whole_setting(settings, "vpl.count", 8000, 1, 1u << 22);
+  vpl.clusters = whole_setting(settings, "vpl.clusters", std::min(1024u, vpl.count), 0, 1u << 20);
+  const auto points = static_cast<std::uint32_t>(std::clamp(pixels / 80, 256.0, 20000.0));
+  vpl.point_clusters = whole_setting(settings, "vpl.point_clusters", points, 0, 1u << 22);
+  vpl.fuzziness = whole_setting(settings, "vpl.fuzziness", 6, 1, MOST_FUZZINESS);
+  vpl.sets = whole_setting(settings, "vpl.sets", vpl.sets, 1, 4096);
+  vpl.samples = whole_setting(settings, "vpl.samples", vpl.samples, 1, 64);
+  if (!std::has_single_bit(vpl.samples))
+    throw Error::usage("--set vpl.samples: expected a power of two up to 64, found " + std::to_string(vpl.samples));
+  vpl.equal_weights = whole_setting(settings, "vpl.equal_weights", 0, 0, 1) != 0;
+  vpl.compensate = whole_setting(settings, "vpl.compensate", 1, 0, 1) != 0;
+  vpl.clamp = real_setting(settings, "vpl.clamp", 2, 0, 1e6);
+  return vpl;
+}
+
+}  // namespace gleaner::coordinator

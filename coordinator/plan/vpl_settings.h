@@ -1,0 +1,25 @@
+#pragma once
+// What the method `vpl` was told, and what it settles for itself.
+
+#include <cstdint>
+
+#include "coordinator/plan/plan.h"
+
+namespace gleaner::coordinator {
+
+struct VplSettings {
+  std::uint32_t count = 0;           // VPLs of a set
+  std::uint32_t clusters = 0;        // of them; 0: every VPL stands for itself
+  std::uint32_t point_clusters = 0;  // 0: every point asks for itself
+  std::uint32_t fuzziness = 6;
+  bool equal_weights = false;  // eq. 8 instead of eq. 9-10
+  bool compensate = true;      // what the clamp takes is given back by paths
+  double clamp = 0;            // bound of the geometry term in units of the lights' density; 0: none
+  std::uint32_t samples = 1;   // of a pixel and set, each of which sees a slice of the lights
+  std::uint32_t sets = 1;
+};
+
+// From --set vpl.*, where given, else by the picture's size and --spp. Throws Error::usage.
+VplSettings make_vpl_settings(const FrameSettings& settings);
+
+}  // namespace gleaner::coordinator

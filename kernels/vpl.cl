@@ -1,0 +1,730 @@
+// Virtual point lights with clusters, after "Fuzzy clustering of VPLs and shading points" (computers & graphics 2022;
+// numbers of equations below are its own):
+//
+//   vpl_emit, vpl_walk_light    light paths; every diffuse layer they meet becomes a VPL
+//   vpl_generate, vpl_walk      camera paths through mirrors and glass to the points that are shaded
+//   visibility_rays, _pack      bits: which light does a point (cluster) see
+//   vpl_members                 the point clusters a point belongs to, with weights (eq. 9-10)
+//   vpl_gather                  eq. 6
+//
+// A surface's specular lobe, if any, is not lit by VPLs and makes none: what it carries is left to the path tracer
+// (NEED_COVERED in kernels/path.cl), whose paths end where a VPL has been. The two add up to everything.
+
+#include "kernels/camera.h"
+#include "kernels/cluster_grid.h"
+#include "kernels/lights.h"
+#include "kernels/path_layout.h"
+#include "kernels/stage_records.h"
+#include "kernels/surface.h"
+#include "kernels/wide.h"
+
+// Light paths in flight: the rows of kernels/path_layout.h with meanings of their own.
+#define ROW_RANGE ROW_PDF  // of the light's window; 0: none, or passed already
+#define LIGHT_BOUNCE_MASK 255u
+#define LIGHT_DEPTH 8u
+#define LIGHT_COUNT 16u  // VPLs so far, at most 255
+
+#define VPL_SEQUENCE 65536u
+
+FN void set_walk(global float* paths, uint block, v3 origin, v3 direction, vi idle, v3 throughput, vu slot, vu meta,
+                 vu key, vf range) {
+  set_row_3(paths, PATH_ROWS, block, ROW_ORIGIN, origin);
+  set_row_f(paths, PATH_ROWS, block, ROW_NEAR, zero_f());
+  set_row_3(paths, PATH_ROWS, block, ROW_DIRECTION, direction);
+  set_row_f(paths, PATH_ROWS, block, ROW_TIME, zero_f());
+  set_row_f(paths, PATH_ROWS, block, ROW_FAR, pick((vf)INFINITY, (vf)-1.0f, idle));
+  set_row_u(paths, PATH_ROWS, block, ROW_MASK, (vu)0xffffffffu);
+  set_row_u(paths, PATH_ROWS, block, ROW_SOURCE, (vu)GLEANER_NONE);
+  set_row_u(paths, PATH_ROWS, block, ROW_FLAGS, (vu)0u);
+  set_row_u(paths, PATH_ROWS, block, ROW_GEOMETRY, (vu)GLEANER_NONE);
+  set_row_3(paths, PATH_ROWS, block, ROW_THROUGHPUT, throughput);
+  set_row_f(paths, PATH_ROWS, block, ROW_RANGE, range);
+  set_row_u(paths, PATH_ROWS, block, ROW_SLOT, slot);
+  set_row_u(paths, PATH_ROWS, block, ROW_META, meta);
+  set_row_u(paths, PATH_ROWS, block, ROW_KEY, key);
+}
+
+// --- Light paths ---
+
+#ifdef NEED_LIGHTS
+
+// Light paths' starts: a light by its power, a point on it, a direction from it. Throughput is the flux that the path
+// stands for, W; the mean over all paths is the scene's light.
+kernel WIDE void vpl_emit(global const VplTraceParameters* restrict parameters, SCENE_PARAMETERS,
+                          global const float* restrict emission, uint first_low, uint first_high, uint count,
+                          global float* restrict paths) {
+  uint block = (uint)get_global_id(0);
+  uint first_lane = block * LANES;
+  if (first_lane >= count) return;
+  Scene scene_value = SCENE_FROM_PARAMETERS;
+  const Scene* scene = &scene_value;
+  vu lane = (vu)first_lane + lane_index();
+  ulong first = (((ulong)first_high << 32) | first_low) + first_lane;
+  vu sample = ((vu)(uint)(first & (VPL_SEQUENCE - 1u)) + lane_index()) & (VPL_SEQUENCE - 1u);
+  // Each run of 65,536 paths has a sequence of its own; blocks of 16 never straddle two.
+  uint sequence = (uint)(first >> 16);
+  vu key = hash_combine(hash_combine(hash_combine((vu)parameters->seed_low, (vu)parameters->seed_high),
+                                     (vu)(parameters->set ^ 0x56504c00u)),
+                        (vu)sequence);
+  vf u_light, u_spare, u0, u1, d0, d1;
+  sample_pair(key, sample, VPL_SEQUENCE, 0u, &u_light, &u_spare);
+  sample_pair(key, sample, VPL_SEQUENCE, 1u, &u0, &u1);
+  sample_pair(key, sample, VPL_SEQUENCE, 2u, &d0, &d1);
+  global const uint* header = (global const uint*)emission;
+  uint entries = header[EMISSION_COUNT];
+  global const float* cdf = emission + EMISSION_HEADER;
+  vu low = (vu)0u;
+  for (uint step = header[EMISSION_STEP]; step > 0u; step >>= 1) {
+    vu probe = low + step;
+    vi inside = probe < entries;
+    low = pick_u(low, probe, inside & (gather_f(cdf, pick_u((vu)0u, probe - 1u, inside)) <= u_light));
+  }
+  vf share = gather_f(cdf, low) - pick(zero_f(), gather_f(cdf, pick_u((vu)0u, low - 1u, low > 0u)), low > 0u);
+  v3 center = uniform3(emission[EMISSION_CENTER], emission[EMISSION_CENTER + 1], emission[EMISSION_CENTER + 2]);
+  vf radius = (vf)emission[EMISSION_RADIUS];
+  vi sky = (low == entries - 1u) & ((vu)header[EMISSION_ENVIRONMENT] != 0u);
+  vf e[16];
+  load_words(scene->emitters, pick_u(low, (vu)0u, sky) * EMITTER_WORDS, e);
+  vu kind = gather_u((global const uint*)scene->clusters + CLUSTER_KIND, as_vu(e[EMITTER_CLUSTER]) * CLUSTER_WORDS);
+  v3 origin = center, direction = uniform3(0.0f, 0.0f, 1.0f), flux = splat3(zero_f());
+  vf range = zero_f();
+#ifdef NEED_EMISSIVE_TRIANGLES
+  {
+    vi here = none(sky) & (kind == CLUSTER_TRIANGLES);
+    v3 e1 = words3(e, EMITTER_E1), e2 = words3(e, EMITTER_E2), radiance = words3(e, EMITTER_RADIANCE);
+    vf b1, b2;
+    sample_triangle(u0, u1, &b1, &b2);
+    v3 error;
+    v3 q = surface_point(words3(e, EMITTER_P0), e1, e2, b1, b2, &error);
+    v3 n = cross3(e1, e2);
+    vf doubled = length3(n);
+    n = normalize3(n);
+#ifdef NEED_EMISSION_TEXTURES
+    vu triangle = pick_u((vu)0u, as_vu(e[EMITTER_TRIANGLE]), here) * TRIANGLE_WORDS;
+    vu material = gather_u((global const uint*)scene->triangles + TRIANGLE_MATERIAL, triangle);
+    vu texture = material_u(scene, material, MATERIAL_EMISSION_TEXTURE);
+    vi textured = here & (texture != GLEANER_NONE);
+    if (any_lane(textured)) {
+      vf b0 = one_f() - b1 - b2;
+      global const float* t = scene->triangles;
+      vf u = b0 * gather_f(t + TRIANGLE_UV0, triangle) + b1 * gather_f(t + TRIANGLE_UV1, triangle) +
+             b2 * gather_f(t + TRIANGLE_UV2, triangle);
+      vf v = b0 * gather_f(t + TRIANGLE_UV0 + 1, triangle) + b1 * gather_f(t + TRIANGLE_UV1 + 1, triangle) +
+             b2 * gather_f(t + TRIANGLE_UV2 + 1, triangle);
+      vf unused;
+      radiance = pick3(radiance, mul3(radiance, texture_lookup(scene, texture, u, v, textured, &unused)), textured);
+    }
+#endif
+    v3 s, t;
+    basis3(n, &s, &t);
+    v3 around = sample_cosine(d0, d1);
+    v3 w = normalize3(add3(add3(scale3(s, around.x), scale3(t, around.y)), scale3(n, around.z)));
+    origin = pick3(origin, leave_surface(q, error, n, w), here);
+    direction = pick3(direction, w, here);
+    // Cosine-weighted over the front: pi times the area.
+    flux = pick3(flux, scale3(radiance, doubled * (vf)1.5707963267948966f), here);
+  }
+#endif
+#ifdef NEED_PUNCTUAL_LIGHTS
+  {
+    vi here = none(sky) & (kind == CLUSTER_POSITIONAL);
+    v3 axis = words3(e, EMITTER_DIRECTION), intensity = words3(e, EMITTER_RADIANCE);
+    vf inner = e[EMITTER_COS_INNER], outer = e[EMITTER_COS_OUTER];
+    // Uniform over the cone (a point light's is the sphere).
+    vf z = one_f() - d1 * (one_f() - outer);
+    vf r = safe_sqrt(one_f() - z * z), sine, cosine;
+    sincos_2pi(d0, &sine, &cosine);
+    v3 s, t;
+    v3 pole = pick3(axis, uniform3(0.0f, 0.0f, 1.0f), dot3(axis, axis) <= zero_f());
+    basis3(pole, &s, &t);
+    v3 w = normalize3(add3(add3(scale3(s, r * cosine), scale3(t, r * sine)), scale3(pole, z)));
+    vf cone = clamp_f((z - outer) / max_f((vf)1e-4f, inner - outer), zero_f(), one_f());
+    cone = pick(cone * cone, one_f(), outer <= (vf)-1.0f);
+    origin = pick3(origin, words3(e, EMITTER_POSITION), here);
+    direction = pick3(direction, w, here);
+    flux = pick3(flux, scale3(intensity, cone * (one_f() - outer) * (vf)6.28318530717958648f), here);
+    range = pick(range, e[EMITTER_RANGE], here);
+    vi far = none(sky) & (kind == CLUSTER_DIRECTIONAL);
+    basis3(axis, &s, &t);
+    vf dr = radius * sqrt(u1);
+    sincos_2pi(u0, &sine, &cosine);
+    v3 disc = add3(scale3(s, dr * cosine), scale3(t, dr * sine));
+    origin = pick3(origin, add3(center, mad3(axis, -radius, disc)), far);
+    direction = pick3(direction, axis, far);
+    flux = pick3(flux, scale3(intensity, radius * radius * (vf)3.14159265358979324f), far);
+  }
+#endif
+#ifdef NEED_ENVIRONMENT
+  if (any_lane(sky)) {
+    vf pdf, sine, cosine;
+    v3 radiance, s, t;
+    v3 w = environment_sample(scene, d0, d1, &pdf, &radiance);
+    basis3(w, &s, &t);
+    vf dr = radius * sqrt(u1);
+    sincos_2pi(u0, &sine, &cosine);
+    v3 disc = add3(scale3(s, dr * cosine), scale3(t, dr * sine));
+    origin = pick3(origin, add3(center, mad3(w, radius, disc)), sky);
+    direction = pick3(direction, negate3(w), sky);
+    flux = pick3(flux, scale3(radiance, radius * radius * (vf)3.14159265358979324f / pdf), sky & (pdf > zero_f()));
+  }
+#endif
+  flux = scale3(flux, one_f() / share);
+  vi idle = (lane >= count) | none(share > zero_f()) | none(finite3(flux)) | none(max_component(flux) > zero_f());
+  set_walk(paths, block, origin, direction, idle, flux, lane, pick_u((vu)0u, (vu)META_IDLE, idle), key, range);
+  set_row_u(paths, PATH_ROWS, block, ROW_TOTAL, sample);
+}
+
+// One step of the light paths: a VPL where a diffuse layer was met, then a scattered ray in place of the old one.
+kernel WIDE void vpl_walk_light(global const VplTraceParameters* restrict parameters, SCENE_PARAMETERS, uint count,
+                                global float* paths, global float* records, global uint* counters) {
+  uint block = (uint)get_global_id(0);
+  if (block * LANES >= count) return;
+  Scene scene_value = SCENE_FROM_PARAMETERS;
+  const Scene* scene = &scene_value;
+  vu meta = row_u(paths, PATH_ROWS, block, ROW_META);
+  vi active = ((meta & META_IDLE) == 0u) & (row_u(paths, PATH_ROWS, block, ROW_GEOMETRY) != GLEANER_NONE);
+  set_row_f(paths, PATH_ROWS, block, ROW_FAR, (vf)-1.0f);
+  set_row_u(paths, PATH_ROWS, block, ROW_META, (vu)META_IDLE);
+  if (!any_lane(active)) return;
+  v3 origin = row_3(paths, PATH_ROWS, block, ROW_ORIGIN);
+  v3 direction = row_3(paths, PATH_ROWS, block, ROW_DIRECTION);
+  v3 flux = row_3(paths, PATH_ROWS, block, ROW_THROUGHPUT);
+  vf range = row_f(paths, PATH_ROWS, block, ROW_RANGE);
+  vu slot = row_u(paths, PATH_ROWS, block, ROW_SLOT);
+  vu key = row_u(paths, PATH_ROWS, block, ROW_KEY);
+  vu sample = row_u(paths, PATH_ROWS, block, ROW_TOTAL);
+  vu bounce = meta & LIGHT_BOUNCE_MASK;
+  vu depth = (meta >> LIGHT_DEPTH) & 255u;
+  vu made = (meta >> LIGHT_COUNT) & 255u;
+  vu primitive = pick_u((vu)0u, row_u(paths, PATH_ROWS, block, ROW_PRIMITIVE), active);
+  Hit h =
+      load_hit(scene, primitive, row_f(paths, PATH_ROWS, block, ROW_U), row_f(paths, PATH_ROWS, block, ROW_V), active);
+  Surface m;
+  load_color(scene, &h, &m, active);
+  // KHR_lights_punctual's window over the first segment.
+  {
+    vf ratio = length3(sub3(h.p, origin)) / range;
+    vf window = clamp_f(one_f() - ratio * ratio * ratio * ratio, zero_f(), one_f());
+    flux = scale3(flux, pick(one_f(), window, range > zero_f()));
+  }
+  flux = absorbed(scene, &h, origin, direction, flux, active);
+  vu pair_key = hash_combine(key, bounce * 4u + 16u);
+  vf u_lobe, u_glass, d0, d1, u_slot, u_roulette;
+  sample_pair(pair_key, sample, VPL_SEQUENCE, 0u, &u_slot, &u_roulette);
+  sample_pair(pair_key, sample, VPL_SEQUENCE, 2u, &u_lobe, &u_glass);
+  sample_pair(pair_key, sample, VPL_SEQUENCE, 3u, &d0, &d1);
+#ifdef NEED_ALPHA
+  vi passes = active & (m.opacity < one_f()) & (u_glass >= m.opacity);
+  u_glass = pick(u_glass, min_f(u_glass / m.opacity, (vf)0.99999994f), m.opacity > zero_f());
+#else
+  vi passes = no_lanes();
+#endif
+#ifdef NEED_UNLIT
+  active = active & (passes | ((as_vu(h.words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_UNLIT) == 0u));
+#endif
+  load_lobes(scene, &h, &m, active);
+  vf facing = dot3(h.normal, direction);
+  vi from_back = facing > zero_f();
+  v3 normal = pick3(h.normal, negate3(h.normal), from_back);
+  v3 geometric = pick3(h.geometric, negate3(h.geometric), dot3(h.geometric, direction) > zero_f());
+  v3 tangent, bitangent;
+  basis3(normal, &tangent, &bitangent);
+  v3 view = make3(-dot3(tangent, direction), -dot3(bitangent, direction), fabs(facing));
+  active = active & ((view.z > (vf)1e-6f) | passes);
+#ifdef NEED_LOBE
+  prepare_lobe(scene, &m, max_f(view.z, (vf)1e-6f));
+#endif
+  // Flux is per area of the triangle, scattering by the cosine to the shading normal (Veach 1997, 5.3).
+  vf bend = fabs(facing) / max_f(fabs(dot3(geometric, direction)), (vf)1e-6f);
+
+  // The VPL. What glass does with the path is not the diffuse layer's.
+  vi layered = active & none(passes) & ((depth < parameters->depth) | ((vu)parameters->depth == 0u));
+#ifdef NEED_TRANSMISSIVE
+  layered = layered & (u_glass >= m.transmission);
+#endif
+  v3 layer = scale3(m.base, (vf)INV_PI);
+  vu table = (vu)GLEANER_NONE;
+  vf table_row = zero_f();
+#ifdef NEED_LOBE
+  layer = scale3(layer, m.left_view * (one_f() - m.metallic) / m.left_mean);
+  table = m.table;
+  table_row = m.table_row;
+#endif
+  v3 sent = scale3(mul3(flux, layer), bend);
+  layered = layered & (max_component(sent) > zero_f()) & finite3(sent);
+  if (any_lane(layered)) {
+    vu last = (vu)(VPL_PATH_SLOTS - 1u);
+    // Beyond the last slot, each of m candidates keeps it with chance 1 / m and stands for all of them.
+    vu candidates = pick_u((vu)1u, made - last + 1u, made > last);
+    vi taken = (made <= last) | (u_slot * to_f(candidates) < one_f());
+    vu place = slot * VPL_PATH_SLOTS + min(made, last);
+    vf scale = to_f(candidates);
+    // Lanes with nothing to write do so behind the records.
+    vu at = pick_u((vu)count * VPL_PATH_SLOTS, place, layered & taken) * VPL_WORDS;
+    scatter_f(records + VPL_POSITION, at, h.p.x);
+    scatter_f(records + VPL_POSITION + 1u, at, h.p.y);
+    scatter_f(records + VPL_POSITION + 2u, at, h.p.z);
+    scatter_f(records + VPL_NORMAL, at, normal.x);
+    scatter_f(records + VPL_NORMAL + 1u, at, normal.y);
+    scatter_f(records + VPL_NORMAL + 2u, at, normal.z);
+    scatter_f(records + VPL_GEOMETRIC, at, geometric.x);
+    scatter_f(records + VPL_GEOMETRIC + 1u, at, geometric.y);
+    scatter_f(records + VPL_GEOMETRIC + 2u, at, geometric.z);
+    scatter_f(records + VPL_FLUX, at, sent.x * scale);
+    scatter_f(records + VPL_FLUX + 1u, at, sent.y * scale);
+    scatter_f(records + VPL_FLUX + 2u, at, sent.z * scale);
+    global uint* words = (global uint*)records;
+    scatter_u(words + VPL_TRIANGLE, at, primitive);
+    scatter_f(records + VPL_B1, at, h.b1);
+    scatter_f(records + VPL_B2, at, h.b2);
+    scatter_u(words + VPL_TABLE, at, table);
+    scatter_f(records + VPL_ROW, at, table_row);
+    scatter_f(records + VPL_ERROR, at, h.error.x);
+    scatter_f(records + VPL_ERROR + 1u, at, h.error.y);
+    scatter_f(records + VPL_ERROR + 2u, at, h.error.z);
+    scatter_f(records + VPL_RADIUS, at, zero_f());
+    scatter_f(records + VPL_COS, at, one_f());
+    scatter_f(records + VPL_COUNT, at, one_f());
+    scatter_f(records + VPL_DEPTH, at, to_f(depth) + 1.0f);
+    vi kept = layered & none(taken);
+    if (any_lane(kept)) {
+      vu old = pick_u((vu)count * VPL_PATH_SLOTS, place, kept) * VPL_WORDS + VPL_FLUX;
+      vf grow = scale / (scale - one_f());
+      v3 value = scale3(gather3(records, old), grow);
+      scatter_f(records, old, value.x);
+      scatter_f(records + 1u, old, value.y);
+      scatter_f(records + 2u, old, value.z);
+    }
+    made = pick_u(made, min(made + 1u, (vu)255u), layered);
+  }
+
+  BsdfSample scattered = sample_bsdf(scene, &m, view, from_back, u_lobe, u_glass, d0, d1);
+  v3 out = normalize3(add3(add3(scale3(tangent, scattered.direction.x), scale3(bitangent, scattered.direction.y)),
+                           scale3(normal, scattered.direction.z)));
+  // Flux is not squeezed by refraction as radiance is; and the other half of the shading normals' bend.
+  vf unbend = fabs(dot3(geometric, out)) / max_f(fabs(scattered.direction.z), (vf)1e-6f);
+  vf adjoint = bend * unbend * scattered.eta * scattered.eta;
+  v3 weight = scale3(scattered.weight, adjoint);
+  v3 next = mul3(flux, weight);
+  vu next_depth = min(depth + 1u, (vu)255u);
+  vi alive = active & none(passes) & (max_component(next) > zero_f()) & finite3(next) & finite3(out);
+  if (parameters->depth) alive = alive & (next_depth < (vu)parameters->depth);
+  vf survival = min_f(max_component(next) / max_component(flux), (vf)ROULETTE_MOST);
+  vi roulette = alive & (next_depth >= 2u);
+  alive = alive & (none(roulette) | (u_roulette < survival));
+  next = pick3(next, scale3(next, one_f() / survival), roulette);
+#ifdef NEED_ALPHA
+  out = pick3(out, direction, passes);
+  next = pick3(next, flux, passes);
+  next_depth = pick_u(next_depth, depth, passes);
+  alive = (alive & none(passes)) | (active & passes);
+#endif
+  v3 start = leave_surface(h.p, h.error, h.geometric, out);
+  alive = alive & (bounce < (vu)LIGHT_BOUNCE_MASK) & finite3(start);
+  uint kept;
+  rank_lanes(alive, &kept);
+  if (kept == 0u) return;
+  atomic_add(counters, kept);
+  vu next_meta = ((bounce + 1u) & LIGHT_BOUNCE_MASK) | (next_depth << LIGHT_DEPTH) | (made << LIGHT_COUNT);
+  set_walk(paths, block, start, out, none(alive), next, slot, pick_u((vu)META_IDLE, next_meta, alive), key, zero_f());
+}
+
+#endif
+
+// --- Shading points ---
+
+// Camera rays of `count` paths from `first_path` on. Sixteen pixels in a row, then their next samples: what a
+// work-item handles at once are neighbours that look at one slice of the lights.
+kernel WIDE void vpl_generate(global const VplPointParameters* restrict parameters, uint first_low, uint first_high,
+                              uint count, uint by_point, global float* restrict paths, global float* restrict points) {
+  uint block = (uint)get_global_id(0);
+  uint first_lane = block * LANES;
+  if (first_lane >= count) return;
+  vu lane = (vu)first_lane + lane_index();
+  uint samples = parameters->samples;
+  ulong first = ((ulong)first_high << 32) | first_low;
+  ulong total = ((ulong)parameters->items_high << 32) | parameters->items_low;
+  vu item, sample;
+  vi idle = lane >= count;
+  if (by_point) {
+    item = lane + (uint)first;
+    sample = item & (samples - 1u);
+    idle = idle | (item >= (vu)(uint)total);
+    item *= parameters->stride;
+  } else {
+    vu row = lane >> 4;
+    sample = row & (samples - 1u);
+    item = (row / samples) * 16u + (lane & 15u) + (uint)first;
+    idle = idle | (item >= (vu)(uint)total);
+  }
+  vu pixel = min(item, (vu)(parameters->width * parameters->height - 1u));
+  vu key = hash_combine(hash_combine(hash_combine((vu)parameters->seed_low, (vu)parameters->seed_high), pixel),
+                        (vu)(parameters->set ^ 0x53505400u));
+  vf jx, jy;
+  sample_pair(key, sample, samples, 0u, &jx, &jy);
+  v3 origin, direction;
+  camera_ray(&parameters->camera, parameters->width, parameters->height, pixel, jx, jy, &origin, &direction);
+  set_walk(paths, block, origin, direction, idle, splat3(one_f()), lane,
+           pick_u(sample << META_SAMPLE, (vu)META_IDLE, idle), key, zero_f());
+  for (uint k = 0; k < POINT_WORDS; ++k)
+    store_f(points + POINT_WORDS * first_lane + k * LANES, 0, as_vf((vu)GLEANER_NONE));
+}
+
+// One step of the camera paths: those that met a diffuse layer have their point, those that met a mirror or glass go
+// on.
+kernel WIDE void vpl_walk(global const VplPointParameters* restrict parameters, SCENE_PARAMETERS, uint count,
+                          global float* paths, global float* points, global uint* counters) {
+  uint block = (uint)get_global_id(0);
+  if (block * LANES >= count) return;
+  Scene scene_value = SCENE_FROM_PARAMETERS;
+  const Scene* scene = &scene_value;
+  vu meta = row_u(paths, PATH_ROWS, block, ROW_META);
+  vi active = ((meta & META_IDLE) == 0u) & (row_u(paths, PATH_ROWS, block, ROW_GEOMETRY) != GLEANER_NONE);
+  set_row_f(paths, PATH_ROWS, block, ROW_FAR, (vf)-1.0f);
+  set_row_u(paths, PATH_ROWS, block, ROW_META, (vu)META_IDLE);
+  if (!any_lane(active)) return;
+  v3 origin = row_3(paths, PATH_ROWS, block, ROW_ORIGIN);
+  v3 direction = row_3(paths, PATH_ROWS, block, ROW_DIRECTION);
+  v3 throughput = row_3(paths, PATH_ROWS, block, ROW_THROUGHPUT);
+  vu slot = row_u(paths, PATH_ROWS, block, ROW_SLOT);
+  vu key = row_u(paths, PATH_ROWS, block, ROW_KEY);
+  vu depth = meta & META_DEPTH_MASK;
+  vu bounce = (meta >> META_BOUNCE) & META_BOUNCE_MASK;
+  vu sample = (meta >> META_SAMPLE) & META_SAMPLE_MASK;
+  vu primitive = pick_u((vu)0u, row_u(paths, PATH_ROWS, block, ROW_PRIMITIVE), active);
+  Hit h =
+      load_hit(scene, primitive, row_f(paths, PATH_ROWS, block, ROW_U), row_f(paths, PATH_ROWS, block, ROW_V), active);
+  Surface m;
+  load_color(scene, &h, &m, active);
+  throughput = absorbed(scene, &h, origin, direction, throughput, active);
+  vu pair_key = hash_combine(key, bounce * 4u + 1u);
+  vf u_lobe, u_glass, d0, d1, u_roulette, u_spare;
+  sample_pair(pair_key, sample, parameters->samples, 0u, &u_roulette, &u_spare);
+  sample_pair(pair_key, sample, parameters->samples, 2u, &u_lobe, &u_glass);
+  sample_pair(pair_key, sample, parameters->samples, 3u, &d0, &d1);
+#ifdef NEED_ALPHA
+  vi passes = active & (m.opacity < one_f()) & (u_glass >= m.opacity);
+  u_glass = pick(u_glass, min_f(u_glass / m.opacity, (vf)0.99999994f), m.opacity > zero_f());
+#else
+  vi passes = no_lanes();
+#endif
+#ifdef NEED_UNLIT
+  active = active & (passes | ((as_vu(h.words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_UNLIT) == 0u));
+#endif
+  load_lobes(scene, &h, &m, active);
+  vf facing = dot3(h.normal, direction);
+  vi from_back = facing > zero_f();
+  v3 normal = pick3(h.normal, negate3(h.normal), from_back);
+  v3 tangent, bitangent;
+  basis3(normal, &tangent, &bitangent);
+  v3 view = make3(-dot3(tangent, direction), -dot3(bitangent, direction), fabs(facing));
+  active = active & ((view.z > (vf)1e-6f) | passes);
+#ifdef NEED_LOBE
+  prepare_lobe(scene, &m, max_f(view.z, (vf)1e-6f));
+#endif
+  vi stops = active & none(passes);
+  // Of the scatterings that are allowed, the VPL and this point need two.
+  if (parameters->depth) stops = stops & (depth + 2u <= (vu)parameters->depth);
+  vi on = active & none(passes);
+  vu table = (vu)GLEANER_NONE;
+  vf table_row = zero_f();
+  v3 albedo = m.base;
+#ifdef NEED_LOBE
+  // A bare metal has no layer below its lobe, and is walked through as a mirror is.
+  vi bare = m.lobe_share >= one_f();
+  albedo = scale3(albedo, m.left_view * (one_f() - m.metallic) / m.left_mean);
+  table = m.table;
+  table_row = m.table_row;
+#else
+  vi bare = no_lanes();
+#endif
+#ifdef NEED_TRANSMISSIVE
+  vi glass = u_glass < m.transmission;
+#else
+  vi glass = no_lanes();
+#endif
+  on = on & (bare | glass);
+  stops = stops & none(on) & (max_component(albedo) > zero_f());
+  if (any_lane(stops)) {
+    vu at = pick_u((vu)count, slot, stops) * POINT_WORDS;
+    global uint* words = (global uint*)points;
+    v3 sent = scale3(mul3(throughput, albedo), (vf)INV_PI);
+    scatter_f(points + POINT_POSITION, at, h.p.x);
+    scatter_f(points + POINT_POSITION + 1u, at, h.p.y);
+    scatter_f(points + POINT_POSITION + 2u, at, h.p.z);
+    scatter_f(points + POINT_NORMAL, at, normal.x);
+    scatter_f(points + POINT_NORMAL + 1u, at, normal.y);
+    scatter_f(points + POINT_NORMAL + 2u, at, normal.z);
+    scatter_u(words + POINT_TABLE, at, table);
+    scatter_f(points + POINT_ROW, at, table_row);
+    scatter_f(points + POINT_WEIGHT, at, one_f());
+    scatter_f(points + POINT_ALBEDO, at, sent.x);
+    scatter_f(points + POINT_ALBEDO + 1u, at, sent.y);
+    scatter_f(points + POINT_ALBEDO + 2u, at, sent.z);
+    scatter_u(words + POINT_TRIANGLE, at, primitive);
+    scatter_f(points + POINT_B1, at, h.b1);
+    scatter_f(points + POINT_B2, at, h.b2);
+    scatter_f(points + POINT_COS, at, one_f());
+  }
+  BsdfSample scattered = sample_bsdf(scene, &m, view, from_back, u_lobe, u_glass, d0, d1);
+  v3 out = normalize3(add3(add3(scale3(tangent, scattered.direction.x), scale3(bitangent, scattered.direction.y)),
+                           scale3(normal, scattered.direction.z)));
+  v3 next = mul3(throughput, scattered.weight);
+  vi alive = on & (max_component(next) > zero_f()) & finite3(next) & finite3(out);
+  vu next_depth = min(depth + 1u, (vu)META_DEPTH_MASK);
+  // Two mirrors may face each other.
+  vf survival = min_f(max_component(next), (vf)ROULETTE_MOST);
+  vi roulette = alive & (next_depth >= 8u);
+  alive = alive & (none(roulette) | (u_roulette < survival));
+  next = pick3(next, scale3(next, one_f() / survival), roulette);
+#ifdef NEED_ALPHA
+  out = pick3(out, direction, passes);
+  next = pick3(next, throughput, passes);
+  next_depth = pick_u(next_depth, depth, passes);
+  alive = alive | (active & passes);
+#endif
+  v3 start = leave_surface(h.p, h.error, h.geometric, out);
+  alive = alive & (bounce < (vu)META_BOUNCE_MASK) & finite3(start);
+  uint kept;
+  rank_lanes(alive, &kept);
+  if (kept == 0u) return;
+  atomic_add(counters, kept);
+  vu next_meta = next_depth | ((bounce + 1u) << META_BOUNCE) | (sample << META_SAMPLE);
+  set_walk(paths, block, start, out, none(alive), next, slot, pick_u((vu)META_IDLE, next_meta, alive), key, zero_f());
+}
+
+// --- Visibility ---
+
+// Rays from points to lights: `rows` points, each asked for `width` lights (a multiple of 32) from its own first one
+// on; ray r is point r / width, light r % width of it. Pairs that face away from each other are not asked: neither ray
+// nor answer (a point's and a light's clusters are told by the cones and spheres that hold their members).
+kernel WIDE void visibility_rays(SCENE_PARAMETERS, global const float* restrict points,
+                                 global const uint* restrict chosen, uint listed, global const float* restrict lights,
+                                 uint width, uint slices, uint point_base, uint ray_base, uint count,
+                                 global float* restrict rays, global uint* counters, global uint* away_of_row) {
+  uint block = (uint)get_global_id(0);
+  uint first_lane = block * LANES;
+  if (first_lane >= count) return;
+  Scene scene_value = SCENE_FROM_PARAMETERS;
+  const Scene* scene = &scene_value;
+  uint ray = ray_base + first_lane;
+  uint row = ray / width;  // of one point in all lanes: width is a multiple of 32
+  uint point = listed ? chosen[row] : point_base + row;
+  vi active = all_lanes();
+  if (point == GLEANER_NONE) {
+    active = no_lanes();
+    point = 0u;
+  }
+  // A point's sample looks at a slice of its own (vpl_generate).
+  uint slice = slices > 1u ? (point >> 4) & (slices - 1u) : 0u;
+  vu light = (vu)(slice * width + (ray - row * width)) + lane_index();
+  global const float* p_words = points + POINT_WORDS * point;
+  uint triangle = ((global const uint*)p_words)[POINT_TRIANGLE];
+  active = active & ((vu)triangle != GLEANER_NONE);
+  vf l[16];
+  vu at = pick_u((vu)0u, light, active) * VPL_WORDS;
+  load_words(lights, at, l);
+  active = active & ((l[VPL_FLUX] > zero_f()) | (l[VPL_FLUX + 1u] > zero_f()) | (l[VPL_FLUX + 2u] > zero_f()));
+  vf second[16];
+  load_words(lights + 8u, at, second);  // words 8 to 23
+  v3 p = uniform3(p_words[POINT_POSITION], p_words[POINT_POSITION + 1], p_words[POINT_POSITION + 2]);
+  v3 n = uniform3(p_words[POINT_NORMAL], p_words[POINT_NORMAL + 1], p_words[POINT_NORMAL + 2]);
+  v3 q = words3(l, VPL_POSITION);
+  v3 d = sub3(q, p);
+  vf d2 = dot3(d, d);
+  vf inverse = one_f() / sqrt(d2);
+  v3 w = scale3(d, inverse);
+  // The cosine a member could have at best: the cone's sine more, and the members' sphere seen from the other end.
+  vf cone_p = (vf)p_words[POINT_COS], cone_q = second[VPL_COS - 8u];
+  vf reach = second[VPL_RADIUS - 8u] * inverse;
+  vi facing = (dot3(n, w) > -(safe_sqrt(one_f() - cone_p * cone_p) + reach)) &
+              (-dot3(words3(l, VPL_NORMAL), w) > -(safe_sqrt(one_f() - cone_q * cone_q) + reach)) & (d2 > zero_f());
+  uint away, asked;
+  rank_lanes(active & none(facing), &away);
+  active = active & facing;
+  rank_lanes(active, &asked);
+  if (away) atomic_add(away_of_row + row, away);
+  if (asked) atomic_add(counters, asked);
+  uint t_row = triangle == GLEANER_NONE ? 0u : triangle;
+  global const float* t = scene->triangles + (ulong)TRIANGLE_WORDS * t_row;
+  v3 p0 = uniform3(t[TRIANGLE_P0], t[TRIANGLE_P0 + 1], t[TRIANGLE_P0 + 2]);
+  v3 e1 = sub3(uniform3(t[TRIANGLE_P1], t[TRIANGLE_P1 + 1], t[TRIANGLE_P1 + 2]), p0);
+  v3 e2 = sub3(uniform3(t[TRIANGLE_P2], t[TRIANGLE_P2 + 1], t[TRIANGLE_P2 + 2]), p0);
+  v3 error;
+  surface_point(p0, e1, e2, (vf)p_words[POINT_B1], (vf)p_words[POINT_B2], &error);
+  v3 start = leave_surface(p, error, normalize3(cross3(e1, e2)), w);
+  // The query's own rounding grows with the distance, as in sample_light().
+  const vf unit = (vf)(16.0f * 5.9604645e-8f);
+  v3 end_error = add3(words3(second, VPL_ERROR - 8u), make3(unit * fabs(d.x), unit * fabs(d.y), unit * fabs(d.z)));
+  v3 end = leave_surface(q, end_error, words3(l, VPL_GEOMETRIC), negate3(w));
+  v3 direction = sub3(end, start);
+  active = active & finite3(direction) & finite3(start);
+  set_row_3(rays, VISIBILITY_ROWS, block, ROW_ORIGIN, start);
+  set_row_f(rays, VISIBILITY_ROWS, block, ROW_NEAR, zero_f());
+  set_row_3(rays, VISIBILITY_ROWS, block, ROW_DIRECTION, direction);
+  set_row_f(rays, VISIBILITY_ROWS, block, ROW_TIME, zero_f());
+  set_row_f(rays, VISIBILITY_ROWS, block, ROW_FAR, pick((vf)-1.0f, (vf)0.9999999f, active));
+  set_row_u(rays, VISIBILITY_ROWS, block, ROW_MASK, (vu)0xffffffffu);
+  set_row_u(rays, VISIBILITY_ROWS, block, ROW_SOURCE, (vu)triangle);
+  set_row_u(rays, VISIBILITY_ROWS, block, ROW_FLAGS, (vu)0u);
+}
+
+// Answers to bits: word first + k of `bits` holds rays 32 k to 32 k + 31 of this launch.
+kernel void visibility_pack(global const float* restrict rays, uint words, uint first, global uint* restrict bits) {
+  uint word = (uint)get_global_id(0);
+  if (word >= words) return;
+  uint value = 0u;
+  for (uint part = 0; part < 2u; ++part) {
+    global const float* far = rays + (ulong)16u * (VISIBILITY_ROWS * (2u * word + part) + ROW_FAR);
+    for (uint k = 0; k < 16u; ++k) value |= far[k] > 0.0f ? 1u << (16u * part + k) : 0u;
+  }
+  bits[first + word] = value;
+}
+
+// --- Shading ---
+
+// The point clusters that each point belongs to (algorithm 2), with weights by eq. 9-10. Rows of no meaning have
+// weight 0. A point that no cluster within the threshold is near is lonely: it has to ask for itself.
+kernel WIDE void vpl_members(global const VplPointParameters* restrict parameters, global const float* restrict points,
+                             uint count, global const float* restrict grid, global const uint* restrict cells,
+                             global const float* restrict seeds, float least_cosine, global uint* restrict rows,
+                             global float* restrict weights, global uint* restrict lonely) {
+  uint block = (uint)get_global_id(0);
+  uint first_lane = block * LANES;
+  if (first_lane >= count) return;
+  vu lane = (vu)first_lane + lane_index();
+  vf w[16];
+  load_words(points, min(lane, (vu)(count - 1u)) * POINT_WORDS, w);
+  vi active = (as_vu(w[POINT_TRIANGLE]) != GLEANER_NONE) & (lane < count);
+  vf best[FUZZINESS];
+  vu who[FUZZINESS];
+  nearest_seeds(words3(w, POINT_POSITION), words3(w, POINT_NORMAL), active, grid, cells, seeds, least_cosine, best,
+                who);
+  // A point on a representative is that one's alone.
+  vi on_it = best[0] <= zero_f();
+  vf total = zero_f();
+  vf share[FUZZINESS];
+  for (uint f = 0; f < FUZZINESS; ++f) {
+    share[f] = parameters->equal_weights ? one_f() : one_f() / sqrt(best[f]);
+    share[f] = pick(share[f], f == 0u ? one_f() : zero_f(), on_it);
+    share[f] = pick(zero_f(), share[f], who[f] != GLEANER_NONE);
+    total += share[f];
+  }
+  for (uint f = 0; f < FUZZINESS; ++f) {
+    store_u(rows + (ulong)FUZZINESS * first_lane + f * LANES, 0, pick_u((vu)0u, who[f], who[f] != GLEANER_NONE));
+    store_f(weights + (ulong)FUZZINESS * first_lane + f * LANES, 0, pick(zero_f(), share[f] / total, total > zero_f()));
+  }
+  store_u(lonely + first_lane, 0, pick_u((vu)0u, (vu)1u, active & (who[0] == GLEANER_NONE)));
+}
+
+// Eq. 6 over one slice of the lights, which the sixteen points of a block share. `own`: point `chosen[i]` reads row i
+// of `bits`, which holds its slice alone; else every point reads its clusters' rows of `bits`.
+kernel WIDE void vpl_gather(global const VplPointParameters* restrict parameters, SCENE_PARAMETERS,
+                            global const float* restrict points, global const uint* restrict chosen, uint own,
+                            uint count, global const float* restrict lights, uint width, uint slices,
+                            global const uint* restrict bits, uint row_words, global const uint* restrict rows,
+                            global const float* restrict weights, uint behind, global float* restrict radiance) {
+  uint block = (uint)get_global_id(0);
+  uint first_lane = block * LANES;
+  if (first_lane >= count) return;
+  Scene scene_value = SCENE_FROM_PARAMETERS;
+  const Scene* scene = &scene_value;
+  vu lane = (vu)first_lane + lane_index();
+  uint leader = own ? chosen[first_lane] : first_lane;
+  vu point = own ? load_u(chosen + first_lane, 0) : lane;
+  vi active = (lane < count) & (point != GLEANER_NONE);
+  point = pick_u((vu)leader, point, active);
+  vf w[16];
+  load_words(points, point * POINT_WORDS, w);
+  active = active & (as_vu(w[POINT_TRIANGLE]) != GLEANER_NONE);
+  v3 sum = splat3(zero_f());
+  if (any_lane(active)) {
+    v3 p = words3(w, POINT_POSITION), n = words3(w, POINT_NORMAL);
+#ifdef NEED_LOBE
+    Surface m;
+    m.table = pick_u((vu)GLEANER_NONE, as_vu(w[POINT_TABLE]), active);
+    m.table_row = pick(zero_f(), w[POINT_ROW], active);
+#endif
+    uint words = width / 32u;
+    uint slice = (leader >> 4) & (slices - 1u);
+    vf clamp_to = (vf)parameters->clamp;
+    vu row[FUZZINESS];
+    vf weight[FUZZINESS];
+    for (uint f = 0; f < FUZZINESS; ++f) {
+      if (own) {
+        row[f] = lane * words;
+        weight[f] = f == 0u ? one_f() : zero_f();
+      } else {
+        row[f] = load_u(rows + (ulong)FUZZINESS * first_lane + f * LANES, 0) * row_words + slice * words;
+        weight[f] = load_f(weights + (ulong)FUZZINESS * first_lane + f * LANES, 0);
+      }
+    }
+    for (uint word = 0; word < words; ++word) {
+      vu seen[FUZZINESS];
+      vu any = (vu)0u;
+      for (uint f = 0; f < FUZZINESS; ++f) {
+        seen[f] = gather_u(bits, pick_u((vu)0u, row[f] + word, active & (weight[f] > zero_f())));
+        seen[f] = pick_u((vu)0u, seen[f], active & (weight[f] > zero_f()));
+        any |= seen[f];
+      }
+      uint asked = any_bits(any);
+      global const float* l = lights + (ulong)VPL_WORDS * (slice * width + 32u * word);
+      for (; asked; asked &= asked - 1u) {
+        uint k = 31u - clz(asked & (0u - asked));
+        global const float* light = l + VPL_WORDS * k;
+        vf visible = zero_f();
+        for (uint f = 0; f < FUZZINESS; ++f) visible += pick(zero_f(), weight[f], (seen[f] & (1u << k)) != 0u);
+        v3 d = make3(light[VPL_POSITION] - p.x, light[VPL_POSITION + 1] - p.y, light[VPL_POSITION + 2] - p.z);
+        vf d2 = dot3(d, d);
+        vf at_point = dot3(n, d);
+        vf side = -(light[VPL_NORMAL] * d.x + light[VPL_NORMAL + 1] * d.y + light[VPL_NORMAL + 2] * d.z);
+        vf at_light =
+            fabs(light[VPL_GEOMETRIC] * d.x + light[VPL_GEOMETRIC + 1] * d.y + light[VPL_GEOMETRIC + 2] * d.z);
+        vf inverse = one_f() / d2;
+        // Eq. 4, both cosines times the distance; bounded.
+        vf g = min_f(at_point * at_light * inverse * inverse, clamp_to) * visible;
+#ifdef NEED_LOBE
+        vf r = sqrt(inverse);
+        g *= left_to_layer(scene, &m, at_point * r);
+        uint light_table = ((global const uint*)light)[VPL_TABLE];
+        if (light_table != GLEANER_NONE) {
+          Surface other;
+          other.table = (vu)light_table;
+          other.table_row = (vf)light[VPL_ROW];
+          g *= left_to_layer(scene, &other, side * r);
+        }
+#endif
+        g = pick(zero_f(), g, (at_point > zero_f()) & (side > zero_f()) & (d2 > zero_f()));
+        sum = mad3(make3((vf)light[VPL_FLUX], (vf)light[VPL_FLUX + 1], (vf)light[VPL_FLUX + 2]), g, sum);
+      }
+    }
+    sum = pick3(splat3(zero_f()), mul3(sum, words3(w, POINT_ALBEDO)), active);
+  }
+  // Others of a listed block write behind the points.
+  vu at = pick_u(own ? (vu)behind : lane, point, active) * 3u;
+  scatter_f(radiance, at, sum.x);
+  scatter_f(radiance + 1u, at, sum.y);
+  scatter_f(radiance + 2u, at, sum.z);
+}
+
+// A pixel's samples, in their order, each of which saw a slice of the lights: their sum saw all of them.
+kernel void vpl_resolve(global const VplPointParameters* restrict parameters, uint count,
+                        global const float* restrict radiance, global float* restrict records,
+                        global uint* restrict report) {
+  uint item = (uint)get_global_id(0);
+  if (item >= count) return;
+  uint samples = parameters->samples;
+  float sum[3] = {0, 0, 0};
+  for (uint s = 0; s < samples; ++s) {
+    uint path = ((item >> 4) * samples + s) * 16u + (item & 15u);
+    for (uint k = 0; k < 3; ++k) sum[k] += radiance[3 * path + k];
+  }
+  int fine = 1;
+  for (uint k = 0; k < 3; ++k) fine = fine && fabs(sum[k]) <= 3.402823466e38f;
+  if (!fine) {
+    atomic_add(report, samples);
+    uint at = atomic_inc(report + 1);
+    if (at < REPORTED_ITEMS) report[2 + at] = item;
+  }
+  for (uint k = 0; k < 3; ++k) records[3 * item + k] = fine ? sum[k] : 0.0f;
+}

@@ -1,0 +1,329 @@
+#include "worker/stages/cluster_stage.h"
+
+#include <algorithm>
+#include <array>
+#include <chrono>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <numeric>
+#include <span>
+
+#include "kernels/stage_records.h"
+#include "scene/model/error.h"
+#include "worker/stages/cluster_grid.h"
+
+namespace gleaner::worker {
+namespace {
+
+using kernels::ClusterParameters;
+
+constexpr std::uint32_t kAssignItems = 1u << 13;  // data a launch: one grid size (see path_stage.cpp)
+constexpr std::size_t kCentroidWords = 8;
+
+double seconds_now() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+// Ten bits each of three coordinates, interleaved.
+std::uint32_t morton(const std::array<double, 3>& unit) {
+  std::uint32_t code = 0;
+  for (int k = 0; k < 3; ++k) {
+    auto x = static_cast<std::uint32_t>(std::clamp(unit[k] * 1024, 0.0, 1023.0));
+    x = (x | (x << 16)) & 0x030000ffu;
+    x = (x | (x << 8)) & 0x0300f00fu;
+    x = (x | (x << 4)) & 0x030c30c3u;
+    x = (x | (x << 2)) & 0x09249249u;
+    code |= x << k;
+  }
+  return code;
+}
+
+// Which of the six axes a normal is nearest to.
+std::uint32_t side_of(const float* n) {
+  std::uint32_t axis = 0;
+  for (std::uint32_t k = 1; k < 3; ++k)
+    if (std::abs(n[k]) > std::abs(n[axis])) axis = k;
+  return 2 * axis + (n[axis] < 0 ? 1 : 0);
+}
+
+double distance2(const float* a, const float* b) {
+  double sum = 0;
+  for (int k = 0; k < 3; ++k) sum += (double{a[k]} - b[k]) * (double{a[k]} - b[k]);
+  return sum;
+}
+
+float cosine(const float* a, const float* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+class KMeans {
+ public:
+  KMeans(const Device& device, Workspace& workspace, const std::vector<float>& data, std::size_t stride,
+         const ClusterParameters& parameters)
+      : device_(device),
+        workspace_(workspace),
+        data_(data),
+        stride_(stride),
+        count_(data.size() / stride),
+        parameters_(parameters),
+        queue_(device.make_queue()),
+        program_(device.build("kernels/cluster.cl", "-D FUZZINESS=1 -D LANES=" + std::to_string(device.lanes()))) {
+    const std::size_t room = (count_ + 15) / 16 * 16;
+    data_buffer_ = workspace.take("cluster.data", (data.size() + 16) * 4);
+    queue_.enqueueWriteBuffer(data_buffer_, CL_TRUE, 0, data.size() * 4, data.data());
+    assigned_buffer_ = workspace.take("cluster.assigned", room * 4);
+    assigned_.resize(count_);
+  }
+
+  // For each datum, the row of its cluster.
+  const std::vector<std::uint32_t>& run() {
+    seed();
+    for (std::uint32_t i = 0; i < parameters_.iterations; ++i) {
+      assign();
+      update();
+    }
+    assign();
+    adopt();
+    return assigned_;
+  }
+
+  const float* centroid(std::uint32_t k) const { return &centroids_[k * kCentroidWords]; }
+
+ private:
+  const float* datum(std::size_t i) const { return &data_[i * stride_]; }
+
+  // Evenly spaced along a curve that visits the data side by side and, within a side, place by place: every side gets
+  // its share of the clusters, every place its share of the side's.
+  void seed() {
+    std::array<double, 3> lower{1e300, 1e300, 1e300}, upper{-1e300, -1e300, -1e300};
+    for (std::size_t i = 0; i < count_; ++i)
+      for (int k = 0; k < 3; ++k) {
+        lower[k] = std::min(lower[k], double{datum(i)[k]});
+        upper[k] = std::max(upper[k], double{datum(i)[k]});
+      }
+    double edge = 1e-30;
+    for (int k = 0; k < 3; ++k) edge = std::max(edge, upper[k] - lower[k]);
+    std::vector<std::pair<std::uint64_t, std::uint32_t>> order(count_);
+    for (std::size_t i = 0; i < count_; ++i) {
+      std::array<double, 3> unit{};
+      for (int k = 0; k < 3; ++k) unit[k] = (datum(i)[k] - lower[k]) / edge;
+      order[i] = {(std::uint64_t{side_of(datum(i) + 3)} << 32) | morton(unit), static_cast<std::uint32_t>(i)};
+    }
+    std::sort(order.begin(), order.end());
+    centroids_.assign(parameters_.clusters * kCentroidWords, 0.0f);
+    for (std::uint64_t k = 0; k < parameters_.clusters; ++k)
+      std::copy_n(datum(order[(2 * k + 1) * count_ / (2 * parameters_.clusters)].second), 6,
+                  &centroids_[k * kCentroidWords]);
+    alive_.assign(parameters_.clusters, true);
+  }
+
+  void assign() {
+    const ClusterGrid grid = make_cluster_grid(centroids_, kCentroidWords, alive_);
+    const auto put = [&](const char* name, const auto& values) {
+      cl::Buffer buffer = workspace_.take(name, values.size() * 4);
+      queue_.enqueueWriteBuffer(buffer, CL_TRUE, 0, values.size() * 4, values.data());
+      return buffer;
+    };
+    cl::Kernel kernel(program_, "cluster_assign");
+    kernel.setArg(0, data_buffer_);
+    kernel.setArg(1, static_cast<cl_uint>(stride_));
+    kernel.setArg(4, put("cluster.grid", grid.header));
+    kernel.setArg(5, put("cluster.cells", grid.cells));
+    kernel.setArg(6, put("cluster.seeds", grid.seeds));
+    kernel.setArg(7, parameters_.least_cosine);
+    kernel.setArg(8, assigned_buffer_);
+    const std::size_t group = device_.info().cpu ? 8 : 64;
+    for (std::size_t base = 0; base < count_; base += kAssignItems) {
+      kernel.setArg(2, static_cast<cl_uint>(base));
+      kernel.setArg(3, static_cast<cl_uint>(std::min<std::size_t>(kAssignItems, count_ - base)));
+      queue_.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange(kAssignItems / device_.lanes()),
+                                  cl::NDRange(group));
+    }
+    queue_.enqueueReadBuffer(assigned_buffer_, CL_TRUE, 0, count_ * 4, assigned_.data());
+  }
+
+  // New centroids: means in the data's order, so that any device's floats add up alike. A cluster without members
+  // begins anew at a datum that no cluster takes, if there is one.
+  void update() {
+    std::vector<double> sums(parameters_.clusters * 6, 0.0);
+    std::vector<std::uint32_t> members(parameters_.clusters, 0);
+    std::vector<std::uint32_t> strays;
+    for (std::size_t i = 0; i < count_; ++i) {
+      const std::uint32_t k = assigned_[i];
+      if (k == GLEANER_NONE) {
+        strays.push_back(static_cast<std::uint32_t>(i));
+        continue;
+      }
+      ++members[k];
+      for (int c = 0; c < 6; ++c) sums[6 * k + c] += datum(i)[c];
+    }
+    std::vector<std::uint32_t> empty;
+    for (std::uint32_t k = 0; k < parameters_.clusters; ++k) {
+      if (members[k] == 0) {
+        empty.push_back(k);
+        continue;
+      }
+      float* centroid = &centroids_[k * kCentroidWords];
+      for (int c = 0; c < 3; ++c) centroid[c] = static_cast<float>(sums[6 * k + c] / members[k]);
+      const double length = std::sqrt(sums[6 * k + 3] * sums[6 * k + 3] + sums[6 * k + 4] * sums[6 * k + 4] +
+                                      sums[6 * k + 5] * sums[6 * k + 5]);
+      // Members are within the threshold of one normal, so that their mean has a length.
+      if (length > 0)
+        for (int c = 3; c < 6; ++c) centroid[c] = static_cast<float>(sums[6 * k + c] / length);
+    }
+    for (std::size_t e = 0; e < empty.size(); ++e) {
+      const bool again = e < strays.size();
+      alive_[empty[e]] = again;
+      // Spread over the strays: neighbours among them need one cluster between them.
+      if (again)
+        std::copy_n(datum(strays[e * strays.size() / std::min(empty.size(), strays.size())]), 6,
+                    &centroids_[empty[e] * kCentroidWords]);
+    }
+  }
+
+  // Data that no cluster within the threshold is near to: a cluster without members where there is one, else the
+  // nearest, whatever its normal. No light is lost.
+  void adopt() {
+    std::vector<std::uint32_t> members(parameters_.clusters, 0);
+    for (auto k : assigned_)
+      if (k != GLEANER_NONE) ++members[k];
+    std::uint32_t next = 0;
+    for (std::size_t i = 0; i < count_; ++i) {
+      if (assigned_[i] != GLEANER_NONE) continue;
+      double nearest = std::numeric_limits<double>::infinity();
+      std::uint32_t best = GLEANER_NONE;
+      for (int pass = 0; pass < 2 && best == GLEANER_NONE; ++pass) {
+        for (std::uint32_t k = 0; k < parameters_.clusters; ++k) {
+          if (members[k] == 0) continue;
+          const float* c = centroid(k);
+          if (pass == 0 && !(cosine(c + 3, datum(i) + 3) > parameters_.least_cosine)) continue;
+          const double d = distance2(c, datum(i));
+          if (d < nearest) {
+            nearest = d;
+            best = k;
+          }
+        }
+        while (next < parameters_.clusters && members[next] != 0) ++next;
+        if (best == GLEANER_NONE && next < parameters_.clusters) {
+          best = next;
+          std::copy_n(datum(i), 6, &centroids_[next * kCentroidWords]);
+        }
+      }
+      assigned_[i] = best;
+      ++members[best];
+    }
+  }
+
+  const Device& device_;
+  Workspace& workspace_;
+  const std::vector<float>& data_;
+  std::size_t stride_, count_;
+  ClusterParameters parameters_;
+  cl::CommandQueue queue_;
+  cl::Program program_;
+  cl::Buffer data_buffer_, assigned_buffer_;
+  std::vector<float> centroids_;  // kCentroidWords each
+  std::vector<bool> alive_;
+  std::vector<std::uint32_t> assigned_;
+};
+
+// The cluster's record: the member nearest to the centroid stands for all (a centroid may hang in the air), with what
+// they send in all.
+void write_clusters(const KMeans& means, const std::vector<std::uint32_t>& assigned, const std::vector<float>& data,
+                    std::size_t stride, std::uint32_t clusters, std::vector<float>& rows) {
+  const bool lights = stride == VPL_WORDS;
+  const std::size_t count = data.size() / stride;
+  std::vector<double> nearest(clusters, std::numeric_limits<double>::infinity());
+  std::vector<std::uint32_t> chosen(clusters, GLEANER_NONE), members(clusters, 0);
+  std::vector<double> flux(clusters * 3, 0.0);
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::uint32_t k = assigned[i];
+    const double d = distance2(means.centroid(k), &data[i * stride]);
+    if (d < nearest[k]) {
+      nearest[k] = d;
+      chosen[k] = static_cast<std::uint32_t>(i);
+    }
+    ++members[k];
+    if (lights)
+      for (unsigned c = 0; c < 3; ++c) flux[3 * k + c] += data[i * stride + VPL_FLUX + c];
+  }
+  for (std::uint32_t k = 0; k < clusters; ++k)
+    if (chosen[k] != GLEANER_NONE) std::copy_n(&data[chosen[k] * stride], stride, &rows[k * stride]);
+  std::vector<double> reach(clusters, 0.0);
+  std::vector<float> least(clusters, 1.0f);
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::uint32_t k = assigned[i];
+    reach[k] = std::max(reach[k], distance2(&rows[k * stride], &data[i * stride]));
+    if (chosen[k] != i) least[k] = std::min(least[k], cosine(&rows[k * stride + 3], &data[i * stride + 3]));
+  }
+  for (std::uint32_t k = 0; k < clusters; ++k) {
+    if (chosen[k] == GLEANER_NONE) continue;
+    float* row = &rows[k * stride];
+    if (lights) {
+      for (unsigned c = 0; c < 3; ++c) row[VPL_FLUX + c] = static_cast<float>(flux[3 * k + c]);
+      row[VPL_RADIUS] = static_cast<float>(std::sqrt(reach[k]));
+      row[VPL_COS] = least[k];
+      row[VPL_COUNT] = static_cast<float>(members[k]);
+    } else {
+      row[POINT_WEIGHT] = static_cast<float>(members[k]);
+      row[POINT_COS] = least[k];
+    }
+  }
+}
+
+}  // namespace
+
+BatchResult run_cluster_stage(const Device& device, Workspace& workspace, DeviceScene&, const StageTask& task,
+                              std::uint64_t first, std::uint64_t count) {
+  const std::string where = "stage " + task.kind;
+  ClusterParameters parameters;
+  if (task.parameters.size() != sizeof parameters)
+    throw Error::bad_input(where, "parameters", std::to_string(sizeof parameters) + " bytes",
+                           std::to_string(task.parameters.size()));
+  std::memcpy(&parameters, task.parameters.data(), sizeof parameters);
+  if (first != 0 || count != parameters.clusters || count == 0 || count > (1u << 24))
+    throw Error::bad_input(where, "items", "all of its clusters, 1 to 2^24",
+                           std::to_string(first) + " + " + std::to_string(count));
+  if (parameters.iterations > 1000 || !(parameters.least_cosine >= -1 && parameters.least_cosine <= 1))
+    throw Error::bad_input(where, "parameters", "at most 1000 iterations, a cosine", "other numbers");
+  const bool lights = task.kind == "vpl_cluster";
+  const char* const name = lights ? "lights" : "points";
+  const std::size_t stride = lights ? VPL_WORDS : POINT_WORDS;
+  const auto input = task.inputs.find(name);
+  if (input == task.inputs.end() || input->second->size() % (stride * 4) != 0)
+    throw Error::bad_input(where, std::string("input ") + name, "rows of " + std::to_string(stride * 4) + " bytes",
+                           input == task.inputs.end() ? "none" : std::to_string(input->second->size()) + " bytes");
+  const double start = seconds_now();
+  std::vector<float> data;
+  data.reserve(input->second->size() / 4);
+  std::vector<float> row(stride);
+  for (std::size_t at = 0; at < input->second->size(); at += stride * 4) {
+    std::memcpy(row.data(), input->second->data() + at, stride * 4);
+    std::uint32_t triangle = GLEANER_NONE;
+    std::memcpy(&triangle, &row[lights ? VPL_TRIANGLE : POINT_TRIANGLE], 4);
+    const bool holds =
+        lights ? row[VPL_FLUX] > 0 || row[VPL_FLUX + 1] > 0 || row[VPL_FLUX + 2] > 0 : triangle != GLEANER_NONE;
+    if (!holds) continue;
+    for (std::size_t k = 0; k < 6; ++k)
+      if (!std::isfinite(row[k]))
+        throw Error::bad_input(where, "row " + std::to_string(at / (stride * 4)), "finite numbers", "others");
+    data.insert(data.end(), row.begin(), row.end());
+  }
+  std::vector<float> rows(count * stride, 0.0f);
+  if (!lights)
+    for (std::size_t k = 0; k < count; ++k) std::memset(&rows[k * stride + POINT_TRIANGLE], 0xff, 4);
+  if (data.size() / stride <= count) {
+    // As many clusters as there is to cluster: each stands for itself, exactly.
+    std::copy(data.begin(), data.end(), rows.begin());
+  } else {
+    KMeans means(device, workspace, data, stride, parameters);
+    write_clusters(means, means.run(), data, stride, parameters.clusters, rows);
+  }
+  BatchResult result;
+  result.records.resize(rows.size() * 4);
+  std::memcpy(result.records.data(), rows.data(), result.records.size());
+  result.counters.seconds = seconds_now() - start;
+  result.counters.kernel_seconds = result.counters.seconds;
+  return result;
+}
+
+}  // namespace gleaner::worker

@@ -1,0 +1,671 @@
+#include "worker/stages/vpl_stages.h"
+
+#include <algorithm>
+#include <atomic>
+#include <bit>
+#include <chrono>
+#include <cmath>
+#include <cstring>
+
+#include "kernels/cluster_grid.h"
+#include "kernels/path_layout.h"
+#include "kernels/stage_records.h"
+#include "scene/model/error.h"
+#include "worker/stages/cluster_grid.h"
+#include "worker/stages/lane_threads.h"
+
+namespace gleaner::worker {
+namespace {
+
+using kernels::VisibilityParameters;
+using kernels::VplPointParameters;
+using kernels::VplTraceParameters;
+
+// Eq. 7: two thirds of a right angle between normals are too many for one cluster; the paper's sqrt(3)/2.
+constexpr float kLeastCosine = 0.8660254f;
+
+double seconds_now() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+// Paths, and rays between points and lights, that move in step. A kernel always runs on one grid of this size on CPU
+// devices (path_stage.cpp says why).
+std::uint32_t path_capacity(const Device& device) { return device.info().cpu ? 1u << 12 : 1u << 17; }
+std::uint32_t ray_capacity(const Device& device) { return device.info().cpu ? 1u << 14 : 1u << 21; }
+
+template <typename Parameters>
+Parameters read_parameters(const StageTask& task) {
+  Parameters p;
+  if (task.parameters.size() != sizeof p)
+    throw Error::bad_input("stage " + task.kind, "parameters", std::to_string(sizeof p) + " bytes",
+                           std::to_string(task.parameters.size()));
+  std::memcpy(&p, task.parameters.data(), sizeof p);
+  return p;
+}
+
+void check_range(const StageTask& task, std::uint64_t total, std::uint64_t first, std::uint64_t count) {
+  if (first + count < first || first + count > total)
+    throw Error::bad_input("stage " + task.kind, "items", "a range below " + std::to_string(total),
+                           std::to_string(first) + " + " + std::to_string(count));
+}
+
+// A table that is the stage's input: rows of `words` words, as many as the parameters say.
+const scene::Bytes& read_table(const StageTask& task, const std::string& name, std::uint64_t rows, std::size_t words) {
+  const auto input = task.inputs.find(name);
+  if (input == task.inputs.end() || input->second->size() != rows * words * 4)
+    throw Error::bad_input("stage " + task.kind, "input " + name, std::to_string(rows * words * 4) + " bytes",
+                           input == task.inputs.end() ? "none" : std::to_string(input->second->size()));
+  return *input->second;
+}
+
+// Triangles that a table names must be there: a kernel looks them up.
+void check_triangles(const StageTask& task, const std::string& name, const scene::Bytes& table, std::size_t words,
+                     unsigned word, std::uint64_t triangles) {
+  for (std::size_t at = 0; at < table.size(); at += words * 4) {
+    std::uint32_t triangle = 0;
+    std::memcpy(&triangle, table.data() + at + word * 4, 4);
+    if (triangle != GLEANER_NONE && triangle >= triangles)
+      throw Error::bad_input("stage " + task.kind, "input " + name + "[" + std::to_string(at / (words * 4)) + "]",
+                             "a triangle below " + std::to_string(triangles), std::to_string(triangle));
+  }
+}
+
+VplPointParameters read_point_parameters(const StageTask& task) {
+  const auto p = read_parameters<VplPointParameters>(task);
+  const std::string where = "stage " + task.kind;
+  const std::uint64_t pixels = std::uint64_t{p.width} * p.height;
+  if (pixels == 0 || pixels > (std::uint64_t{1} << 28))
+    throw Error::bad_input(where, "size", "1 to 2^28 pixels", std::to_string(p.width) + "x" + std::to_string(p.height));
+  if (!std::has_single_bit(p.samples) || p.samples > 64)
+    throw Error::bad_input(where, "samples", "a power of two up to 64", std::to_string(p.samples));
+  if (p.items_high || p.items_low > pixels)
+    throw Error::bad_input(where, "items", "at most a pixel each", std::to_string(p.items_low));
+  if (!(p.clamp > 0)) throw Error::bad_input(where, "clamp", "a number above 0", std::to_string(p.clamp));
+  scene::Scene with_camera;
+  with_camera.cameras.push_back({"camera", p.camera});
+  scene::validate(with_camera, where);
+  return p;
+}
+
+// What the stages' lanes (host threads of a CPU device) have in common.
+struct Batch {
+  const Device& device;
+  Workspace& workspace;
+  DeviceScene& scene;
+  const StageTask& task;
+  std::uint64_t first = 0, count = 0;
+  cl::Program program{};
+  cl::Buffer parameters{};
+  unsigned lanes = 1;
+  std::atomic<std::uint64_t> next{0};
+  std::atomic<bool> failed{false};
+
+  Batch(const Device& d, Workspace& w, DeviceScene& s, const StageTask& t, std::uint64_t f, std::uint64_t c,
+        unsigned fuzziness)
+      : device(d),
+        workspace(w),
+        scene(s),
+        task(t),
+        first(f),
+        count(c),
+        program(d.build("kernels/vpl.cl", s.kernel_options() + " -D FUZZINESS=" + std::to_string(fuzziness))),
+        lanes(d.info().cpu ? d.info().threads : 1) {
+    cl::CommandQueue queue = device.make_queue();
+    parameters = put(queue, "vpl.parameters", task.parameters.data(), task.parameters.size());
+  }
+
+  // Room for the last row's load of a whole line.
+  cl::Buffer put(cl::CommandQueue& queue, const std::string& name, const void* data, std::size_t bytes) {
+    cl::Buffer buffer = workspace.take(name, bytes + 64);
+    if (bytes) queue.enqueueWriteBuffer(buffer, CL_TRUE, 0, bytes, data);
+    return buffer;
+  }
+
+  // The next part of the batch, of at most `most` items.
+  bool claim(std::uint64_t most, std::uint64_t& begin, std::uint64_t& part) {
+    begin = next.fetch_add(most);
+    if (begin >= count || failed.load(std::memory_order_relaxed)) return false;
+    part = std::min(most, count - begin);
+    return true;
+  }
+};
+
+struct LaneCounters {
+  std::uint64_t camera = 0, scatter = 0, shadow = 0, nonfinite = 0;
+  std::vector<std::uint64_t> nonfinite_items{};
+  double trace = 0, all = 0;
+};
+
+// One lane's queue and kernels.
+class Lane {
+ public:
+  Lane(Batch& batch, unsigned index)
+      : batch_(batch), index_(index), queue_(batch.device.make_queue()), counters_buffer_(take("counters", 64)) {}
+
+  Lane(const Lane&) = delete;
+  Lane& operator=(const Lane&) = delete;
+  // Where a call failed, what was enqueued before it still writes to buffers that the next batch takes.
+  ~Lane() {
+    if (batch_.failed) clFinish(queue_());
+  }
+
+  LaneCounters counters;
+
+ protected:
+  cl::Buffer take(const std::string& name, std::size_t bytes) {
+    return batch_.workspace.take("vpl." + name + "." + std::to_string(index_), bytes + 64);
+  }
+  cl::Kernel kernel(const char* name) const { return cl::Kernel(batch_.program, name); }
+
+  // `capacity` on CPU devices, whatever there is to do.
+  void launch(cl::Kernel& kernel, std::uint32_t work, std::uint32_t capacity, unsigned lanes) {
+    const std::size_t items = ((batch_.device.info().cpu ? capacity : work) + lanes - 1) / lanes;
+    const std::size_t group = batch_.device.info().cpu ? 8 : 64;
+    queue_.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange((items + group - 1) / group * group),
+                                cl::NDRange(group));
+  }
+  void launch(cl::Kernel& kernel, std::uint32_t work) {
+    launch(kernel, work, path_capacity(batch_.device), batch_.device.lanes());
+  }
+
+  // Moves the wave until no path is left; `walk` has the counter as an argument.
+  void walk(cl::Kernel& walk, cl::Buffer& paths, std::uint32_t count) {
+    RayRange range;
+    range.rows = PATH_ROWS;
+    range.incoherent = count;
+    for (;;) {
+      queue_.finish();
+      const double start = seconds_now();
+      batch_.scene.tracer().closest(queue_, paths, range);
+      counters.trace += seconds_now() - start;
+      static constexpr cl_uint zero = 0;  // read after the call, also where a later one throws
+      queue_.enqueueWriteBuffer(counters_buffer_, CL_FALSE, 0, sizeof zero, &zero);
+      launch(walk, count);
+      cl_uint alive = 0;
+      queue_.enqueueReadBuffer(counters_buffer_, CL_TRUE, 0, sizeof alive, &alive);
+      counters.scatter += alive;
+      if (alive == 0) return;
+    }
+  }
+
+  Batch& batch_;
+  unsigned index_;
+  cl::CommandQueue queue_;
+  cl::Buffer counters_buffer_;
+};
+
+template <typename LaneType, typename... Arguments>
+void run(Batch& batch, BatchResult& result, double start, Arguments&&... arguments) {
+  std::vector<std::unique_ptr<LaneType>> all;
+  for (unsigned k = 0; k < batch.lanes; ++k) all.push_back(std::make_unique<LaneType>(batch, k, arguments...));
+  run_lanes(batch.lanes, [&](unsigned k) {
+    const double begun = seconds_now();
+    try {
+      all[k]->run(result);
+    } catch (...) {
+      batch.failed = true;
+      throw;
+    }
+    all[k]->counters.all = seconds_now() - begun;
+  });
+  for (auto& lane : all) {
+    result.counters.camera_rays += lane->counters.camera;
+    result.counters.scatter_rays += lane->counters.scatter;
+    result.counters.shadow_rays += lane->counters.shadow;
+    result.counters.nonfinite += lane->counters.nonfinite;
+    for (auto item : lane->counters.nonfinite_items) result.counters.nonfinite_items.push_back(item);
+    result.counters.trace_seconds += lane->counters.trace / batch.lanes;
+    result.counters.kernel_seconds += (lane->counters.all - lane->counters.trace) / batch.lanes;
+  }
+  result.counters.seconds = seconds_now() - start;
+}
+
+// --- Light paths ---
+
+class TraceLane : public Lane {
+ public:
+  TraceLane(Batch& batch, unsigned index)
+      : Lane(batch, index),
+        capacity_(path_capacity(batch.device)),
+        emit_(kernel("vpl_emit")),
+        walk_(kernel("vpl_walk_light")) {
+    const std::size_t blocks = capacity_ / RAY_BLOCK + 1;
+    paths_ = take("paths", blocks * RAY_BLOCK * PATH_ROWS * 4);
+    // A path's slots more: lanes with nothing to write do so behind the records.
+    record_words_ = (capacity_ + 1) * VPL_PATH_SLOTS * VPL_WORDS;
+    records_ = take("lights", record_words_ * 4);
+    emit_.setArg(0, batch.parameters);
+    unsigned at = batch.scene.set_arguments(emit_, 1);
+    emit_.setArg(at, batch.scene.emission());
+    emit_first_ = at + 1;
+    emit_.setArg(at + 4, paths_);
+    walk_.setArg(0, batch.parameters);
+    walk_first_ = batch.scene.set_arguments(walk_, 1);
+    walk_.setArg(walk_first_ + 1, paths_);
+    walk_.setArg(walk_first_ + 2, records_);
+    walk_.setArg(walk_first_ + 3, counters_buffer_);
+  }
+
+  void run(BatchResult& result) {
+    std::uint64_t begin = 0, part = 0;
+    while (batch_.claim(capacity_, begin, part)) {
+      const auto count = static_cast<std::uint32_t>(part);
+      const std::uint64_t item = batch_.first + begin;
+      queue_.enqueueFillBuffer(records_, cl_uint{0}, 0, record_words_ * 4);
+      emit_.setArg(emit_first_, static_cast<cl_uint>(item));
+      emit_.setArg(emit_first_ + 1, static_cast<cl_uint>(item >> 32));
+      emit_.setArg(emit_first_ + 2, count);
+      launch(emit_, count);
+      counters.scatter += count;
+      walk_.setArg(walk_first_, count);
+      walk(walk_, paths_, count);
+      const std::size_t stride = VPL_PATH_SLOTS * VPL_WORDS * 4;
+      queue_.enqueueReadBuffer(records_, CL_TRUE, 0, part * stride, result.records.data() + begin * stride);
+    }
+  }
+
+ private:
+  std::uint32_t capacity_;
+  cl::Kernel emit_, walk_;
+  cl::Buffer paths_, records_;
+  std::size_t record_words_ = 0;
+  unsigned emit_first_ = 0, walk_first_ = 0;
+};
+
+// --- Points ---
+
+class PointLane : public Lane {
+ public:
+  PointLane(Batch& batch, unsigned index, bool by_point)
+      : Lane(batch, index),
+        capacity_(path_capacity(batch.device)),
+        by_point_(by_point),
+        generate_(kernel("vpl_generate")),
+        walk_(kernel("vpl_walk")) {
+    const std::size_t blocks = capacity_ / RAY_BLOCK + 1;
+    paths_ = take("paths", blocks * RAY_BLOCK * PATH_ROWS * 4);
+    points_ = take("points", (capacity_ + RAY_BLOCK) * POINT_WORDS * 4);
+    generate_.setArg(0, batch.parameters);
+    generate_.setArg(4, static_cast<cl_uint>(by_point));
+    generate_.setArg(5, paths_);
+    generate_.setArg(6, points_);
+    walk_.setArg(0, batch.parameters);
+    walk_first_ = batch.scene.set_arguments(walk_, 1);
+    walk_.setArg(walk_first_ + 1, paths_);
+    walk_.setArg(walk_first_ + 2, points_);
+    walk_.setArg(walk_first_ + 3, counters_buffer_);
+  }
+
+  void run(BatchResult& result) {
+    std::uint64_t begin = 0, part = 0;
+    while (batch_.claim(capacity_, begin, part)) {
+      find_points(begin, static_cast<std::uint32_t>(part));
+      const std::size_t stride = POINT_WORDS * 4;
+      queue_.enqueueReadBuffer(points_, CL_TRUE, 0, part * stride, result.records.data() + begin * stride);
+    }
+  }
+
+ protected:
+  // The points of `count` paths; the first is that of item batch.first + begin.
+  void find_points(std::uint64_t begin, std::uint32_t count) {
+    const std::uint64_t item = batch_.first + begin;
+    generate_.setArg(1, static_cast<cl_uint>(item));
+    generate_.setArg(2, static_cast<cl_uint>(item >> 32));
+    generate_.setArg(3, count);
+    launch(generate_, count);
+    counters.camera += count;
+    walk_.setArg(walk_first_, count);
+    walk(walk_, paths_, count);
+  }
+
+  std::uint32_t capacity_;
+  bool by_point_;
+  cl::Kernel generate_, walk_;
+  cl::Buffer paths_, points_;
+  unsigned walk_first_ = 0;
+};
+
+// --- Visibility ---
+
+// Asks rows of lights for points, some at a time. Held by the lanes of the stages that need answers.
+class Asker {
+ public:
+  Asker(Batch& batch, cl::CommandQueue& queue, cl::Buffer rays, cl::Buffer counters, cl::Buffer lights,
+        std::uint32_t width, std::uint32_t slices)
+      : batch_(batch),
+        queue_(queue),
+        width_(width),
+        rays_(std::move(rays)),
+        counters_(std::move(counters)),
+        ask_(batch.program, "visibility_rays"),
+        pack_(batch.program, "visibility_pack") {
+    const unsigned at = first_ = batch.scene.set_arguments(ask_, 0);
+    ask_.setArg(at + 3, lights);
+    ask_.setArg(at + 4, width);
+    ask_.setArg(at + 5, slices);
+    ask_.setArg(at + 9, rays_);
+    ask_.setArg(at + 10, counters_);
+    pack_.setArg(0, rays_);
+  }
+
+  // Bits of `rows` points' slices (width / 32 words each) into `bits`; how many pairs of each row were left out for
+  // facing away into `away`, a word a row. chosen: a list of points, `listed`, or unused.
+  void ask(const cl::Buffer& points, const cl::Buffer& chosen, bool listed, std::uint32_t point_base,
+           std::uint32_t rows, cl::Buffer& bits, cl::Buffer& away, LaneCounters& counters) {
+    queue_.enqueueFillBuffer(away, cl_uint{0}, 0, std::size_t{rows} * 4);
+    static constexpr cl_uint zero = 0;  // read after the call, also where a later one throws
+    queue_.enqueueWriteBuffer(counters_, CL_FALSE, 0, sizeof zero, &zero);
+    const std::uint64_t all = std::uint64_t{rows} * width_;
+    const std::uint32_t capacity = ray_capacity(batch_.device);
+    ask_.setArg(first_, points);
+    ask_.setArg(first_ + 1, chosen);
+    ask_.setArg(first_ + 2, static_cast<cl_uint>(listed));
+    ask_.setArg(first_ + 6, point_base);
+    ask_.setArg(first_ + 11, away);
+    pack_.setArg(3, bits);
+    for (std::uint64_t base = 0; base < all; base += capacity) {
+      const auto count = static_cast<std::uint32_t>(std::min<std::uint64_t>(capacity, all - base));
+      ask_.setArg(first_ + 7, static_cast<cl_uint>(base));
+      ask_.setArg(first_ + 8, count);
+      launch(ask_, count, batch_.device.lanes());
+      queue_.finish();
+      const double start = seconds_now();
+      RayRange range;
+      range.rows = VISIBILITY_ROWS;
+      // Sixteen lights as one point sees them, always the same sixteen.
+      range.coherent_count = count;
+      batch_.scene.tracer().any(queue_, rays_, range);
+      counters.trace += seconds_now() - start;
+      pack_.setArg(1, count / 32);
+      pack_.setArg(2, static_cast<cl_uint>(base / 32));
+      launch(pack_, count, 32);
+    }
+    cl_uint asked = 0;
+    queue_.enqueueReadBuffer(counters_, CL_TRUE, 0, sizeof asked, &asked);
+    counters.shadow += asked;
+  }
+
+ private:
+  void launch(cl::Kernel& kernel, std::uint32_t work, unsigned lanes) {
+    const std::size_t items = ((batch_.device.info().cpu ? ray_capacity(batch_.device) : work) + lanes - 1) / lanes;
+    const std::size_t group = batch_.device.info().cpu ? 8 : 64;
+    queue_.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange((items + group - 1) / group * group),
+                                cl::NDRange(group));
+  }
+
+  Batch& batch_;
+  cl::CommandQueue& queue_;
+  std::uint32_t width_;
+  cl::Buffer rays_, counters_;
+  cl::Kernel ask_, pack_;
+  unsigned first_ = 0;
+};
+
+class VisibilityLane : public Lane {
+ public:
+  VisibilityLane(Batch& batch, unsigned index, const cl::Buffer& points, const cl::Buffer& lights,
+                 const VisibilityParameters& parameters)
+      : Lane(batch, index),
+        points_(points),
+        clusters_(parameters.clusters),
+        asker_(batch, queue_, take("rays", std::size_t{ray_capacity(batch.device)} * VISIBILITY_ROWS * 4),
+               counters_buffer_, lights, parameters.clusters, 1) {
+    rows_ = std::max<std::uint32_t>(1, 4 * ray_capacity(batch.device) / clusters_);
+    bits_ = take("bits", std::size_t{rows_} * clusters_ / 8);
+    away_ = take("away", std::size_t{rows_} * 4);
+  }
+
+  void run(BatchResult& result) {
+    std::uint64_t begin = 0, part = 0;
+    const std::size_t words = clusters_ / 32;
+    std::vector<std::uint32_t> bits(rows_ * words), away(rows_);
+    while (batch_.claim(rows_, begin, part)) {
+      const auto rows = static_cast<std::uint32_t>(part);
+      asker_.ask(points_, points_, false, static_cast<std::uint32_t>(batch_.first + begin), rows, bits_, away_,
+                 counters);
+      queue_.enqueueReadBuffer(bits_, CL_TRUE, 0, rows * words * 4, bits.data());
+      queue_.enqueueReadBuffer(away_, CL_TRUE, 0, std::size_t{rows} * 4, away.data());
+      std::byte* out = result.records.data() + begin * (words + 1) * 4;
+      for (std::uint32_t r = 0; r < rows; ++r, out += (words + 1) * 4) {
+        std::memcpy(out, &bits[r * words], words * 4);
+        std::memcpy(out + words * 4, &away[r], 4);
+      }
+    }
+  }
+
+ private:
+  cl::Buffer points_;
+  std::uint32_t clusters_, rows_ = 0;
+  Asker asker_;
+  cl::Buffer bits_, away_;
+};
+
+// --- Shading ---
+
+// What all lanes of a shading batch read.
+struct ShadeTables {
+  cl::Buffer lights, grid, cells, seeds, bits;
+  std::uint32_t width = 0;      // lights of a slice
+  std::uint32_t row_words = 0;  // of a point cluster's bits
+};
+
+class ShadeLane : public PointLane {
+ public:
+  ShadeLane(Batch& batch, unsigned index, const VplPointParameters& parameters, const ShadeTables& tables)
+      : PointLane(batch, index, false),
+        p_(parameters),
+        tables_(tables),
+        asker_(batch, queue_, take("rays", std::size_t{ray_capacity(batch.device)} * VISIBILITY_ROWS * 4),
+               counters_buffer_, tables.lights, tables.width, parameters.samples),
+        members_(kernel("vpl_members")),
+        gather_(kernel("vpl_gather")),
+        resolve_(kernel("vpl_resolve")) {
+    const std::size_t room = capacity_ + RAY_BLOCK;
+    rows_ = take("rows", room * MOST_FUZZINESS * 4);
+    weights_ = take("weights", room * MOST_FUZZINESS * 4);
+    lonely_ = take("lonely", room * 4);
+    radiance_ = take("radiance", (room + 1) * 3 * 4);
+    records_ = take("records", room * 3 * 4);
+    report_ = take("report", (2 + REPORTED_ITEMS) * 4);
+    own_rows_ = std::clamp<std::uint32_t>(ray_capacity(batch.device) / tables.width, 1, 4096) + 15;
+    own_rows_ -= own_rows_ % 16;
+    own_bits_ = take("own_bits", std::size_t{own_rows_} * tables.width / 8);
+    away_ = take("away", std::size_t{own_rows_} * 4);
+    chosen_ = take("chosen", (std::size_t{own_rows_} + 16) * 4);
+    members_.setArg(0, batch.parameters);
+    members_.setArg(1, points_);
+    members_.setArg(3, tables.grid);
+    members_.setArg(4, tables.cells);
+    members_.setArg(5, tables.seeds);
+    members_.setArg(6, kLeastCosine);
+    members_.setArg(7, rows_);
+    members_.setArg(8, weights_);
+    members_.setArg(9, lonely_);
+    gather_.setArg(0, batch.parameters);
+    const unsigned at = gather_first_ = batch.scene.set_arguments(gather_, 1);
+    gather_.setArg(at, points_);
+    gather_.setArg(at + 1, chosen_);
+    gather_.setArg(at + 4, tables.lights);
+    gather_.setArg(at + 5, tables.width);
+    gather_.setArg(at + 6, p_.samples);
+    gather_.setArg(at + 8, tables.row_words);
+    gather_.setArg(at + 9, rows_);
+    gather_.setArg(at + 10, weights_);
+    gather_.setArg(at + 11, capacity_);
+    gather_.setArg(at + 12, radiance_);
+    resolve_.setArg(0, batch.parameters);
+    resolve_.setArg(2, radiance_);
+    resolve_.setArg(3, records_);
+    resolve_.setArg(4, report_);
+  }
+
+  void run(BatchResult& result) {
+    std::uint64_t begin = 0, part = 0;
+    const std::uint32_t most = capacity_ / p_.samples;
+    std::vector<std::uint32_t> lonely(capacity_ + RAY_BLOCK);
+    while (batch_.claim(most, begin, part)) {
+      // Whole rows of sixteen pixels: those beyond the part are the next one's, and dropped.
+      const std::uint32_t blocks = (static_cast<std::uint32_t>(part) + 15) / 16;
+      const std::uint32_t paths = blocks * 16 * p_.samples;
+      find_points(begin, paths);
+      counters.camera -= paths - part * p_.samples;
+      if (p_.point_clusters) {
+        members_.setArg(2, paths);
+        launch(members_, paths);
+        gather_.setArg(gather_first_ + 2, cl_uint{0});
+        gather_.setArg(gather_first_ + 3, paths);
+        gather_.setArg(gather_first_ + 7, tables_.bits);
+        launch(gather_, paths);
+        queue_.enqueueReadBuffer(lonely_, CL_TRUE, 0, std::size_t{paths} * 4, lonely.data());
+      } else {
+        std::fill(lonely.begin(), lonely.begin() + paths, 1u);
+      }
+      ask_alone(lonely, paths);
+      std::uint32_t reported[2 + REPORTED_ITEMS] = {};
+      queue_.enqueueWriteBuffer(report_, CL_TRUE, 0, sizeof reported, reported);
+      resolve_.setArg(1, static_cast<cl_uint>(part));
+      launch(resolve_, static_cast<std::uint32_t>(part), capacity_, 1);
+      queue_.enqueueReadBuffer(report_, CL_TRUE, 0, sizeof reported, reported);
+      queue_.enqueueReadBuffer(records_, CL_TRUE, 0, part * 12, result.records.data() + begin * 12);
+      counters.nonfinite += reported[0];
+      for (std::uint32_t k = 0; k < std::min(reported[1], REPORTED_ITEMS); ++k)
+        counters.nonfinite_items.push_back(batch_.first + begin + reported[2 + k]);
+    }
+  }
+
+ private:
+  // Points that no cluster speaks for, sixteen of one slice at a time.
+  void ask_alone(const std::vector<std::uint32_t>& lonely, std::uint32_t paths) {
+    std::vector<std::uint32_t> list;
+    for (std::uint32_t slice = 0; slice < p_.samples; ++slice) {
+      for (std::uint32_t block = slice; block < paths / 16; block += p_.samples)
+        for (std::uint32_t i = 16 * block; i < 16 * block + 16; ++i)
+          if (lonely[i]) list.push_back(i);
+      list.resize((list.size() + 15) / 16 * 16, GLEANER_NONE);
+    }
+    for (std::size_t at = 0; at < list.size(); at += own_rows_) {
+      const auto rows = static_cast<std::uint32_t>(std::min<std::size_t>(own_rows_, list.size() - at));
+      queue_.enqueueWriteBuffer(chosen_, CL_TRUE, 0, std::size_t{rows} * 4, &list[at]);
+      asker_.ask(points_, chosen_, true, 0, rows, own_bits_, away_, counters);
+      gather_.setArg(gather_first_ + 2, cl_uint{1});
+      gather_.setArg(gather_first_ + 3, rows);
+      gather_.setArg(gather_first_ + 7, own_bits_);
+      launch(gather_, rows);
+    }
+  }
+
+  VplPointParameters p_;
+  const ShadeTables& tables_;
+  Asker asker_;
+  cl::Kernel members_, gather_, resolve_;
+  cl::Buffer rows_, weights_, lonely_, radiance_, records_, report_, own_bits_, away_, chosen_;
+  std::uint32_t own_rows_ = 0;
+  unsigned gather_first_ = 0;
+};
+
+}  // namespace
+
+BatchResult run_vpl_trace_stage(const Device& device, Workspace& workspace, DeviceScene& scene, const StageTask& task,
+                                std::uint64_t first, std::uint64_t count) {
+  const auto p = read_parameters<VplTraceParameters>(task);
+  check_range(task, (std::uint64_t{p.items_high} << 32) | p.items_low, first, count);
+  const double start = seconds_now();
+  BatchResult result;
+  result.records.resize(count * VPL_PATH_SLOTS * VPL_WORDS * 4);
+  if (!scene.shines()) return result;
+  Batch batch(device, workspace, scene, task, first, count, 1);
+  run<TraceLane>(batch, result, start);
+  return result;
+}
+
+BatchResult run_vpl_points_stage(const Device& device, Workspace& workspace, DeviceScene& scene, const StageTask& task,
+                                 std::uint64_t first, std::uint64_t count) {
+  const auto p = read_point_parameters(task);
+  check_range(task, p.items_low, first, count);
+  if (p.stride == 0 || (std::uint64_t{p.items_low} - 1) * p.stride >= std::uint64_t{p.width} * p.height)
+    throw Error::bad_input("stage vpl_points", "stride", "pixels within the picture", std::to_string(p.stride));
+  const double start = seconds_now();
+  BatchResult result;
+  result.records.resize(count * POINT_WORDS * 4);
+  Batch batch(device, workspace, scene, task, first, count, 1);
+  run<PointLane>(batch, result, start, true);
+  return result;
+}
+
+BatchResult run_vpl_visibility_stage(const Device& device, Workspace& workspace, DeviceScene& scene,
+                                     const StageTask& task, std::uint64_t first, std::uint64_t count) {
+  const auto p = read_parameters<VisibilityParameters>(task);
+  if (p.clusters == 0 || p.clusters % 32 != 0 || p.clusters > (1u << 24))
+    throw Error::bad_input("stage vpl_visibility", "clusters", "a multiple of 32 up to 2^24",
+                           std::to_string(p.clusters));
+  check_range(task, p.point_clusters, first, count);
+  const scene::Bytes& lights = read_table(task, "lights", p.clusters, VPL_WORDS);
+  const scene::Bytes& points = read_table(task, "points", p.point_clusters, POINT_WORDS);
+  check_triangles(task, "lights", lights, VPL_WORDS, VPL_TRIANGLE, scene.triangles());
+  check_triangles(task, "points", points, POINT_WORDS, POINT_TRIANGLE, scene.triangles());
+  const double start = seconds_now();
+  BatchResult result;
+  result.records.resize(count * (p.clusters / 32 + 1) * 4);
+  Batch batch(device, workspace, scene, task, first, count, 1);
+  cl::CommandQueue queue = device.make_queue();
+  const cl::Buffer light_buffer = batch.put(queue, "vpl.all_lights", lights.data(), lights.size());
+  const cl::Buffer point_buffer = batch.put(queue, "vpl.all_points", points.data(), points.size());
+  run<VisibilityLane>(batch, result, start, point_buffer, light_buffer, p);
+  return result;
+}
+
+BatchResult run_vpl_shade_stage(const Device& device, Workspace& workspace, DeviceScene& scene, const StageTask& task,
+                                std::uint64_t first, std::uint64_t count) {
+  const auto p = read_point_parameters(task);
+  check_range(task, p.items_low, first, count);
+  if (first % 16 != 0)
+    throw Error::bad_input("stage vpl_shade", "items", "a range that begins at a multiple of 16",
+                           std::to_string(first));
+  if (p.clusters == 0 || p.clusters % (32 * p.samples) != 0 || p.clusters > (1u << 24))
+    throw Error::bad_input("stage vpl_shade", "clusters", "a multiple of 32 times the samples",
+                           std::to_string(p.clusters));
+  if (p.fuzziness == 0 || p.fuzziness > MOST_FUZZINESS)
+    throw Error::bad_input("stage vpl_shade", "fuzziness", "1 to " + std::to_string(MOST_FUZZINESS),
+                           std::to_string(p.fuzziness));
+  const double start = seconds_now();
+  const scene::Bytes& lights = read_table(task, "lights", p.clusters, VPL_WORDS);
+  check_triangles(task, "lights", lights, VPL_WORDS, VPL_TRIANGLE, scene.triangles());
+  BatchResult result;
+  result.records.resize(count * 12);
+  Batch batch(device, workspace, scene, task, first, count, p.point_clusters ? p.fuzziness : 1);
+  cl::CommandQueue queue = device.make_queue();
+  ShadeTables tables;
+  tables.width = p.clusters / p.samples;
+  tables.lights = batch.put(queue, "vpl.all_lights", lights.data(), lights.size());
+  std::vector<float> points;
+  ClusterGrid grid;
+  if (p.point_clusters) {
+    const scene::Bytes& table = read_table(task, "points", p.point_clusters, POINT_WORDS);
+    tables.row_words = p.clusters / 32 + 1;
+    const scene::Bytes& bits = read_table(task, "visibility", p.point_clusters, tables.row_words);
+    points.resize(table.size() / 4);
+    std::memcpy(points.data(), table.data(), table.size());
+    std::vector<bool> used(p.point_clusters);
+    for (std::uint32_t k = 0; k < p.point_clusters; ++k) {
+      std::uint32_t triangle = 0;
+      std::memcpy(&triangle, &points[k * POINT_WORDS + POINT_TRIANGLE], 4);
+      used[k] = triangle != GLEANER_NONE;
+      for (std::size_t c = 0; used[k] && c < 6; ++c)
+        if (!std::isfinite(points[k * POINT_WORDS + c]))
+          throw Error::bad_input("stage vpl_shade", "input points[" + std::to_string(k) + "]", "finite numbers",
+                                 "others");
+    }
+    grid = make_cluster_grid(points, POINT_WORDS, used, p.cell);
+    tables.bits = batch.put(queue, "vpl.all_bits", bits.data(), bits.size());
+  } else {
+    grid = make_cluster_grid(points, POINT_WORDS, {});
+    tables.bits = batch.put(queue, "vpl.all_bits", nullptr, 0);
+  }
+  tables.grid = batch.put(queue, "vpl.grid", grid.header.data(), grid.header.size() * 4);
+  tables.cells = batch.put(queue, "vpl.cells", grid.cells.data(), grid.cells.size() * 4);
+  tables.seeds = batch.put(queue, "vpl.seeds", grid.seeds.data(), grid.seeds.size() * 4);
+  run<ShadeLane>(batch, result, start, p, tables);
+  return result;
+}
+
+}  // namespace gleaner::worker
