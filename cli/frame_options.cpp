@@ -59,7 +59,11 @@ void parse_frames(const std::string& text, std::uint32_t& first, std::uint32_t& 
   last = *b;
 }
 
-scene::NamedCamera parse_look_at(const std::string& text) {
+struct LookAt {
+  float values[7];  // eye, target, vertical field of view in degrees
+};
+
+LookAt parse_look_at(const std::string& text) {
   auto parts = split(text, ',');
   std::vector<float> values;
   for (std::string_view part : parts)
@@ -68,17 +72,41 @@ scene::NamedCamera parse_look_at(const std::string& text) {
     throw malformed("--look-at", "EX,EY,EZ,TX,TY,TZ[,FOV]: metres, and the vertical field of view in degrees", text);
   float fov = values.size() == 7 ? values[6] : static_cast<float>(default_fov_degrees);
   if (!(fov > 0 && fov < 180)) throw malformed("--look-at", "a field of view between 0 and 180 degrees", text);
-  return scene::look_at({values[0], values[1], values[2]}, {values[3], values[4], values[5]},
-                        fov * std::numbers::pi_v<float> / 180);
+  return {{values[0], values[1], values[2], values[3], values[4], values[5], fov}};
+}
+
+scene::NamedCamera camera_of(const LookAt& at) {
+  const float* v = at.values;
+  auto camera = scene::look_at({v[0], v[1], v[2]}, {v[3], v[4], v[5]}, v[6] * std::numbers::pi_v<float> / 180);
+  camera.name = "look-at";
+  return camera;
+}
+
+// Where the camera stands at `part`, 0 to 1, of its way: the words' places follow each other in equal times, straight.
+LookAt along(const std::vector<LookAt>& way, double part) {
+  const double at = part * static_cast<double>(way.size() - 1);
+  const std::size_t from = std::min(static_cast<std::size_t>(at), way.size() - 1);
+  const std::size_t to = std::min(from + 1, way.size() - 1);
+  const auto share = static_cast<float>(at - static_cast<double>(from));
+  LookAt result{};
+  for (int k = 0; k < 7; ++k)
+    result.values[k] = way[from].values[k] + share * (way[to].values[k] - way[from].values[k]);
+  return result;
+}
+
+std::vector<LookAt> parse_way(const FrameOptions& options) {
+  std::vector<LookAt> way;
+  for (const std::string& text : options.look_at) way.push_back(parse_look_at(text));
+  if (way.size() > 1 && options.frames.empty())
+    throw Error::usage("--look-at: several of them are a camera's way, and need --frames A-B");
+  return way;
 }
 
 scene::NamedCamera choose_camera(const FrameOptions& options, const scene::Scene& scene,
                                  std::vector<std::string>& words) {
   if (!options.look_at.empty()) {
     if (!options.camera.empty()) throw Error::usage("--camera and --look-at exclude each other");
-    auto camera = parse_look_at(options.look_at);
-    camera.name = "look-at";
-    return camera;
+    return camera_of(parse_look_at(options.look_at.front()));
   }
   if (!options.camera.empty()) {
     std::string known;
@@ -120,7 +148,7 @@ void settle_size(const FrameOptions& options, const scene::NamedCamera& camera, 
 
 void add_frame_options(CLI::App& command, FrameOptions& options) {
   command.add_option("SCENE", options.scene, "scene: .gltf, .glb or .obj")->required();
-  command.add_option("--method", options.method, "path (others come)")->capture_default_str();
+  command.add_option("--method", options.method, "path or vpl (others come)")->capture_default_str();
   command.add_option("--size", options.size, "film in pixels, e.g. 1280x720 (default: the camera's)");
   command.add_option("--spp", options.spp, "mean number of samples a pixel")
       ->capture_default_str()
@@ -138,8 +166,12 @@ void add_frame_options(CLI::App& command, FrameOptions& options) {
   command.add_option("--set", options.set, "KEY=VALUE: a method's parameter")->take_all()->allow_extra_args(false);
   command.add_option("--environment", options.environment,
                      "lat-long .exr or .hdr that lights the scene from all around");
-  command.add_option("--look-at", options.look_at,
-                     "EX,EY,EZ,TX,TY,TZ[,FOV]: eye and target in metres, vertical field of view in degrees");
+  command
+      .add_option("--look-at", options.look_at,
+                  "EX,EY,EZ,TX,TY,TZ[,FOV]: eye and target in metres, vertical field of view in degrees; given "
+                  "several times, the camera moves past them over --frames")
+      ->take_all()
+      ->allow_extra_args(false);
   command.add_option("--exposure", options.exposure_stops, "of the PNG, in stops")
       ->capture_default_str()
       ->check(CLI::Range(-100.0, 100.0));
@@ -169,7 +201,7 @@ LoadedFrame load_frame(const FrameOptions& options) {
   if (!options.size.empty()) parse_size(options.size, settings.width, settings.height);
   frame.numbered = !options.frames.empty();
   if (frame.numbered) parse_frames(options.frames, frame.first_frame, frame.last_frame);
-  if (!options.look_at.empty()) parse_look_at(options.look_at);
+  const std::vector<LookAt> way = parse_way(options);
 
   std::vector<std::string> words;
   frame.scene = scene::import_scene(options.scene);
@@ -179,6 +211,13 @@ LoadedFrame load_frame(const FrameOptions& options) {
   scene::NamedCamera camera = choose_camera(options, frame.scene, words);
   frame.camera_name = camera.name;
   settle_size(options, camera, settings);
+  if (way.size() > 1)
+    for (std::uint32_t f = frame.first_frame; f <= frame.last_frame; ++f) {
+      const double frames = std::max(1.0, static_cast<double>(frame.last_frame - frame.first_frame));
+      scene::Camera moved = camera_of(along(way, (f - frame.first_frame) / frames)).camera;
+      moved.half_width = moved.half_height * static_cast<float>(settings.width) / static_cast<float>(settings.height);
+      frame.cameras.push_back(moved);
+    }
   scene::SceneNeeds needs = scene::needs_of(frame.scene);
   if (!needs.punctual_lights && !needs.emissive_triangles && !needs.environment && !needs.unlit)
     words.push_back(options.scene + ": no light; the picture will be black (--environment FILE lights a scene)");

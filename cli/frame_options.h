@@ -23,10 +23,10 @@ struct FrameOptions {
   std::string frames;  // A-B; empty: one
   std::uint64_t seed = 0;
   double target_error = 0;
-  double time_limit = 0;         // seconds
-  std::vector<std::string> set;  // KEY=VALUE
-  std::string environment;       // path
-  std::string look_at;           // EX,EY,EZ,TX,TY,TZ[,FOV]
+  double time_limit = 0;             // seconds
+  std::vector<std::string> set;      // KEY=VALUE
+  std::string environment;           // path
+  std::vector<std::string> look_at;  // EX,EY,EZ,TX,TY,TZ[,FOV]; several: a camera's way over the frames
   double exposure_stops = 0;
   bool quiet = false;
 };
@@ -40,6 +40,7 @@ struct LoadedFrame {
   coordinator::FrameSettings settings;
   bool numbered = false;  // --frames was given
   std::uint32_t first_frame = 1, last_frame = 1;
+  std::vector<scene::Camera> cameras;  // one a frame where the camera moves; else none
 };
 
 // Reads the scene and settles camera and size; words for people (on what was assumed) go to standard error unless

@@ -79,6 +79,7 @@ int render(const RenderOptions& options) {
   request.scene = coordinator::summarize(frame.scene);
   request.first_frame = frame.first_frame;
   request.last_frame = frame.last_frame;
+  request.cameras = frame.cameras;
   request.exposure_stops = options.frame.exposure_stops;
   request.time_limit = options.frame.time_limit;
   // What no plan takes is refused before devices are opened.

@@ -38,6 +38,7 @@ int submit(const SubmitOptions& options) {
   request.mutable_settings()->set_time_limit_seconds(options.frame.time_limit);
   request.set_first_frame(frame.first_frame);
   request.set_last_frame(frame.last_frame);
+  for (const scene::Camera& camera : frame.cameras) *request.add_frame_cameras() = gateway::to_proto(camera);
   request.set_exposure_stops(options.frame.exposure_stops);
   client.upload_missing({{request.scene_blob(), &scene_blob}, {request.bvh_blob(), &bvh_blob}});
   std::cout << client.submit(request) << std::endl;

@@ -68,6 +68,37 @@ JobState from_proto(pb::JobState state) {
 
 }  // namespace
 
+pb::Camera to_proto(const scene::Camera& camera) {
+  pb::Camera out;
+  out.set_type(camera.type == GLEANER_CAMERA_ORTHOGRAPHIC ? pb::CAMERA_TYPE_ORTHOGRAPHIC : pb::CAMERA_TYPE_PERSPECTIVE);
+  set(out.mutable_origin(), camera.origin);
+  set(out.mutable_right(), camera.right);
+  set(out.mutable_up(), camera.up);
+  set(out.mutable_forward(), camera.forward);
+  out.set_half_width(camera.half_width);
+  out.set_half_height(camera.half_height);
+  return out;
+}
+
+scene::Camera from_proto(const pb::Camera& camera) {
+  scene::Camera out{};
+  require(camera.type() == pb::CAMERA_TYPE_PERSPECTIVE || camera.type() == pb::CAMERA_TYPE_ORTHOGRAPHIC, "camera.type",
+          "perspective or orthographic");
+  out.type = camera.type() == pb::CAMERA_TYPE_ORTHOGRAPHIC ? GLEANER_CAMERA_ORTHOGRAPHIC : GLEANER_CAMERA_PERSPECTIVE;
+  get(camera.origin(), out.origin);
+  get(camera.right(), out.right);
+  get(camera.up(), out.up);
+  get(camera.forward(), out.forward);
+  out.half_width = camera.half_width();
+  out.half_height = camera.half_height();
+  require(finite(out.origin), "camera.origin", "finite coordinates");
+  require(unit(out.right) && unit(out.up) && unit(out.forward), "camera", "unit axes");
+  require(std::isfinite(camera.half_width()) && camera.half_width() > 0 && std::isfinite(camera.half_height()) &&
+              camera.half_height() > 0,
+          "camera.half_width, camera.half_height", "finite and positive");
+  return out;
+}
+
 pb::FrameSettings to_proto(const FrameSettings& settings) {
   pb::FrameSettings out;
   out.set_method(settings.method);
@@ -78,15 +109,7 @@ pb::FrameSettings to_proto(const FrameSettings& settings) {
   out.set_seed(settings.seed);
   out.set_target_error(settings.target_error);
   for (const auto& [key, value] : settings.set) (*out.mutable_set())[key] = value;
-  const scene::Camera& camera = settings.camera;
-  pb::Camera* to = out.mutable_camera();
-  to->set_type(camera.type == GLEANER_CAMERA_ORTHOGRAPHIC ? pb::CAMERA_TYPE_ORTHOGRAPHIC : pb::CAMERA_TYPE_PERSPECTIVE);
-  set(to->mutable_origin(), camera.origin);
-  set(to->mutable_right(), camera.right);
-  set(to->mutable_up(), camera.up);
-  set(to->mutable_forward(), camera.forward);
-  to->set_half_width(camera.half_width);
-  to->set_half_height(camera.half_height);
+  *out.mutable_camera() = to_proto(settings.camera);
   return out;
 }
 
@@ -110,22 +133,7 @@ FrameSettings from_proto(const pb::FrameSettings& in) {
             "keys of at most 256 bytes, values of at most 4096");
     out.set[key] = value;
   }
-  const pb::Camera& camera = in.camera();
-  require(camera.type() == pb::CAMERA_TYPE_PERSPECTIVE || camera.type() == pb::CAMERA_TYPE_ORTHOGRAPHIC,
-          "settings.camera.type", "perspective or orthographic");
-  out.camera.type =
-      camera.type() == pb::CAMERA_TYPE_ORTHOGRAPHIC ? GLEANER_CAMERA_ORTHOGRAPHIC : GLEANER_CAMERA_PERSPECTIVE;
-  get(camera.origin(), out.camera.origin);
-  get(camera.right(), out.camera.right);
-  get(camera.up(), out.camera.up);
-  get(camera.forward(), out.camera.forward);
-  out.camera.half_width = camera.half_width();
-  out.camera.half_height = camera.half_height();
-  require(finite(out.camera.origin), "settings.camera.origin", "finite coordinates");
-  require(unit(out.camera.right) && unit(out.camera.up) && unit(out.camera.forward), "settings.camera", "unit axes");
-  require(std::isfinite(camera.half_width()) && camera.half_width() > 0 && std::isfinite(camera.half_height()) &&
-              camera.half_height() > 0,
-          "settings.camera.half_width, settings.camera.half_height", "finite and positive");
+  out.camera = from_proto(in.camera());
   return out;
 }
 

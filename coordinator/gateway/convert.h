@@ -16,6 +16,8 @@ namespace pb = gleaner::v1;
 inline constexpr std::uint32_t protocol_version = 1;
 inline constexpr std::size_t piece_bytes = std::size_t{1} << 20;  // largest piece of a blob, a file or a result
 
+gleaner::v1::Camera to_proto(const scene::Camera& camera);
+scene::Camera from_proto(const gleaner::v1::Camera& camera);  // throws as below
 pb::FrameSettings to_proto(const coordinator::FrameSettings& settings);
 // Throws Error::bad_input naming the field.
 coordinator::FrameSettings from_proto(const pb::FrameSettings& settings);

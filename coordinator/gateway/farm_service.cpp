@@ -122,6 +122,7 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
       job.first_frame = request->first_frame();
       job.last_frame = request->last_frame();
     }
+    for (const pb::Camera& camera : request->frame_cameras()) job.cameras.push_back(from_proto(camera));
     job.scene = summary_of(job.scene_blob, job.scene_name);
     reply->set_job(farm_.submit(job));
     return Status::OK;
