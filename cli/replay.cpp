@@ -8,6 +8,7 @@
 
 #include "cli/commands.h"
 #include "cli/frame_options.h"
+#include "cli/local_frame.h"
 #include "coordinator/plan/plan.h"
 #include "scene/bvh/build.h"
 #include "scene/model/error.h"
@@ -23,20 +24,6 @@ struct ReplayWords {
   int device = -1;
 };
 
-worker::StageTask task_of(const coordinator::StageSpec& stage, const coordinator::Step& step) {
-  worker::StageTask task;
-  task.kind = stage.kind;
-  task.parameters = stage.parameters;
-  task.scene = "scene";
-  for (const coordinator::StageInput& input : stage.inputs) {
-    const auto artifact = step.artifacts.find(input.artifact);
-    if (artifact == step.artifacts.end())
-      throw Error::failed("stage " + stage.name + " reads " + input.name + ", which its plan did not provide");
-    task.inputs[input.name] = artifact->second;
-  }
-  return task;
-}
-
 int replay(const ReplayWords& words) {
   LoadedFrame frame = load_frame(words.frame);
   worker::Executor executor({.device = words.device, .threads = 0, .trace = worker::parse_trace_kind(words.trace)});
@@ -48,38 +35,29 @@ int replay(const ReplayWords& words) {
 
   // Stages before it are run whole: what they leave decides what the item is.
   std::string seen;
-  coordinator::Step step = plan->next(nullptr);
-  while (!step.done) {
-    if (step.stages.size() != 1)
-      throw Error::failed("replay follows plans of one stage at a time; this one asks for " +
-                          std::to_string(step.stages.size()));
-    const coordinator::StageSpec stage = step.stages.front();
-    const worker::StageTask task = task_of(stage, step);
-    if (stage.name == words.stage) {
-      if (words.item >= stage.items)
-        throw Error::usage("--item: stage " + stage.name + " has " + std::to_string(stage.items) + " items, found " +
-                           std::to_string(words.item));
-      const std::uint64_t first = words.item / stage.tile * stage.tile;
-      const std::uint64_t count = std::min<std::uint64_t>(stage.tile, stage.items - first);
-      const worker::BatchResult result = executor.run(task, first, count);
-      fmt::print("scene {}, stage {}, item {}, seed {}, device {}, tracer {}\n", frame.scene_name, stage.name,
-                 words.item, frame.settings.seed, executor.info().name, executor.info().tracer);
-      const std::byte* record = result.records.data() + (words.item - first) * stage.record_bytes;
-      for (std::uint32_t at = 0; at + 4 <= stage.record_bytes; at += 4) {
-        float value;
-        std::uint32_t bits;
-        std::memcpy(&value, record + at, 4);
-        std::memcpy(&bits, record + at, 4);
-        fmt::print("  word {:2}  {:#010x}  {:.9g}\n", at / 4, bits, value);
-      }
-      fmt::print("  samples that were not finite in its tile: {}\n", result.counters.nonfinite);
-      return 0;
-    }
+  const bool whole = run_frame(*plan, executor, "scene", [&](const auto& stage, const worker::StageTask& task) {
     seen += (seen.empty() ? "" : ", ") + stage.name;
-    coordinator::FinishedStage finished{stage.name, nullptr};
-    finished.records = std::make_shared<const scene::Bytes>(executor.run(task, 0, stage.items).records);
-    step = plan->next(&finished);
-  }
+    if (stage.name != words.stage) return true;
+    if (words.item >= stage.items)
+      throw Error::usage("--item: stage " + stage.name + " has " + std::to_string(stage.items) + " items, found " +
+                         std::to_string(words.item));
+    const std::uint64_t first = stage.solo ? 0 : words.item / stage.tile * stage.tile;
+    const std::uint64_t count = stage.solo ? stage.items : std::min<std::uint64_t>(stage.tile, stage.items - first);
+    const worker::BatchResult result = executor.run(task, first, count);
+    fmt::print("scene {}, stage {}, item {}, seed {}, device {}, tracer {}\n", frame.scene_name, stage.name, words.item,
+               frame.settings.seed, executor.info().name, executor.info().tracer);
+    const std::byte* record = result.records.data() + (words.item - first) * stage.record_bytes;
+    for (std::uint32_t at = 0; at + 4 <= stage.record_bytes; at += 4) {
+      float value;
+      std::uint32_t bits;
+      std::memcpy(&value, record + at, 4);
+      std::memcpy(&bits, record + at, 4);
+      fmt::print("  word {:2}  {:#010x}  {:.9g}\n", at / 4, bits, value);
+    }
+    fmt::print("  samples that were not finite in its tile: {}\n", result.counters.nonfinite);
+    return false;
+  });
+  if (!whole) return 0;
   throw Error::usage("--stage: no stage \"" + words.stage + "\"; the frame's stages are " + seen);
 }
 

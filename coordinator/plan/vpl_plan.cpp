@@ -194,6 +194,7 @@ void VplPlan::absorb_lights(std::uint32_t set, const Bytes& records, Step& step)
     }
   }
   s.kept = static_cast<std::uint32_t>(rows.size() / VPL_WORDS);
+  if (set == 0) density_ = light_density(rows);
   if (vpl_.clusters == 0 || vpl_.clusters >= s.kept) {
     settle_lights(set, std::move(rows), step);
     return;
@@ -257,6 +258,7 @@ void VplPlan::settle_lights(std::uint32_t set, std::vector<float> rows, Step& st
       static_cast<std::uint32_t>(std::max<std::size_t>(1, ((count + slices - 1) / slices + 31) / 32) * 32);
   s.rows = width * slices;
   std::vector<float> table(std::size_t{s.rows} * VPL_WORDS, 0.0f);
+  for (std::uint32_t i = 0; i < s.rows; ++i) std::memset(&table[std::size_t{i} * VPL_WORDS + VPL_TRIANGLE], 0xff, 4);
   for (std::size_t i = 0; i < count; ++i)
     std::copy_n(rows.begin() + static_cast<std::ptrdiff_t>(order[i].second * VPL_WORDS), VPL_WORDS,
                 table.begin() + static_cast<std::ptrdiff_t>(((i % slices) * width + i / slices) * VPL_WORDS));
@@ -267,10 +269,17 @@ void VplPlan::settle_lights(std::uint32_t set, std::vector<float> rows, Step& st
   if (set == 0) {
     // Where the bound is that many times the lights' density, a light's own spot is that many times as bright as the
     // light of all its neighbours together: free of the scene's scale.
-    const double density = light_density(rows);
+    const double density = s.kept ? density_ * static_cast<double>(count) / s.kept : 0;
     clamp_ = vpl_.clamp > 0 && density > 0 ? static_cast<float>(vpl_.clamp * density)
                                            : std::numeric_limits<float>::infinity();
     begin_paths(step);
+  }
+  if (count == 0) {
+    // Nothing to be lit by: the paths alone make the picture.
+    s.shading = s.shaded = true;
+    ++shaded_sets_;
+    skips_.push_back({"visibility and shading of set " + std::to_string(set), "no light reached a diffuse surface", 1});
+    return;
   }
   if (points_ready_) ask_visibility(set, step);
 }

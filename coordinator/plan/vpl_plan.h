@@ -65,7 +65,8 @@ class VplPlan final : public Plan {
   VplSettings vpl_;
   std::unique_ptr<PathPlan> paths_;  // from when the clamp is known
   bool paths_done_ = false;
-  float clamp_ = 0;  // of the geometry term, 1/m^2
+  double density_ = 0;  // VPLs of set 0 a square metre, where there are any
+  float clamp_ = 0;     // of the geometry term, 1/m^2
   std::vector<Set> sets_;
   Table points_;  // rows of POINT_WORDS: the point clusters
   std::uint32_t point_rows_ = 0;

@@ -27,7 +27,7 @@ VplSettings make_vpl_settings(const FrameSettings& settings) {
     throw Error::usage("--set vpl.samples: expected a power of two up to 64, found " + std::to_string(vpl.samples));
   vpl.equal_weights = whole_setting(settings, "vpl.equal_weights", 0, 0, 1) != 0;
   vpl.compensate = whole_setting(settings, "vpl.compensate", 1, 0, 1) != 0;
-  vpl.clamp = real_setting(settings, "vpl.clamp", 2, 0, 1e6);
+  vpl.clamp = real_setting(settings, "vpl.clamp", 1, 0, 1e6);
   return vpl;
 }
 

@@ -45,7 +45,7 @@ class Farm : public testing::Test {
   }
 
   static std::vector<std::string> frame(unsigned spp) {
-    return {scene().string(), "--size", "80x60", "--spp", std::to_string(spp), "--seed", "7"};
+    return {scene().string(), "--size", "80x60", "--spp", std::to_string(spp), "--seed", "7", "--method", method_};
   }
 
   // What the embedded farm makes of the frame.
@@ -69,10 +69,21 @@ class Farm : public testing::Test {
 
   TemporaryFolder own_;
   static TemporaryFolder* shared_;
+  static std::string method_;
 };
 TemporaryFolder* Farm::shared_ = nullptr;
+std::string Farm::method_ = "path";
 
-TEST_F(Farm, SameBitsForAnyWorkersAndAnyBatches) {
+// What must hold whichever method makes the picture.
+class AnyMethod : public Farm, public testing::WithParamInterface<const char*> {
+ protected:
+  void SetUp() override { method_ = GetParam(); }
+  void TearDown() override { method_ = "path"; }
+};
+INSTANTIATE_TEST_SUITE_P(Farm, AnyMethod, testing::Values("path", "vpl"),
+                         [](const auto& test) { return std::string(test.param); });
+
+TEST_P(AnyMethod, SameBitsForAnyWorkersAndAnyBatches) {
   const unsigned spp = 16;
   const std::string expected = embedded_sha256(spp);
   EXPECT_EQ(embedded_sha256(spp, 3, 333), expected) << "three workers in one process";
@@ -104,7 +115,7 @@ void mid_frame(ProcessFarm& farm, const std::function<std::vector<std::string>(u
   FAIL() << "INCONCLUSIVE: every frame ended before anything could happen to it";
 }
 
-TEST_F(Farm, AKilledWorkerCostsNoPixel) {
+TEST_P(AnyMethod, AKilledWorkerCostsNoPixel) {
   ProcessFarm farm(folder("farm"), programs, {"--batch-items", "256"});
   farm.add_worker("survivor");
   Process* victim = &farm.add_worker("victim");
@@ -122,6 +133,39 @@ TEST_F(Farm, AKilledWorkerCostsNoPixel) {
     EXPECT_TRUE(farm.wait_for_workers(2));
     return false;
   });
+}
+
+// A second picture of a camera's way begins with the first one's lights, and says so.
+TEST_F(Farm, LightsServeEveryCamera) {
+  ProcessFarm farm(folder("farm"), programs, {});
+  farm.add_worker("one");
+  ASSERT_TRUE(farm.wait_for_workers(1));
+  const auto words = [](const char* eye) {
+    return std::vector<std::string>{scene().string(), "--size", "48x48", "--spp",         "4",      "--method", "vpl",
+                                    "--look-at",      eye,      "--set", "vpl.count=500", "--quiet"};
+  };
+  const char* const there = "0.1,1,3.5,0,1,0,40";
+  const json first = farm.finish(farm.submit(words("0,1,3.5,0,1,0,40")));
+  const json second = farm.finish(farm.submit(words(there)));
+  const auto stages = [](const json& report) {
+    std::vector<std::string> names;
+    for (const auto& stage : report["stages"]) names.push_back(stage["name"]);
+    return names;
+  };
+  EXPECT_THAT(stages(first), testing::Contains("vpl.trace.0"));
+  EXPECT_THAT(stages(first), testing::Contains("vpl.cluster.0"));
+  EXPECT_THAT(stages(second), Not(testing::Contains("vpl.trace.0")));
+  EXPECT_THAT(stages(second), Not(testing::Contains("vpl.cluster.0")));
+  EXPECT_THAT(stages(second), testing::Contains("vpl.shade.0"));
+  EXPECT_THAT(second["skips"].dump(), HasSubstr("stage vpl.trace.0"));
+  // The same picture as of a farm that has never seen the scene.
+  std::vector<std::string> alone = words(there);
+  alone.insert(alone.begin(), "render");
+  const std::string stem = (shared_->path() / "alone").string();
+  for (const std::string& word : {std::string("-o"), stem + ".exr", std::string("--report"), stem + ".json"})
+    alone.push_back(word);
+  ASSERT_EQ(run(alone).status, 0);
+  EXPECT_EQ(second["pixels_sha256"], json::parse(read_text(stem + ".json"))["pixels_sha256"]);
 }
 
 TEST_F(Farm, AWorkerMayJoinMidFrame) {

@@ -1,6 +1,7 @@
 #include "worker/stages/vpl_stages.h"
 
 #include <algorithm>
+#include <any>
 #include <atomic>
 #include <bit>
 #include <chrono>
@@ -121,8 +122,9 @@ struct Batch {
     return buffer;
   }
 
-  // The next part of the batch, of at most `most` items.
+  // The next part of the batch, of at most `most` items: fewer where lanes share a small batch, but whole blocks of 16.
   bool claim(std::uint64_t most, std::uint64_t& begin, std::uint64_t& part) {
+    if (lanes > 1) most = std::min(most, std::max<std::uint64_t>(16, (count / (3 * lanes) + 15) / 16 * 16));
     begin = next.fetch_add(most);
     if (begin >= count || failed.load(std::memory_order_relaxed)) return false;
     part = std::min(most, count - begin);
@@ -447,7 +449,58 @@ struct ShadeTables {
   cl::Buffer lights, grid, cells, seeds, bits;
   std::uint32_t width = 0;      // lights of a slice
   std::uint32_t row_words = 0;  // of a point cluster's bits
+  // What they were made of. Held, so that another input cannot come to lie at the same place.
+  std::string scene{};
+  std::map<std::string, std::shared_ptr<const scene::Bytes>> inputs{};
+  std::vector<std::byte> parameters{};
 };
+
+// Made once for a stage: its batches read the same tables.
+const ShadeTables& shade_tables(Batch& batch, const VplPointParameters& p) {
+  const StageTask& task = batch.task;
+  std::any& kept = batch.workspace.keep("vpl.shade");
+  if (const auto* held = std::any_cast<ShadeTables>(&kept))
+    if (held->scene == task.scene && held->inputs == task.inputs && held->parameters == task.parameters) return *held;
+  kept.reset();
+  const scene::Bytes& lights = read_table(task, "lights", p.clusters, VPL_WORDS);
+  check_triangles(task, "lights", lights, VPL_WORDS, VPL_TRIANGLE, batch.scene.triangles());
+  ShadeTables tables;
+  tables.scene = task.scene;
+  tables.inputs = task.inputs;
+  tables.parameters = task.parameters;
+  cl::CommandQueue queue = batch.device.make_queue();
+  tables.width = p.clusters / p.samples;
+  tables.lights = batch.put(queue, "vpl.shade.lights", lights.data(), lights.size());
+  std::vector<float> points;
+  ClusterGrid grid;
+  if (p.point_clusters) {
+    const scene::Bytes& table = read_table(task, "points", p.point_clusters, POINT_WORDS);
+    tables.row_words = p.clusters / 32 + 1;
+    const scene::Bytes& bits = read_table(task, "visibility", p.point_clusters, tables.row_words);
+    points.resize(table.size() / 4);
+    std::memcpy(points.data(), table.data(), table.size());
+    std::vector<bool> used(p.point_clusters);
+    for (std::uint32_t k = 0; k < p.point_clusters; ++k) {
+      std::uint32_t triangle = 0;
+      std::memcpy(&triangle, &points[k * POINT_WORDS + POINT_TRIANGLE], 4);
+      used[k] = triangle != GLEANER_NONE;
+      for (std::size_t c = 0; used[k] && c < 6; ++c)
+        if (!std::isfinite(points[k * POINT_WORDS + c]))
+          throw Error::bad_input("stage vpl_shade", "input points[" + std::to_string(k) + "]", "finite numbers",
+                                 "others");
+    }
+    grid = make_cluster_grid(points, POINT_WORDS, used, p.cell);
+    tables.bits = batch.put(queue, "vpl.shade.bits", bits.data(), bits.size());
+  } else {
+    grid = make_cluster_grid(points, POINT_WORDS, {});
+    tables.bits = batch.put(queue, "vpl.shade.bits", nullptr, 0);
+  }
+  tables.grid = batch.put(queue, "vpl.shade.grid", grid.header.data(), grid.header.size() * 4);
+  tables.cells = batch.put(queue, "vpl.shade.cells", grid.cells.data(), grid.cells.size() * 4);
+  tables.seeds = batch.put(queue, "vpl.shade.seeds", grid.seeds.data(), grid.seeds.size() * 4);
+  kept = std::move(tables);
+  return *std::any_cast<ShadeTables>(&kept);
+}
 
 class ShadeLane : public PointLane {
  public:
@@ -518,6 +571,8 @@ class ShadeLane : public PointLane {
         launch(gather_, paths);
         queue_.enqueueReadBuffer(lonely_, CL_TRUE, 0, std::size_t{paths} * 4, lonely.data());
       } else {
+        // Points that are none stay as they are.
+        queue_.enqueueFillBuffer(radiance_, cl_float{0}, 0, std::size_t{paths} * 12);
         std::fill(lonely.begin(), lonely.begin() + paths, 1u);
       }
       ask_alone(lonely, paths);
@@ -628,42 +683,10 @@ BatchResult run_vpl_shade_stage(const Device& device, Workspace& workspace, Devi
     throw Error::bad_input("stage vpl_shade", "fuzziness", "1 to " + std::to_string(MOST_FUZZINESS),
                            std::to_string(p.fuzziness));
   const double start = seconds_now();
-  const scene::Bytes& lights = read_table(task, "lights", p.clusters, VPL_WORDS);
-  check_triangles(task, "lights", lights, VPL_WORDS, VPL_TRIANGLE, scene.triangles());
   BatchResult result;
   result.records.resize(count * 12);
   Batch batch(device, workspace, scene, task, first, count, p.point_clusters ? p.fuzziness : 1);
-  cl::CommandQueue queue = device.make_queue();
-  ShadeTables tables;
-  tables.width = p.clusters / p.samples;
-  tables.lights = batch.put(queue, "vpl.all_lights", lights.data(), lights.size());
-  std::vector<float> points;
-  ClusterGrid grid;
-  if (p.point_clusters) {
-    const scene::Bytes& table = read_table(task, "points", p.point_clusters, POINT_WORDS);
-    tables.row_words = p.clusters / 32 + 1;
-    const scene::Bytes& bits = read_table(task, "visibility", p.point_clusters, tables.row_words);
-    points.resize(table.size() / 4);
-    std::memcpy(points.data(), table.data(), table.size());
-    std::vector<bool> used(p.point_clusters);
-    for (std::uint32_t k = 0; k < p.point_clusters; ++k) {
-      std::uint32_t triangle = 0;
-      std::memcpy(&triangle, &points[k * POINT_WORDS + POINT_TRIANGLE], 4);
-      used[k] = triangle != GLEANER_NONE;
-      for (std::size_t c = 0; used[k] && c < 6; ++c)
-        if (!std::isfinite(points[k * POINT_WORDS + c]))
-          throw Error::bad_input("stage vpl_shade", "input points[" + std::to_string(k) + "]", "finite numbers",
-                                 "others");
-    }
-    grid = make_cluster_grid(points, POINT_WORDS, used, p.cell);
-    tables.bits = batch.put(queue, "vpl.all_bits", bits.data(), bits.size());
-  } else {
-    grid = make_cluster_grid(points, POINT_WORDS, {});
-    tables.bits = batch.put(queue, "vpl.all_bits", nullptr, 0);
-  }
-  tables.grid = batch.put(queue, "vpl.grid", grid.header.data(), grid.header.size() * 4);
-  tables.cells = batch.put(queue, "vpl.cells", grid.cells.data(), grid.cells.size() * 4);
-  tables.seeds = batch.put(queue, "vpl.seeds", grid.seeds.data(), grid.seeds.size() * 4);
+  const ShadeTables& tables = shade_tables(batch, p);
   run<ShadeLane>(batch, result, start, p, tables);
   return result;
 }

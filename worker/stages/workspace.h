@@ -1,6 +1,8 @@
 #pragma once
 // Device memory that batches of a stage use again: taking 64 MB anew for each batch costs a page fault every 4 KiB.
+// And what a stage made of its inputs, for the next batch that reads the same.
 
+#include <any>
 #include <map>
 #include <string>
 
@@ -24,6 +26,9 @@ class Workspace {
     return entry.buffer;
   }
 
+  // A place to put it, empty at first.
+  std::any& keep(const std::string& name) { return kept_[name]; }
+
  private:
   struct Entry {
     cl::Buffer buffer{};
@@ -31,6 +36,7 @@ class Workspace {
   };
   const Device& device_;
   std::map<std::string, Entry> entries_;
+  std::map<std::string, std::any> kept_;
 };
 
 }  // namespace gleaner::worker

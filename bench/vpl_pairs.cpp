@@ -1,0 +1,153 @@
+// Clusters against all pairs: how far the light of virtual point lights is from what every pixel gets that asks every
+// VPL, and how much sooner it is there. The same VPLs, the same points, the same bound of the geometry term; nothing is
+// compensated.
+//
+//   build/bench/bench_vpl_pairs SCENE WIDTHxHEIGHT VPLS VPL_CLUSTERS POINT_CLUSTERS [PART [ROUNDS [CLAMP]]]
+//
+// All pairs are asked on every PART-th row of the picture (1: all; the width a multiple of 16), and their time is
+// multiplied by PART. Time: the stages of the indirect light, each whole on one device; medians of the rounds. Errors
+// are of the radiance that the VPLs bring to the camera: MSE with both pictures clamped to [0, 1] as the paper has it,
+// and RMSE over the mean, not clamped.
+
+#include <algorithm>
+#include <charconv>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <cstring>
+#include <map>
+#include <vector>
+
+#include "cli/local_frame.h"
+#include "scene/import/import.h"
+
+namespace {
+
+using namespace gleaner;
+
+double now() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
+
+double median(std::vector<double> values) {
+  std::ranges::sort(values);
+  return values[values.size() / 2];
+}
+
+std::vector<float> floats(const scene::Bytes& bytes) {
+  std::vector<float> values(bytes.size() / 4);
+  std::memcpy(values.data(), bytes.data(), bytes.size());
+  return values;
+}
+
+struct Indirect {
+  std::vector<float> radiance;            // RGB a pixel
+  std::map<std::string, double> seconds;  // by stage
+  double all() const {
+    double sum = 0;
+    for (const auto& [stage, s] : seconds) sum += s;
+    return sum;
+  }
+};
+
+bool is_indirect(const std::string& name) { return name.starts_with("vpl."); }
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  if (argc < 6) {
+    std::fprintf(
+        stderr, "usage: bench_vpl_pairs SCENE WIDTHxHEIGHT VPLS VPL_CLUSTERS POINT_CLUSTERS [PART [ROUNDS [CLAMP]]]\n");
+    return 2;
+  }
+  try {
+    coordinator::FrameSettings settings;
+    if (std::sscanf(argv[2], "%ux%u", &settings.width, &settings.height) != 2)
+      throw Error::usage(std::string("size: expected WIDTHxHEIGHT, found ") + argv[2]);
+    if (settings.width == 0 || settings.width % 16 != 0)
+      throw Error::usage(std::string("size: expected a width that is a multiple of 16, found ") + argv[2]);
+    const unsigned part = argc > 6 ? static_cast<unsigned>(std::max(1, std::atoi(argv[6]))) : 16;
+    const int rounds = argc > 7 ? std::max(1, std::atoi(argv[7])) : 1;
+    auto scene = std::make_shared<const scene::Scene>(scene::import_scene(argv[1]));
+    if (scene->cameras.empty()) throw Error::bad_input(argv[1], "cameras", "one", "none");
+    settings.method = "vpl";
+    settings.spp = 1;
+    settings.camera = scene->cameras.front().camera;
+    settings.camera.half_width =
+        settings.camera.half_height * static_cast<float>(settings.width) / static_cast<float>(settings.height);
+    settings.set = {{"vpl.count", argv[3]}, {"vpl.compensate", "0"}, {"vpl.sets", "1"}, {"vpl.samples", "1"}};
+    coordinator::FrameSettings clustered = settings, pairs = settings;
+    clustered.set["vpl.clusters"] = argv[4];
+    clustered.set["vpl.point_clusters"] = argv[5];
+    pairs.set["vpl.clusters"] = "0";
+    pairs.set["vpl.point_clusters"] = "0";
+    // The bound is told in units of the lights' density, and all the VPLs lie denser than their clusters.
+    const double lights = std::atof(argv[3]), clusters = std::atof(argv[4]) > 0 ? std::atof(argv[4]) : lights;
+    const double clamp = argc > 8 ? std::atof(argv[8]) : 1;
+    clustered.set["vpl.clamp"] = std::to_string(clamp);
+    pairs.set["vpl.clamp"] = std::to_string(clamp * clusters / lights);
+
+    worker::Executor executor({});
+    executor.load_scene("scene", scene, nullptr);
+    const auto summary = coordinator::summarize(*scene);
+    std::vector<double> clustered_seconds, pairs_seconds, ratios;
+    Indirect fast;
+    std::vector<float> exact;
+    // One more than is measured: the first compiles the kernels.
+    for (int round = 0; round <= rounds; ++round) {
+      Indirect now_fast;
+      auto plan = coordinator::make_plan(clustered, summary);
+      double begun = 0;
+      cli::run_frame(
+          *plan, executor, "scene",
+          [&](const auto&, const auto&) {
+            begun = now();
+            return true;
+          },
+          [&](const auto& stage, const worker::BatchResult& result) {
+            if (!is_indirect(stage.name)) return;
+            now_fast.seconds[stage.kind] += now() - begun;
+            if (stage.kind == "vpl_shade") now_fast.radiance = floats(result.records);
+          });
+      double exact_seconds = 0;
+      plan = coordinator::make_plan(pairs, summary);
+      cli::run_frame(*plan, executor, "scene", [&](const auto& stage, const worker::StageTask& task) {
+        if (stage.kind != "vpl_shade") return true;
+        exact.assign(stage.items * 3, 0.0f);
+        const double start = now();
+        for (std::uint64_t first = 0; first < stage.items; first += std::uint64_t{settings.width} * part) {
+          const std::uint64_t count = std::min<std::uint64_t>(settings.width, stage.items - first);
+          const std::vector<float> values = floats(executor.run(task, first, count).records);
+          std::copy(values.begin(), values.end(), exact.begin() + static_cast<std::ptrdiff_t>(first * 3));
+        }
+        exact_seconds = (now() - start) * part;
+        return false;
+      });
+      fast = std::move(now_fast);
+      if (round == 0) continue;
+      clustered_seconds.push_back(fast.all());
+      pairs_seconds.push_back(exact_seconds);
+      ratios.push_back(exact_seconds / fast.all());
+    }
+    double square = 0, clamped = 0, mean = 0, values = 0, bias = 0;
+    for (std::size_t i = 0; i < exact.size(); ++i) {
+      if (i / (3 * std::size_t{settings.width}) % part != 0) continue;
+      const double a = fast.radiance[i], b = exact[i];
+      const double ca = std::clamp(a, 0.0, 1.0), cb = std::clamp(b, 0.0, 1.0);
+      square += (a - b) * (a - b);
+      clamped += (ca - cb) * (ca - cb);
+      mean += b;
+      bias += a - b;
+      ++values;
+    }
+    std::printf("%s %s: %s VPLs, %s VPL clusters, %s point clusters; all pairs on 1 of %u rows\n", argv[1], argv[2],
+                argv[3], argv[4], argv[5], part);
+    for (const auto& [kind, seconds] : fast.seconds) std::printf("  %-16s %8.3f s\n", kind.c_str(), seconds);
+    std::printf("  clusters %.3f s, all pairs %.1f s: %.1f times sooner\n", median(clustered_seconds),
+                median(pairs_seconds), median(ratios));
+    std::printf("  MSE clamped to [0, 1] %.3g, RMSE over the mean %.2f %% (mean %.4g, bias %+.2f %%)\n",
+                clamped / values, 100 * std::sqrt(square / values) / (mean / values), mean / values, 100 * bias / mean);
+    return 0;
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "bench_vpl_pairs: %s\n", error.what());
+    return 1;
+  }
+}
