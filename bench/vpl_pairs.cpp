@@ -2,7 +2,7 @@
 // VPL, and how much sooner it is there. The same VPLs, the same points, the same bound of the geometry term; nothing is
 // compensated.
 //
-//   build/bench/bench_vpl_pairs SCENE WIDTHxHEIGHT VPLS VPL_CLUSTERS POINT_CLUSTERS [PART [ROUNDS [CLAMP]]]
+//   build/bench/bench_vpl_pairs SCENE WIDTHxHEIGHT VPLS VPL_CLUSTERS POINT_CLUSTERS [PART [ROUNDS [CLAMP [DOUBT]]]]
 //
 // All pairs are asked on every PART-th row of the picture (1: all; the width a multiple of 16), and their time is
 // multiplied by PART. Time: the stages of the indirect light, each whole on one device; medians of the rounds. Errors
@@ -55,7 +55,8 @@ bool is_indirect(const std::string& name) { return name.starts_with("vpl."); }
 int main(int argc, char** argv) {
   if (argc < 6) {
     std::fprintf(
-        stderr, "usage: bench_vpl_pairs SCENE WIDTHxHEIGHT VPLS VPL_CLUSTERS POINT_CLUSTERS [PART [ROUNDS [CLAMP]]]\n");
+        stderr,
+        "usage: bench_vpl_pairs SCENE WIDTHxHEIGHT VPLS VPL_CLUSTERS POINT_CLUSTERS [PART [ROUNDS [CLAMP [DOUBT]]]]\n");
     return 2;
   }
   try {
@@ -81,7 +82,8 @@ int main(int argc, char** argv) {
     pairs.set["vpl.point_clusters"] = "0";
     // The bound is told in units of the lights' density, and all the VPLs lie denser than their clusters.
     const double lights = std::atof(argv[3]), clusters = std::atof(argv[4]) > 0 ? std::atof(argv[4]) : lights;
-    const double clamp = argc > 8 ? std::atof(argv[8]) : 1;
+    const double clamp = argc > 8 ? std::atof(argv[8]) : 0.3;
+    clustered.set["vpl.doubt"] = argc > 9 ? argv[9] : "0.02";
     clustered.set["vpl.clamp"] = std::to_string(clamp);
     pairs.set["vpl.clamp"] = std::to_string(clamp * clusters / lights);
 

@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>
 
 #include "cli/commands.h"
+#include "cli/local_frame.h"
 #include "kernels/stage_records.h"
 #include "scene/bvh/build.h"
 #include "scene/library/library.h"
@@ -46,6 +47,14 @@ double compile_kernels(const worker::DeviceInfo& device) {
     std::memcpy(task.parameters.data(), &parameters, sizeof parameters);
     executor.run(task, 0, 16);
   }
+  coordinator::FrameSettings settings;
+  settings.method = "vpl";
+  settings.width = settings.height = 16;
+  settings.spp = 2;
+  const scene::Scene box = scene::make_scene("cornell-box");
+  settings.camera = box.cameras.front().camera;
+  auto plan = coordinator::make_plan(settings, coordinator::summarize(box));
+  run_frame(*plan, executor, "cornell-box");
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 

@@ -51,6 +51,11 @@ FN void nearest_seeds(v3 p, v3 n, vi active, global const float* grid, global co
         v3 d = sub3(words3(s, SEED_POSITION), p);
         vf r = dot3(d, d);
         here = here & (dot3(words3(s, SEED_NORMAL), n) > (vf)least_cosine) & (r < best[FUZZINESS - 1]);
+#ifdef SAME_SURFACE
+        // A ledge above a wall is no part of it, however near: what lies between them stands in other light's way.
+        vf above = dot3(d, n);
+        here = here & (above * above <= (vf)(SAME_SURFACE * SAME_SURFACE) * r);
+#endif
         if (any_lane(here)) {
           vu id = as_vu(s[SEED_ROW]);
           r = pick((vf)INFINITY, r, here);

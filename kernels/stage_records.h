@@ -123,7 +123,8 @@ typedef struct {
   gl_uint fuzziness;       // clusters a point belongs to
   gl_uint equal_weights;   // 1: eq. 8, else eq. 9-10
   gl_float clamp;          // bound of the geometry term, 1/m^2; infinity: none
-  gl_float cell;           // edge of the grid over the point clusters, m
+  gl_float doubt;  // lights that bring more than this share of a point's light, and on which its clusters disagree, are
+                   // asked for by the point itself; 0: none
 } VplPointParameters;
 GLEANER_SIZE(VplPointParameters, 128);
 
@@ -133,7 +134,8 @@ typedef struct {
   gl_uint clusters;
   gl_uint iterations;
   gl_float least_cosine;  // eq. 7: nt
-  gl_uint reserved;
+  gl_uint draw;  // 0: the member nearest to the centroid stands for its cluster; else one drawn by what it sends, by
+                 // this key: the mean over many keys is what all members would give
 } ClusterParameters;
 GLEANER_SIZE(ClusterParameters, 16);
 
@@ -147,6 +149,7 @@ typedef struct {
 GLEANER_SIZE(VisibilityParameters, 16);
 
 #define MOST_FUZZINESS 8u
+#define MOST_DOUBTS 128u  // lights that a point asks for itself
 
 #ifndef __OPENCL_VERSION__
 }  // namespace gleaner::kernels

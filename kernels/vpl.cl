@@ -495,6 +495,27 @@ kernel WIDE void vpl_walk(global const VplPointParameters* restrict parameters, 
 
 // --- Visibility ---
 
+// From a point to a light's place, both off their surfaces. The query's own rounding grows with the distance, as in
+// sample_light().
+FN void connect_light(v3 p, v3 p_error, v3 p_geometric, v3 q, v3 q_error, v3 q_geometric, v3* start, v3* direction) {
+  v3 d = sub3(q, p);
+  const vf unit = (vf)(16.0f * 5.9604645e-8f);
+  q_error = add3(q_error, make3(unit * fabs(d.x), unit * fabs(d.y), unit * fabs(d.z)));
+  *start = leave_surface(p, p_error, p_geometric, d);
+  *direction = sub3(leave_surface(q, q_error, q_geometric, negate3(d)), *start);
+}
+
+FN void set_visibility_ray(global float* rays, uint block, v3 start, v3 direction, vi active, vu source) {
+  set_row_3(rays, VISIBILITY_ROWS, block, ROW_ORIGIN, start);
+  set_row_f(rays, VISIBILITY_ROWS, block, ROW_NEAR, zero_f());
+  set_row_3(rays, VISIBILITY_ROWS, block, ROW_DIRECTION, direction);
+  set_row_f(rays, VISIBILITY_ROWS, block, ROW_TIME, zero_f());
+  set_row_f(rays, VISIBILITY_ROWS, block, ROW_FAR, pick((vf)-1.0f, (vf)0.9999999f, active));
+  set_row_u(rays, VISIBILITY_ROWS, block, ROW_MASK, (vu)0xffffffffu);
+  set_row_u(rays, VISIBILITY_ROWS, block, ROW_SOURCE, source);
+  set_row_u(rays, VISIBILITY_ROWS, block, ROW_FLAGS, (vu)0u);
+}
+
 // Rays from points to lights: `rows` points, each asked for `width` lights (a multiple of 32) from its own first one
 // on; ray r is point r / width, light r % width of it. Pairs that face away from each other are not asked: neither ray
 // nor answer (a point's and a light's clusters are told by the cones and spheres that hold their members).
@@ -552,21 +573,11 @@ kernel WIDE void visibility_rays(SCENE_PARAMETERS, global const float* restrict 
   v3 e2 = sub3(uniform3(t[TRIANGLE_P2], t[TRIANGLE_P2 + 1], t[TRIANGLE_P2 + 2]), p0);
   v3 error;
   surface_point(p0, e1, e2, (vf)p_words[POINT_B1], (vf)p_words[POINT_B2], &error);
-  v3 start = leave_surface(p, error, normalize3(cross3(e1, e2)), w);
-  // The query's own rounding grows with the distance, as in sample_light().
-  const vf unit = (vf)(16.0f * 5.9604645e-8f);
-  v3 end_error = add3(words3(second, VPL_ERROR - 8u), make3(unit * fabs(d.x), unit * fabs(d.y), unit * fabs(d.z)));
-  v3 end = leave_surface(q, end_error, words3(l, VPL_GEOMETRIC), negate3(w));
-  v3 direction = sub3(end, start);
+  v3 start, direction;
+  connect_light(p, error, normalize3(cross3(e1, e2)), q, words3(second, VPL_ERROR - 8u), words3(l, VPL_GEOMETRIC),
+                &start, &direction);
   active = active & finite3(direction) & finite3(start);
-  set_row_3(rays, VISIBILITY_ROWS, block, ROW_ORIGIN, start);
-  set_row_f(rays, VISIBILITY_ROWS, block, ROW_NEAR, zero_f());
-  set_row_3(rays, VISIBILITY_ROWS, block, ROW_DIRECTION, direction);
-  set_row_f(rays, VISIBILITY_ROWS, block, ROW_TIME, zero_f());
-  set_row_f(rays, VISIBILITY_ROWS, block, ROW_FAR, pick((vf)-1.0f, (vf)0.9999999f, active));
-  set_row_u(rays, VISIBILITY_ROWS, block, ROW_MASK, (vu)0xffffffffu);
-  set_row_u(rays, VISIBILITY_ROWS, block, ROW_SOURCE, (vu)triangle);
-  set_row_u(rays, VISIBILITY_ROWS, block, ROW_FLAGS, (vu)0u);
+  set_visibility_ray(rays, block, start, direction, active, (vu)triangle);
 }
 
 // Answers to bits: word first + k of `bits` holds rays 32 k to 32 k + 31 of this launch.
@@ -617,13 +628,44 @@ kernel WIDE void vpl_members(global const VplPointParameters* restrict parameter
   store_u(lonely + first_lane, 0, pick_u((vu)0u, (vu)1u, active & (who[0] == GLEANER_NONE)));
 }
 
+// What of a light's flux a point would get if nothing stood between: the bounded geometry term (eq. 4), and what the
+// lobes over both diffuse layers leave to them.
+FN vf light_geometry(const Scene* scene, global const float* light, v3 p, v3 n, vu table, vf table_row, vf clamp_to) {
+  v3 d = make3(light[VPL_POSITION] - p.x, light[VPL_POSITION + 1] - p.y, light[VPL_POSITION + 2] - p.z);
+  vf d2 = dot3(d, d);
+  vf at_point = dot3(n, d);
+  vf side = -(light[VPL_NORMAL] * d.x + light[VPL_NORMAL + 1] * d.y + light[VPL_NORMAL + 2] * d.z);
+  vf at_light = fabs(light[VPL_GEOMETRIC] * d.x + light[VPL_GEOMETRIC + 1] * d.y + light[VPL_GEOMETRIC + 2] * d.z);
+  vf inverse = one_f() / d2;
+  // Both cosines times the distance.
+  vf g = min_f(at_point * at_light * inverse * inverse, clamp_to);
+#ifdef NEED_LOBE
+  Surface m;
+  m.table = table;
+  m.table_row = table_row;
+  vf r = sqrt(inverse);
+  g *= left_to_layer(scene, &m, at_point * r);
+  uint light_table = ((global const uint*)light)[VPL_TABLE];
+  if (light_table != GLEANER_NONE) {
+    m.table = (vu)light_table;
+    m.table_row = (vf)light[VPL_ROW];
+    g *= left_to_layer(scene, &m, side * r);
+  }
+#endif
+  return pick(zero_f(), g, (at_point > zero_f()) & (side > zero_f()) & (d2 > zero_f()));
+}
+
+// Luminance.
+FN vf brightness(v3 c) { return c.x * 0.2126f + c.y * 0.7152f + c.z * 0.0722f; }
+
 // Eq. 6 over one slice of the lights, which the sixteen points of a block share. `own`: point `chosen[i]` reads row i
 // of `bits`, which holds its slice alone; else every point reads its clusters' rows of `bits`.
 kernel WIDE void vpl_gather(global const VplPointParameters* restrict parameters, SCENE_PARAMETERS,
                             global const float* restrict points, global const uint* restrict chosen, uint own,
                             uint count, global const float* restrict lights, uint width, uint slices,
                             global const uint* restrict bits, uint row_words, global const uint* restrict rows,
-                            global const float* restrict weights, uint behind, global float* restrict radiance) {
+                            global const float* restrict weights, uint behind, global float* restrict radiance,
+                            global float* restrict level) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
   if (first_lane >= count) return;
@@ -640,11 +682,8 @@ kernel WIDE void vpl_gather(global const VplPointParameters* restrict parameters
   v3 sum = splat3(zero_f());
   if (any_lane(active)) {
     v3 p = words3(w, POINT_POSITION), n = words3(w, POINT_NORMAL);
-#ifdef NEED_LOBE
-    Surface m;
-    m.table = pick_u((vu)GLEANER_NONE, as_vu(w[POINT_TABLE]), active);
-    m.table_row = pick(zero_f(), w[POINT_ROW], active);
-#endif
+    vu table = pick_u((vu)GLEANER_NONE, as_vu(w[POINT_TABLE]), active);
+    vf table_row = pick(zero_f(), w[POINT_ROW], active);
     uint words = width / 32u;
     uint slice = (leader >> 4) & (slices - 1u);
     vf clamp_to = (vf)parameters->clamp;
@@ -674,37 +713,138 @@ kernel WIDE void vpl_gather(global const VplPointParameters* restrict parameters
         global const float* light = l + VPL_WORDS * k;
         vf visible = zero_f();
         for (uint f = 0; f < FUZZINESS; ++f) visible += pick(zero_f(), weight[f], (seen[f] & (1u << k)) != 0u);
-        v3 d = make3(light[VPL_POSITION] - p.x, light[VPL_POSITION + 1] - p.y, light[VPL_POSITION + 2] - p.z);
-        vf d2 = dot3(d, d);
-        vf at_point = dot3(n, d);
-        vf side = -(light[VPL_NORMAL] * d.x + light[VPL_NORMAL + 1] * d.y + light[VPL_NORMAL + 2] * d.z);
-        vf at_light =
-            fabs(light[VPL_GEOMETRIC] * d.x + light[VPL_GEOMETRIC + 1] * d.y + light[VPL_GEOMETRIC + 2] * d.z);
-        vf inverse = one_f() / d2;
-        // Eq. 4, both cosines times the distance; bounded.
-        vf g = min_f(at_point * at_light * inverse * inverse, clamp_to) * visible;
-#ifdef NEED_LOBE
-        vf r = sqrt(inverse);
-        g *= left_to_layer(scene, &m, at_point * r);
-        uint light_table = ((global const uint*)light)[VPL_TABLE];
-        if (light_table != GLEANER_NONE) {
-          Surface other;
-          other.table = (vu)light_table;
-          other.table_row = (vf)light[VPL_ROW];
-          g *= left_to_layer(scene, &other, side * r);
-        }
-#endif
-        g = pick(zero_f(), g, (at_point > zero_f()) & (side > zero_f()) & (d2 > zero_f()));
+        vf g = light_geometry(scene, light, p, n, table, table_row, clamp_to) * visible;
         sum = mad3(make3((vf)light[VPL_FLUX], (vf)light[VPL_FLUX + 1], (vf)light[VPL_FLUX + 2]), g, sum);
       }
     }
+    if (!own) store_f(level + first_lane, 0, pick(zero_f(), brightness(sum), active));
     sum = pick3(splat3(zero_f()), mul3(sum, words3(w, POINT_ALBEDO)), active);
+  } else if (!own) {
+    store_f(level + first_lane, 0, zero_f());
   }
   // Others of a listed block write behind the points.
   vu at = pick_u(own ? (vu)behind : lane, point, active) * 3u;
   scatter_f(radiance, at, sum.x);
   scatter_f(radiance + 1u, at, sum.y);
   scatter_f(radiance + 2u, at, sum.z);
+}
+
+// Lights that a point had better ask itself: those that would bring it more than a share of the light it got, where its
+// clusters disagree on them, and those of so many times as much in any case. At most MOST_DOUBTS of them, the first
+// ones; `counts` tells how many.
+#define MOST_TRUSTED 5.0f
+kernel WIDE void vpl_doubt(global const VplPointParameters* restrict parameters, SCENE_PARAMETERS,
+                           global const float* restrict points, uint count, global const float* restrict lights,
+                           uint width, uint slices, global const uint* restrict bits, uint row_words,
+                           global const uint* restrict rows, global const float* restrict weights,
+                           global const float* restrict level, global uint* restrict doubt_light,
+                           global float* restrict doubt_terms, uint behind, global uint* restrict counts) {
+  uint block = (uint)get_global_id(0);
+  uint first_lane = block * LANES;
+  if (first_lane >= count) return;
+  Scene scene_value = SCENE_FROM_PARAMETERS;
+  const Scene* scene = &scene_value;
+  vu lane = (vu)first_lane + lane_index();
+  vf w[16];
+  load_words(points, min(lane, (vu)(count - 1u)) * POINT_WORDS, w);
+  vi active = (as_vu(w[POINT_TRIANGLE]) != GLEANER_NONE) & (lane < count);
+  vu found = (vu)0u;
+  if (any_lane(active)) {
+    v3 p = words3(w, POINT_POSITION), n = words3(w, POINT_NORMAL);
+    vu table = pick_u((vu)GLEANER_NONE, as_vu(w[POINT_TABLE]), active);
+    vf table_row = pick(zero_f(), w[POINT_ROW], active);
+    // The samples of a pixel see a slice each: what one of them lacks is so much less of the pixel's light.
+    vf least = load_f(level + first_lane, 0) * parameters->doubt * (float)slices;
+    uint words = width / 32u;
+    uint slice = (first_lane >> 4) & (slices - 1u);
+    vu row[FUZZINESS];
+    vf weight[FUZZINESS];
+    for (uint f = 0; f < FUZZINESS; ++f) {
+      row[f] = load_u(rows + (ulong)FUZZINESS * first_lane + f * LANES, 0) * row_words + slice * words;
+      weight[f] = load_f(weights + (ulong)FUZZINESS * first_lane + f * LANES, 0);
+    }
+    for (uint word = 0; word < words; ++word) {
+      vu seen[FUZZINESS];
+      vu any = (vu)0u, all = (vu)0xffffffffu;
+      for (uint f = 0; f < FUZZINESS; ++f) {
+        vi member = active & (weight[f] > zero_f());
+        seen[f] = gather_u(bits, pick_u((vu)0u, row[f] + word, member));
+        any |= pick_u((vu)0u, seen[f], member);
+        all &= pick_u((vu)0xffffffffu, seen[f], member);
+      }
+      vu doubtful = any & ~all;
+      global const float* l = lights + (ulong)VPL_WORDS * (slice * width + 32u * word);
+      for (uint k = 0; k < 32u; ++k) {
+        global const float* light = l + VPL_WORDS * k;
+        vf whole = light_geometry(scene, light, p, n, table, table_row, (vf)parameters->clamp);
+        vf g = whole;
+        whole *= 0.2126f * light[VPL_FLUX] + 0.7152f * light[VPL_FLUX + 1] + 0.0722f * light[VPL_FLUX + 2];
+        vi here = active & (found < MOST_DOUBTS) & (whole > least) &
+                  (((doubtful & (1u << k)) != 0u) | (whole > least * MOST_TRUSTED));
+        if (!any_lane(here)) continue;
+        vf visible = zero_f();
+        for (uint f = 0; f < FUZZINESS; ++f) visible += pick(zero_f(), weight[f], (seen[f] & (1u << k)) != 0u);
+        vu at = pick_u((vu)behind, lane * MOST_DOUBTS + found, here);
+        scatter_u(doubt_light, at, (vu)(slice * width + 32u * word + k));
+        scatter_f(doubt_terms, at * 2u, g);
+        scatter_f(doubt_terms + 1u, at * 2u, visible);
+        found += pick_u((vu)0u, (vu)1u, here);
+      }
+    }
+  }
+  store_u(counts + first_lane, 0, found);
+}
+
+// The rays for `count` doubts, by their places.
+kernel WIDE void vpl_doubt_rays(SCENE_PARAMETERS, global const float* restrict points,
+                                global const float* restrict lights, global const uint* restrict places, uint base,
+                                uint count, global const uint* restrict doubt_light, global float* restrict rays) {
+  uint block = (uint)get_global_id(0);
+  uint first_lane = block * LANES;
+  if (first_lane >= count) return;
+  Scene scene_value = SCENE_FROM_PARAMETERS;
+  const Scene* scene = &scene_value;
+  vi active = (vu)first_lane + lane_index() < count;
+  vu place = gather_u(places, (vu)base + min((vu)first_lane + lane_index(), (vu)(count - 1u)));
+  vf w[16], l[16], second[16], t[16];
+  load_words(points, place / MOST_DOUBTS * POINT_WORDS, w);
+  vu at = gather_u(doubt_light, place) * VPL_WORDS;
+  load_words(lights, at, l);
+  load_words(lights + 8u, at, second);  // words 8 to 23
+  vu triangle = as_vu(w[POINT_TRIANGLE]);
+  load_words(scene->triangles, triangle * TRIANGLE_WORDS, t);
+  v3 p0 = words3(t, TRIANGLE_P0);
+  v3 e1 = sub3(words3(t, TRIANGLE_P1), p0), e2 = sub3(words3(t, TRIANGLE_P2), p0), error;
+  v3 p = words3(w, POINT_POSITION);
+  surface_point(p0, e1, e2, w[POINT_B1], w[POINT_B2], &error);
+  v3 start, direction;
+  connect_light(p, error, normalize3(cross3(e1, e2)), words3(l, VPL_POSITION), words3(second, VPL_ERROR - 8u),
+                words3(l, VPL_GEOMETRIC), &start, &direction);
+  active = active & finite3(start) & finite3(direction);
+  set_visibility_ray(rays, block, start, direction, active, triangle);
+}
+
+// What the answers change, point by point, doubt by doubt.
+kernel void vpl_settle(global const float* restrict points, uint count, global const uint* restrict firsts,
+                       global const uint* restrict counts, global const uint* restrict doubt_light,
+                       global const float* restrict doubt_terms, global const uint* restrict answers,
+                       global const float* restrict lights, global float* restrict radiance) {
+  uint point = (uint)get_global_id(0);
+  if (point >= count) return;
+  float sum[3] = {0, 0, 0};
+  for (uint k = 0; k < counts[point]; ++k) {
+    uint place = point * MOST_DOUBTS + k;
+    uint ray = firsts[point] + k;
+    float seen = (answers[ray >> 5] >> (ray & 31u)) & 1u ? 1.0f : 0.0f;
+    float change = doubt_terms[2 * place] * (seen - doubt_terms[2 * place + 1]);
+    global const float* light = lights + (ulong)VPL_WORDS * doubt_light[place];
+    for (uint c = 0; c < 3; ++c) sum[c] += light[VPL_FLUX + c] * change;
+  }
+  for (uint c = 0; c < 3; ++c) {
+    float all = radiance[3 * point + c] + sum[c] * points[(ulong)POINT_WORDS * point + POINT_ALBEDO + c];
+    // All its light may hang on doubts, and their sum round below nothing.
+    radiance[3 * point + c] = all > 0.0f ? all : 0.0f;
+  }
 }
 
 // A pixel's samples, in their order, each of which saw a slice of the lights: their sum saw all of them.

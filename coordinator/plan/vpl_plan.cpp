@@ -206,6 +206,7 @@ void VplPlan::absorb_lights(std::uint32_t set, const Bytes& records, Step& step)
   p.clusters = vpl_.clusters;
   p.iterations = kIterations;
   p.least_cosine = kLeastCosine;
+  p.draw = vpl_.draw ? static_cast<std::uint32_t>(settings_.seed) * 4096 + set + 1 : 0;
   StageSpec spec;
   spec.name = "vpl.cluster." + std::to_string(set);
   spec.kind = "vpl_cluster";
@@ -360,6 +361,7 @@ void VplPlan::shade(std::uint32_t set, Step& step) {
   p.fuzziness = vpl_.fuzziness;
   p.equal_weights = vpl_.equal_weights ? 1 : 0;
   p.clamp = clamp_;
+  p.doubt = static_cast<float>(vpl_.doubt);
   StageSpec spec;
   spec.name = "vpl.shade." + std::to_string(set);
   spec.kind = "vpl_shade";
@@ -506,6 +508,7 @@ std::string VplPlan::parameters_json() const {
                         {"fuzziness", vpl_.fuzziness},
                         {"equal_weights", vpl_.equal_weights},
                         {"compensate", vpl_.compensate},
+                        {"doubt", vpl_.doubt},
                         {"samples", vpl_.samples},
                         {"sets", vpl_.sets},
                         {"visibility_pairs", asked_}};

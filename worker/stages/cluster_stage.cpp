@@ -55,6 +55,15 @@ double distance2(const float* a, const float* b) {
 
 float cosine(const float* a, const float* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
+// A number in [0, 1) for each key and cluster.
+double unit_of(std::uint32_t key, std::uint32_t cluster) {
+  std::uint64_t x = (std::uint64_t{key} << 32) | cluster;
+  x = (x ^ (x >> 30)) * 0xbf58476d1ce4e5b9ull;
+  x = (x ^ (x >> 27)) * 0x94d049bb133111ebull;
+  x ^= x >> 31;
+  return static_cast<double>(x >> 11) * 0x1p-53;
+}
+
 class KMeans {
  public:
   KMeans(const Device& device, Workspace& workspace, const std::vector<float>& data, std::size_t stride,
@@ -229,7 +238,7 @@ class KMeans {
 // The cluster's record: the member nearest to the centroid stands for all (a centroid may hang in the air), with what
 // they send in all.
 void write_clusters(const KMeans& means, const std::vector<std::uint32_t>& assigned, const std::vector<float>& data,
-                    std::size_t stride, std::uint32_t clusters, std::vector<float>& rows) {
+                    std::size_t stride, std::uint32_t clusters, std::uint32_t draw, std::vector<float>& rows) {
   const bool lights = stride == VPL_WORDS;
   const std::size_t count = data.size() / stride;
   std::vector<double> nearest(clusters, std::numeric_limits<double>::infinity());
@@ -245,6 +254,19 @@ void write_clusters(const KMeans& means, const std::vector<std::uint32_t>& assig
     ++members[k];
     if (lights)
       for (unsigned c = 0; c < 3; ++c) flux[3 * k + c] += data[i * stride + VPL_FLUX + c];
+  }
+  if (lights && draw) {
+    std::vector<double> aim(clusters), sum(clusters, 0.0);
+    for (std::uint32_t k = 0; k < clusters; ++k)
+      aim[k] = unit_of(draw, k) * (flux[3 * k] + flux[3 * k + 1] + flux[3 * k + 2]);
+    std::vector<bool> drawn(clusters, false);
+    for (std::size_t i = 0; i < count; ++i) {
+      const std::uint32_t k = assigned[i];
+      for (unsigned c = 0; c < 3; ++c) sum[k] += data[i * stride + VPL_FLUX + c];
+      if (drawn[k] || sum[k] <= aim[k]) continue;
+      drawn[k] = true;
+      chosen[k] = static_cast<std::uint32_t>(i);
+    }
   }
   for (std::uint32_t k = 0; k < clusters; ++k)
     if (chosen[k] != GLEANER_NONE) std::copy_n(&data[chosen[k] * stride], stride, &rows[k * stride]);
@@ -316,7 +338,7 @@ BatchResult run_cluster_stage(const Device& device, Workspace& workspace, Device
     std::copy(data.begin(), data.end(), rows.begin());
   } else {
     KMeans means(device, workspace, data, stride, parameters);
-    write_clusters(means, means.run(), data, stride, parameters.clusters, rows);
+    write_clusters(means, means.run(), data, stride, parameters.clusters, parameters.draw, rows);
   }
   BatchResult result;
   result.records.resize(rows.size() * 4);

@@ -109,7 +109,8 @@ struct Batch {
         task(t),
         first(f),
         count(c),
-        program(d.build("kernels/vpl.cl", s.kernel_options() + " -D FUZZINESS=" + std::to_string(fuzziness))),
+        program(d.build("kernels/vpl.cl",
+                        s.kernel_options() + " -D SAME_SURFACE=0.25f -D FUZZINESS=" + std::to_string(fuzziness))),
         lanes(d.info().cpu ? d.info().threads : 1) {
     cl::CommandQueue queue = device.make_queue();
     parameters = put(queue, "vpl.parameters", task.parameters.data(), task.parameters.size());
@@ -489,7 +490,7 @@ const ShadeTables& shade_tables(Batch& batch, const VplPointParameters& p) {
           throw Error::bad_input("stage vpl_shade", "input points[" + std::to_string(k) + "]", "finite numbers",
                                  "others");
     }
-    grid = make_cluster_grid(points, POINT_WORDS, used, p.cell);
+    grid = make_cluster_grid(points, POINT_WORDS, used);
     tables.bits = batch.put(queue, "vpl.shade.bits", bits.data(), bits.size());
   } else {
     grid = make_cluster_grid(points, POINT_WORDS, {});
@@ -512,7 +513,11 @@ class ShadeLane : public PointLane {
                counters_buffer_, tables.lights, tables.width, parameters.samples),
         members_(kernel("vpl_members")),
         gather_(kernel("vpl_gather")),
-        resolve_(kernel("vpl_resolve")) {
+        resolve_(kernel("vpl_resolve")),
+        doubt_(kernel("vpl_doubt")),
+        doubt_rays_(kernel("vpl_doubt_rays")),
+        doubt_pack_(kernel("visibility_pack")),
+        settle_(kernel("vpl_settle")) {
     const std::size_t room = capacity_ + RAY_BLOCK;
     rows_ = take("rows", room * MOST_FUZZINESS * 4);
     weights_ = take("weights", room * MOST_FUZZINESS * 4);
@@ -546,6 +551,9 @@ class ShadeLane : public PointLane {
     gather_.setArg(at + 10, weights_);
     gather_.setArg(at + 11, capacity_);
     gather_.setArg(at + 12, radiance_);
+    level_ = take("level", room * 4);
+    gather_.setArg(at + 13, level_);
+    if (p_.point_clusters && p_.doubt > 0) prepare_doubts(room);
     resolve_.setArg(0, batch.parameters);
     resolve_.setArg(2, radiance_);
     resolve_.setArg(3, records_);
@@ -569,6 +577,7 @@ class ShadeLane : public PointLane {
         gather_.setArg(gather_first_ + 3, paths);
         gather_.setArg(gather_first_ + 7, tables_.bits);
         launch(gather_, paths);
+        if (p_.doubt > 0) ask_doubts(paths);
         queue_.enqueueReadBuffer(lonely_, CL_TRUE, 0, std::size_t{paths} * 4, lonely.data());
       } else {
         // Points that are none stay as they are.
@@ -589,6 +598,86 @@ class ShadeLane : public PointLane {
   }
 
  private:
+  void prepare_doubts(std::size_t room) {
+    const std::size_t most = room * MOST_DOUBTS;
+    doubt_lights_ = take("doubt.lights", (most + 1) * 4);
+    doubt_terms_ = take("doubt.terms", (most + 1) * 8);
+    doubt_counts_ = take("doubt.counts", room * 4);
+    doubt_firsts_ = take("doubt.firsts", room * 4);
+    doubt_places_ = take("doubt.places", most * 4);
+    doubt_answers_ = take("doubt.answers", most / 8);
+    rays_ = take("rays", std::size_t{ray_capacity(batch_.device)} * VISIBILITY_ROWS * 4);
+    doubt_.setArg(0, batch_.parameters);
+    unsigned at = doubt_first_ = batch_.scene.set_arguments(doubt_, 1);
+    doubt_.setArg(at, points_);
+    doubt_.setArg(at + 2, tables_.lights);
+    doubt_.setArg(at + 3, tables_.width);
+    doubt_.setArg(at + 4, p_.samples);
+    doubt_.setArg(at + 5, tables_.bits);
+    doubt_.setArg(at + 6, tables_.row_words);
+    doubt_.setArg(at + 7, rows_);
+    doubt_.setArg(at + 8, weights_);
+    doubt_.setArg(at + 9, level_);
+    doubt_.setArg(at + 10, doubt_lights_);
+    doubt_.setArg(at + 11, doubt_terms_);
+    doubt_.setArg(at + 12, static_cast<cl_uint>(most));
+    doubt_.setArg(at + 13, doubt_counts_);
+    at = doubt_rays_first_ = batch_.scene.set_arguments(doubt_rays_, 0);
+    doubt_rays_.setArg(at, points_);
+    doubt_rays_.setArg(at + 1, tables_.lights);
+    doubt_rays_.setArg(at + 2, doubt_places_);
+    doubt_rays_.setArg(at + 5, doubt_lights_);
+    doubt_rays_.setArg(at + 6, rays_);
+    doubt_pack_.setArg(0, rays_);
+    doubt_pack_.setArg(3, doubt_answers_);
+    settle_.setArg(0, points_);
+    settle_.setArg(2, doubt_firsts_);
+    settle_.setArg(3, doubt_counts_);
+    settle_.setArg(4, doubt_lights_);
+    settle_.setArg(5, doubt_terms_);
+    settle_.setArg(6, doubt_answers_);
+    settle_.setArg(7, tables_.lights);
+    settle_.setArg(8, radiance_);
+  }
+
+  // Points whose clusters disagree on lights that matter ask for these themselves.
+  void ask_doubts(std::uint32_t paths) {
+    doubt_.setArg(doubt_first_ + 1, paths);
+    launch(doubt_, paths);
+    std::vector<std::uint32_t> counts(paths), firsts(paths), places;
+    queue_.enqueueReadBuffer(doubt_counts_, CL_TRUE, 0, std::size_t{paths} * 4, counts.data());
+    for (std::uint32_t i = 0; i < paths; ++i) {
+      firsts[i] = static_cast<std::uint32_t>(places.size());
+      for (std::uint32_t k = 0; k < counts[i]; ++k) places.push_back(i * MOST_DOUBTS + k);
+    }
+    if (places.empty()) return;
+    queue_.enqueueWriteBuffer(doubt_firsts_, CL_TRUE, 0, firsts.size() * 4, firsts.data());
+    queue_.enqueueWriteBuffer(doubt_places_, CL_TRUE, 0, places.size() * 4, places.data());
+    const std::uint32_t capacity = ray_capacity(batch_.device);
+    for (std::size_t base = 0; base < places.size(); base += capacity) {
+      const auto count = static_cast<std::uint32_t>(std::min<std::size_t>(capacity, places.size() - base));
+      const std::uint32_t words = (count + 31) / 32;
+      doubt_rays_.setArg(doubt_rays_first_ + 3, static_cast<cl_uint>(base));
+      doubt_rays_.setArg(doubt_rays_first_ + 4, count);
+      launch(doubt_rays_, count, capacity, batch_.device.lanes());
+      queue_.finish();
+      const double start = seconds_now();
+      RayRange range;
+      range.rows = VISIBILITY_ROWS;
+      // One by one: which rays stand beside each other depends on the batch.
+      range.incoherent = count;
+      batch_.scene.tracer().any(queue_, rays_, range);
+      counters.trace += seconds_now() - start;
+      doubt_pack_.setArg(1, words);
+      doubt_pack_.setArg(2, static_cast<cl_uint>(base / 32));
+      launch(doubt_pack_, words, capacity / 32, 1);
+    }
+    counters.shadow += places.size();
+    settle_.setArg(1, paths);
+    launch(settle_, paths, capacity_, 1);
+    queue_.finish();
+  }
+
   // Points that no cluster speaks for, sixteen of one slice at a time.
   void ask_alone(const std::vector<std::uint32_t>& lonely, std::uint32_t paths) {
     std::vector<std::uint32_t> list;
@@ -612,7 +701,9 @@ class ShadeLane : public PointLane {
   VplPointParameters p_;
   const ShadeTables& tables_;
   Asker asker_;
-  cl::Kernel members_, gather_, resolve_;
+  cl::Kernel members_, gather_, resolve_, doubt_, doubt_rays_, doubt_pack_, settle_;
+  cl::Buffer level_, rays_, doubt_lights_, doubt_terms_, doubt_counts_, doubt_firsts_, doubt_places_, doubt_answers_;
+  unsigned doubt_first_ = 0, doubt_rays_first_ = 0;
   cl::Buffer rows_, weights_, lonely_, radiance_, records_, report_, own_bits_, away_, chosen_;
   std::uint32_t own_rows_ = 0;
   unsigned gather_first_ = 0;
