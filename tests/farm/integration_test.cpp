@@ -141,8 +141,9 @@ TEST_F(Farm, LightsServeEveryCamera) {
   farm.add_worker("one");
   ASSERT_TRUE(farm.wait_for_workers(1));
   const auto words = [](const char* eye) {
-    return std::vector<std::string>{scene().string(), "--size", "48x48", "--spp",         "4",      "--method", "vpl",
-                                    "--look-at",      eye,      "--set", "vpl.count=500", "--quiet"};
+    return std::vector<std::string>{
+        scene().string(), "--size", "48x48", "--spp",         "4",     "--method",         "vpl",
+        "--look-at",      eye,      "--set", "vpl.count=500", "--set", "vpl.clusters=100", "--quiet"};
   };
   const char* const there = "0.1,1,3.5,0,1,0,40";
   const json first = farm.finish(farm.submit(words("0,1,3.5,0,1,0,40")));

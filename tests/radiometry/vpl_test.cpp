@@ -188,6 +188,30 @@ TEST(Vpl, FuzzinessOfOneIsHardClustering) {
             equal.records.at("vpl.shade.0"));
 }
 
+// Points that ask for the lights their clusters disagree on come nearer to all pairs.
+TEST(Vpl, DoubtsAreSettled) {
+  const Settings base = {{"vpl.count", "200"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "60"}};
+  Settings pairs = base;
+  pairs["vpl.point_clusters"] = "0";
+  const auto exact = render(frame_of("cornell-box", {}, {}, 32, 1, pairs)).records.at("vpl.shade.0");
+  std::vector<double> errors;
+  for (const char* doubt : {"0", "0.02", "0.001"}) {
+    Settings set = base;
+    set["vpl.doubt"] = doubt;
+    const auto shaded = render(frame_of("cornell-box", {}, {}, 32, 1, set)).records.at("vpl.shade.0");
+    double square = 0, mean = 0;
+    for (std::size_t i = 0; i < exact.size(); ++i) {
+      square += (shaded[i] - exact[i]) * (shaded[i] - exact[i]);
+      mean += exact[i];
+    }
+    const auto n = static_cast<double>(exact.size());
+    errors.push_back(std::sqrt(square / n) / (mean / n));
+    std::printf("  doubt %5s: RMSE over the mean %.4f\n", doubt, errors.back());
+  }
+  EXPECT_LT(errors[1], errors[0]);
+  EXPECT_LT(errors[2], errors[1] / 2);
+}
+
 // More VPLs: the picture goes to the path tracer's. What clusters and the VPLs' own number leave falls, and what
 // clamping takes is given back, so that no bias is left in the mean.
 TEST(Vpl, ErrorFallsWithMoreLights) {
