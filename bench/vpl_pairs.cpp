@@ -82,7 +82,7 @@ int main(int argc, char** argv) {
     pairs.set["vpl.point_clusters"] = "0";
     // The bound is told in units of the lights' density, and all the VPLs lie denser than their clusters.
     const double lights = std::atof(argv[3]), clusters = std::atof(argv[4]) > 0 ? std::atof(argv[4]) : lights;
-    const double clamp = argc > 8 ? std::atof(argv[8]) : 0.3;
+    const double clamp = argc > 8 ? std::atof(argv[8]) : 0.1;
     clustered.set["vpl.doubt"] = argc > 9 ? argv[9] : "0.02";
     clustered.set["vpl.clamp"] = std::to_string(clamp);
     pairs.set["vpl.clamp"] = std::to_string(clamp * clusters / lights);

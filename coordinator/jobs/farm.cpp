@@ -436,8 +436,12 @@ struct Farm::Impl {
     stage->report.name = spec.name;
     stage->report.kind = spec.kind;
     stage->report.items = spec.items;
-    ScheduledStage scheduled{
-        .kind = spec.kind, .items = spec.items, .tile = spec.tile, .solo = spec.solo, .priority = 0, .preferred = {}};
+    ScheduledStage scheduled{.kind = spec.kind,
+                             .items = spec.items,
+                             .tile = spec.tile,
+                             .solo = spec.solo,
+                             .priority = spec.priority,
+                             .preferred = {}};
     stage->id = scheduler.add_stage(scheduled, now());
     stage->complete = scheduler.complete(stage->id);
     job->stages.push_back(stage);

@@ -28,6 +28,7 @@ struct StageSpec {
   std::uint64_t items = 0;
   std::uint32_t tile = 1;  // batches begin and end at multiples of it (or at `items`)
   bool solo = false;       // runs whole on one worker
+  int priority = 0;        // of the frame's stages that wait, the highest goes first; equal: the oldest
   Bytes parameters;        // little-endian struct of kernels/stage_records.h
   std::vector<StageInput> inputs;
   std::uint32_t record_bytes = 0;  // fixed stride of an item's record

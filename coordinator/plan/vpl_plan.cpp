@@ -24,6 +24,8 @@ constexpr float kLeastCosine = 0.8660254f;  // eq. 7
 // Points looked at for each point cluster (the paper's down-sampling).
 constexpr std::uint64_t kPointsPerCluster = 8;
 constexpr std::uint32_t kMostPaths = 1u << 16;
+// Lights' stages wait for each other, the paths for nothing: these fill what those leave free.
+constexpr int kFirst = 1;
 
 template <typename Parameters>
 Bytes bytes_of(const Parameters& parameters) {
@@ -106,6 +108,7 @@ StageSpec VplPlan::trace(std::uint32_t set) const {
   StageSpec spec;
   spec.name = "vpl.trace." + std::to_string(set);
   spec.kind = "vpl_trace";
+  spec.priority = kFirst;
   spec.items = p.items_low;
   spec.tile = 16;
   spec.parameters = bytes_of(p);
@@ -145,6 +148,7 @@ StageSpec VplPlan::points() const {
   StageSpec spec;
   spec.name = "vpl.points";
   spec.kind = "vpl_points";
+  spec.priority = kFirst;
   spec.items = p.items_low;
   spec.tile = 16;
   spec.parameters = bytes_of(p);
@@ -210,6 +214,7 @@ void VplPlan::absorb_lights(std::uint32_t set, const Bytes& records, Step& step)
   StageSpec spec;
   spec.name = "vpl.cluster." + std::to_string(set);
   spec.kind = "vpl_cluster";
+  spec.priority = kFirst;
   spec.items = p.clusters;
   spec.solo = true;
   spec.parameters = bytes_of(p);
@@ -280,6 +285,7 @@ void VplPlan::settle_lights(std::uint32_t set, std::vector<float> rows, Step& st
     s.shading = s.shaded = true;
     ++shaded_sets_;
     skips_.push_back({"visibility and shading of set " + std::to_string(set), "no light reached a diffuse surface", 1});
+    if (set + 1 < sets_.size()) step.stages.push_back(trace(set + 1));
     return;
   }
   if (points_ready_) ask_visibility(set, step);
@@ -304,6 +310,7 @@ void VplPlan::absorb_points(const Bytes& records, Step& step) {
   StageSpec spec;
   spec.name = "vpl.point_cluster";
   spec.kind = "point_cluster";
+  spec.priority = kFirst;
   spec.items = p.clusters;
   spec.solo = true;
   spec.parameters = bytes_of(p);
@@ -342,6 +349,7 @@ void VplPlan::ask_visibility(std::uint32_t set, Step& step) {
   StageSpec spec;
   spec.name = "vpl.visibility." + std::to_string(set);
   spec.kind = "vpl_visibility";
+  spec.priority = kFirst;
   spec.items = point_rows_;
   spec.parameters = bytes_of(p);
   spec.inputs = {{"lights", s.lights.id}, {"points", points_.id}};
@@ -365,6 +373,7 @@ void VplPlan::shade(std::uint32_t set, Step& step) {
   StageSpec spec;
   spec.name = "vpl.shade." + std::to_string(set);
   spec.kind = "vpl_shade";
+  spec.priority = kFirst;
   spec.items = pixels();
   spec.tile = 16;
   spec.parameters = bytes_of(p);
@@ -378,6 +387,7 @@ void VplPlan::shade(std::uint32_t set, Step& step) {
   }
   spec.record_bytes = 12;
   step.stages.push_back(std::move(spec));
+  if (set + 1 < sets_.size()) step.stages.push_back(trace(set + 1));
 }
 
 void VplPlan::absorb_shade(std::uint32_t set, const Bytes& records) {
@@ -400,7 +410,8 @@ Step VplPlan::next(const FinishedStage* finished) {
       begin_paths(step);
       return step;
     }
-    for (std::uint32_t set = 0; set < sets_.size(); ++set) step.stages.push_back(trace(set));
+    // One set after another, each begun while the one before is shaded: a frame whose time is up has whole sets.
+    step.stages.push_back(trace(0));
     if (vpl_.point_clusters)
       step.stages.push_back(points());
     else

@@ -30,7 +30,7 @@ VplSettings make_vpl_settings(const FrameSettings& settings) {
   vpl.draw = whole_setting(settings, "vpl.draw", vpl.sets > 1 ? 1 : 0, 0, 1) != 0;
   vpl.compensate = whole_setting(settings, "vpl.compensate", 1, 0, 1) != 0;
   vpl.doubt = real_setting(settings, "vpl.doubt", 0.02, 0, 1);
-  vpl.clamp = real_setting(settings, "vpl.clamp", 0.3, 0, 1e6);
+  vpl.clamp = real_setting(settings, "vpl.clamp", 0.1, 0, 1e6);
   return vpl;
 }
 
