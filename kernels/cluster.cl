@@ -1,4 +1,4 @@
-// The assignment step of k-means (algorithm 1 of the fuzzy-clustering paper); FUZZINESS is 1.
+// The assignment step of k-means (algorithm 1 of Colom et al. 2022); FUZZINESS is 1.
 
 #include "kernels/cluster_grid.h"
 #include "kernels/stage_records.h"

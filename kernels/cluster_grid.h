@@ -1,5 +1,5 @@
 // A regular grid over clusters' centres, and the nearest of the 27 cells about a point (algorithms 1 and 2 of the
-// fuzzy-clustering paper). FUZZINESS, a macro, says how many are wanted.
+// Colom et al. 2022). FUZZINESS, a macro, says how many are wanted.
 #ifndef GLEANER_KERNELS_CLUSTER_GRID_H
 #define GLEANER_KERNELS_CLUSTER_GRID_H
 

@@ -1,5 +1,5 @@
-// Virtual point lights with clusters, after "Fuzzy clustering of VPLs and shading points" (computers & graphics 2022;
-// numbers of equations below are its own):
+// Virtual point lights with clusters, after Colom, Marques & Santos 2022, "Interactive VPL-based global illumination on
+// the GPU using fuzzy clustering" (numbers of equations below are its own):
 //
 //   vpl_emit, vpl_walk_light    light paths; every diffuse layer they meet becomes a VPL
 //   vpl_generate, vpl_walk      camera paths through mirrors and glass to the points that are shaded
@@ -8,7 +8,7 @@
 //   vpl_gather                  eq. 6
 //
 // A surface's specular lobe, if any, is not lit by VPLs and makes none: what it carries is left to the path tracer
-// (NEED_COVERED in kernels/path.cl), whose paths end where a VPL has been. The two add up to everything.
+// (COVERED in kernels/path.cl), whose paths end where a VPL has been. The two add up to everything.
 
 #include "kernels/camera.h"
 #include "kernels/cluster_grid.h"

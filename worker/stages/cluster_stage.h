@@ -1,6 +1,6 @@
 #pragma once
 // Stage kinds "vpl_cluster" and "point_cluster": k-means over VPLs or over points to be shaded (algorithm 1 of the
-// fuzzy-clustering paper). Solo.
+// Colom et al. 2022). Solo.
 
 #include "worker/stages/device_scene.h"
 #include "worker/stages/executor.h"
