@@ -63,6 +63,30 @@ typedef struct {
   vf total;  // sum of the clusters' importances here: what light_choice_pdf() needs
 } LightSample;
 
+#ifdef NEED_EMISSIVE_TRIANGLES
+// Radiance of an emitting triangle, the row `e` of the emitters, at the weights of its second and third corner.
+FN v3 emitter_radiance(const Scene* scene, const vf* e, vf b1, vf b2, vi active) {
+  v3 radiance = words3(e, EMITTER_RADIANCE);
+#ifdef NEED_EMISSION_TEXTURES
+  vu triangle = pick_u((vu)0u, as_vu(e[EMITTER_TRIANGLE]), active) * TRIANGLE_WORDS;
+  vu material = gather_u((global const uint*)scene->triangles + TRIANGLE_MATERIAL, triangle);
+  vu texture = material_u(scene, material, MATERIAL_EMISSION_TEXTURE);
+  vi textured = active & (texture != GLEANER_NONE);
+  if (any_lane(textured)) {
+    vf b0 = one_f() - b1 - b2;
+    global const float* t = scene->triangles;
+    vf u = b0 * gather_f(t + TRIANGLE_UV0, triangle) + b1 * gather_f(t + TRIANGLE_UV1, triangle) +
+           b2 * gather_f(t + TRIANGLE_UV2, triangle);
+    vf v = b0 * gather_f(t + TRIANGLE_UV0 + 1, triangle) + b1 * gather_f(t + TRIANGLE_UV1 + 1, triangle) +
+           b2 * gather_f(t + TRIANGLE_UV2 + 1, triangle);
+    vf unused;
+    radiance = pick3(radiance, mul3(radiance, texture_lookup(scene, texture, u, v, textured, &unused)), textured);
+  }
+#endif
+  return radiance;
+}
+#endif
+
 FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1) {
   LightSample light;
   light.infinite = no_lanes();
@@ -133,7 +157,6 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
     v3 corner = words3(e, EMITTER_P0);
     v3 e1 = words3(e, EMITTER_E1);
     v3 e2 = words3(e, EMITTER_E2);
-    v3 radiance = words3(e, EMITTER_RADIANCE);
     vf b1, b2;
     sample_triangle(u0, u1, &b1, &b2);
     v3 error;
@@ -146,30 +169,13 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
     vf projected = -dot3(n, w);  // front face alone
     vf pdf = chance * 2.0f * d2 / projected;
     vi ok = here & (projected > zero_f()) & (d2 > zero_f()) & finite_f(pdf);
-#ifdef NEED_EMISSION_TEXTURES
-    vu triangle = as_vu(e[EMITTER_TRIANGLE]);
-    triangle = pick_u((vu)0u, triangle, ok) * TRIANGLE_WORDS;
-    vu material = gather_u((global const uint*)scene->triangles + TRIANGLE_MATERIAL, triangle);
-    vu texture = material_u(scene, material, MATERIAL_EMISSION_TEXTURE);
-    vi textured = ok & (texture != GLEANER_NONE);
-    if (any_lane(textured)) {
-      vf b0 = one_f() - b1 - b2;
-      global const float* t = scene->triangles;
-      vf u = b0 * gather_f(t + TRIANGLE_UV0, triangle) + b1 * gather_f(t + TRIANGLE_UV1, triangle) +
-             b2 * gather_f(t + TRIANGLE_UV2, triangle);
-      vf v = b0 * gather_f(t + TRIANGLE_UV0 + 1, triangle) + b1 * gather_f(t + TRIANGLE_UV1 + 1, triangle) +
-             b2 * gather_f(t + TRIANGLE_UV2 + 1, triangle);
-      vf unused;
-      radiance = pick3(radiance, mul3(radiance, texture_lookup(scene, texture, u, v, textured, &unused)), textured);
-    }
-#endif
     // A query knows the light's corners by their offsets from where it begins: their rounding, and that of its sums of
     // products, grow with the distance. A target within that of the light would be in its own light's way.
     const vf unit = (vf)(16.0f * 5.9604645e-8f);
     error = add3(error, make3(unit * fabs(d.x), unit * fabs(d.y), unit * fabs(d.z)));
     light.target = pick3(light.target, leave_surface(q, error, normalize3(n), negate3(w)), ok);
     light.direction = pick3(light.direction, w, ok);
-    light.radiance = pick3(light.radiance, radiance, ok);
+    light.radiance = pick3(light.radiance, emitter_radiance(scene, e, b1, b2, ok), ok);
     light.pdf = pick(light.pdf, pdf, ok);
   }
 #endif

@@ -40,9 +40,6 @@ FN void add_clamped(global float* slots, uint slot_count, vu slot, v3 value, vi 
 FN void add_clamped(global float* slots, uint slot_count, vu slot, v3 value, vi active) {}
 #endif
 
-// How far shadow rays go, the light being at 1.
-#define SHADOW_FAR 0.9999999f
-
 kernel WIDE void path_generate(global const PathParameters* restrict parameters, global const uint* restrict items,
                                uint listed, uint first_item_low, uint first_item_high, uint first_path, uint base,
                                uint count, global float* restrict paths, global float* restrict slots,
@@ -88,14 +85,7 @@ kernel WIDE void path_generate(global const PathParameters* restrict parameters,
   vi idle = (local_item > last_local) |
             ((local_item == last_local) & ((path & (samples - 1u)) >= parameters->last_item_samples)) | (lane >= count);
   uint at = (base + first_lane) / LANES;
-  set_row_3(paths, PATH_ROWS, at, ROW_ORIGIN, origin);
-  set_row_f(paths, PATH_ROWS, at, ROW_NEAR, zero_f());
-  set_row_3(paths, PATH_ROWS, at, ROW_DIRECTION, direction);
-  set_row_f(paths, PATH_ROWS, at, ROW_TIME, zero_f());
-  set_row_f(paths, PATH_ROWS, at, ROW_FAR, pick((vf)INFINITY, (vf)-1.0f, idle));
-  set_row_u(paths, PATH_ROWS, at, ROW_MASK, (vu)0xffffffffu);
-  set_row_u(paths, PATH_ROWS, at, ROW_SOURCE, (vu)GLEANER_NONE);
-  set_row_u(paths, PATH_ROWS, at, ROW_FLAGS, (vu)0u);
+  set_ray(paths, PATH_ROWS, at, origin, direction, pick((vf)INFINITY, (vf)-1.0f, idle), (vu)GLEANER_NONE);
   set_row_u(paths, PATH_ROWS, at, ROW_GEOMETRY, (vu)GLEANER_NONE);
   set_row_3(paths, PATH_ROWS, at, ROW_THROUGHPUT, splat3(one_f()));
   set_row_f(paths, PATH_ROWS, at, ROW_PDF, zero_f());
@@ -205,14 +195,11 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 
   Surface m;
   load_color(scene, &h, &m, active);
-  // Interpolated and mapped normals decide the side and the cosine; both sides scatter.
-  v3 normal = h.normal;
-
   if (parameters->features) {
     vi first_hit = active & (bounce == 0u);
     if (any_lane(first_hit)) {
       vu at = pick_u((vu)slot_count, slot, first_hit) * FEATURE_WORDS;
-      v3 facing = pick3(normal, negate3(normal), dot3(normal, direction) > zero_f());
+      v3 facing = pick3(h.normal, negate3(h.normal), dot3(h.normal, direction) > zero_f());
       scatter_f(features, at, m.base.x);
       scatter_f(features + 1, at, m.base.y);
       scatter_f(features + 2, at, m.base.z);
@@ -230,13 +217,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   vf u_lobe, u_glass;
   sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 2u, &u_lobe, &u_glass);
 
-#ifdef NEED_ALPHA
-  // What is not opaque lets light go on unbent, in proportion.
-  vi passes = active & (m.opacity < one_f()) & (u_glass >= m.opacity);
-  u_glass = pick(u_glass, min_f(u_glass / m.opacity, (vf)0.99999994f), m.opacity > zero_f());
-#else
-  vi passes = no_lanes();
-#endif
+  vi passes = passes_by_lot(&m, active, &u_glass);
 #ifdef NEED_UNLIT
   {
     vi unlit = active & none(passes) & ((as_vu(h.words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_UNLIT) != 0u);
@@ -264,16 +245,11 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 #endif
   load_lobes(scene, &h, &m, active);
 
-  v3 tangent, bitangent;
-  vf facing = dot3(normal, direction);
-  vi from_back = facing > zero_f();
-  normal = pick3(normal, negate3(normal), from_back);
-  basis3(normal, &tangent, &bitangent);
-  v3 view = make3(-dot3(tangent, direction), -dot3(bitangent, direction), fabs(facing));
+  ShadingFrame frame = shading_frame(h.normal, direction);
   // Grazing beyond what the interpolated normal can tell: nothing is scattered.
-  active = active & ((view.z > (vf)1e-6f) | passes);
+  active = active & ((frame.view.z > (vf)1e-6f) | passes);
 #ifdef NEED_LOBE
-  prepare_lobe(scene, &m, max_f(view.z, (vf)1e-6f));
+  prepare_lobe(scene, &m, max_f(frame.view.z, (vf)1e-6f));
 #endif
 
   // One light sample. Perfect mirrors and glass cannot see it.
@@ -300,11 +276,11 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 1u, &l0, &l1);
       LightSample light = sample_light(scene, p, u_choice, l0, l1);
       light_total = light.total;
-      v3 toward =
-          make3(dot3(tangent, light.direction), dot3(bitangent, light.direction), dot3(normal, light.direction));
+      v3 toward = make3(dot3(frame.tangent, light.direction), dot3(frame.bitangent, light.direction),
+                        dot3(frame.normal, light.direction));
       vi seen = lit & (light.pdf > zero_f()) & (toward.z > (vf)1e-6f);
       vf pdf;
-      v3 f = eval_bsdf(scene, &m, view, make3(toward.x, toward.y, max_f(toward.z, (vf)1e-6f)), &pdf);
+      v3 f = eval_bsdf(scene, &m, frame.view, make3(toward.x, toward.y, max_f(toward.z, (vf)1e-6f)), &pdf);
 #ifdef COVERED
       v3 layer = eval_layer(scene, &m, max_f(toward.z, (vf)1e-6f));
       f = sub3(f, scale3(layer, one_f() - layer_share));
@@ -328,14 +304,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
     }
   }
 #endif
-  set_row_3(shadows, SHADOW_ROWS, block, ROW_ORIGIN, shadow_origin);
-  set_row_f(shadows, SHADOW_ROWS, block, ROW_NEAR, zero_f());
-  set_row_3(shadows, SHADOW_ROWS, block, ROW_DIRECTION, shadow_direction);
-  set_row_f(shadows, SHADOW_ROWS, block, ROW_TIME, zero_f());
-  set_row_f(shadows, SHADOW_ROWS, block, ROW_FAR, shadow_far);
-  set_row_u(shadows, SHADOW_ROWS, block, ROW_MASK, (vu)0xffffffffu);
-  set_row_u(shadows, SHADOW_ROWS, block, ROW_SOURCE, primitive);
-  set_row_u(shadows, SHADOW_ROWS, block, ROW_FLAGS, (vu)0u);
+  set_ray(shadows, SHADOW_ROWS, block, shadow_origin, shadow_direction, shadow_far, primitive);
   set_row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION, contribution);
   set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_SLOT, pick_u((vu)slot_count, slot | shadow_bits, connected));
 #ifdef VEILS
@@ -345,10 +314,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   // One scattered ray.
   vf d0, d1;
   sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 3u, &d0, &d1);
-  BsdfSample scattered = sample_bsdf(scene, &m, view, from_back, u_lobe, u_glass, d0, d1);
-  v3 out = add3(add3(scale3(tangent, scattered.direction.x), scale3(bitangent, scattered.direction.y)),
-                scale3(normal, scattered.direction.z));
-  out = normalize3(out);
+  BsdfSample scattered = sample_bsdf(scene, &m, frame.view, frame.from_back, u_lobe, u_glass, d0, d1);
+  v3 out = from_frame(&frame, scattered.direction);
   v3 next_throughput = mul3(throughput, scattered.weight);
   vi specular = scattered.pdf <= zero_f();
   vf eta = row_f(paths, PATH_ROWS, block, ROW_ETA) * scattered.eta;
@@ -361,7 +328,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
     vf unused_pdf, u_class, u_spare;
     sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 4u, &u_class, &u_spare);
     vf z = max_f(scattered.direction.z, (vf)1e-6f);
-    v3 both = eval_bsdf(scene, &m, view, make3(scattered.direction.x, scattered.direction.y, z), &unused_pdf);
+    v3 both = eval_bsdf(scene, &m, frame.view, make3(scattered.direction.x, scattered.direction.y, z), &unused_pdf);
     v3 layer = eval_layer(scene, &m, z);
     vf chance = clamp_f((layer.x + layer.y + layer.z) / (both.x + both.y + both.z), zero_f(), one_f());
     by_layer = by_layer & (u_class < chance);
@@ -483,33 +450,13 @@ kernel WIDE void path_pass(global float* restrict shadows, global float* restric
   v3 origin = row_3(shadows, SHADOW_ROWS, block, ROW_ORIGIN);
   v3 direction = row_3(shadows, SHADOW_ROWS, block, ROW_DIRECTION);
   vu primitive = pick_u((vu)0u, row_u(shadows, SHADOW_ROWS, block, ROW_PRIMITIVE), passes);
-  vu triangle = primitive * TRIANGLE_WORDS;
-  vf b1 = row_f(shadows, SHADOW_ROWS, block, ROW_U), b2 = row_f(shadows, SHADOW_ROWS, block, ROW_V);
-  vf t[16];
-  load_words(scene->triangles, triangle, t);
-  vu material = as_vu(t[TRIANGLE_MATERIAL]);
-  vf opacity = material_f(scene, material, MATERIAL_ALPHA);
-#ifdef NEED_TEXTURES
-  vu texture = material_u(scene, material, MATERIAL_BASE_COLOR_TEXTURE);
-  vi textured = passes & (texture != GLEANER_NONE);
-  if (any_lane(textured)) {
-    vf t2[16], alpha, b0 = one_f() - b1 - b2;
-    load_words(scene->triangles + TRIANGLE_SECOND, triangle, t2);
-    vf tu = b0 * t2[TRIANGLE_UV0 - TRIANGLE_SECOND] + b1 * t2[TRIANGLE_UV1 - TRIANGLE_SECOND] +
-            b2 * t2[TRIANGLE_UV2 - TRIANGLE_SECOND];
-    vf tv = b0 * t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1] + b1 * t2[TRIANGLE_UV1 - TRIANGLE_SECOND + 1] +
-            b2 * t2[TRIANGLE_UV2 - TRIANGLE_SECOND + 1];
-    texture_lookup(scene, texture, tu, tv, textured, &alpha);
-    opacity = pick(opacity, opacity * alpha, textured);
-  }
-#endif
-  opacity = opacity_of(scene, material, material_u(scene, material, MATERIAL_FLAGS), opacity);
-  contribution = scale3(contribution, one_f() - opacity);
+  Hit h = load_hit(scene, primitive, row_f(shadows, SHADOW_ROWS, block, ROW_U),
+                   row_f(shadows, SHADOW_ROWS, block, ROW_V), passes);
+  Surface m;
+  load_color(scene, &h, &m, passes);
+  contribution = scale3(contribution, one_f() - m.opacity);
   passes = passes & (max_component(contribution) > zero_f());
-  v3 p0 = words3(t, TRIANGLE_P0);
-  v3 e1 = sub3(words3(t, TRIANGLE_P1), p0), e2 = sub3(words3(t, TRIANGLE_P2), p0), error;
-  v3 p = surface_point(p0, e1, e2, b1, b2, &error);
-  v3 start = leave_surface(p, error, normalize3(cross3(e1, e2)), direction);
+  v3 start = leave_surface(h.p, h.error, h.geometric, direction);
   passes = passes & finite3(start);
   set_row_3(shadows, SHADOW_ROWS, block, ROW_ORIGIN, start);
   set_row_3(shadows, SHADOW_ROWS, block, ROW_DIRECTION,

@@ -34,6 +34,8 @@
 #define ROW_SHADOW_SLOT 15u  // the slot and the bits below; the slot count: no ray
 #define SHADOW_ROWS 16u
 #endif
+// How far shadow rays go, the light being at 1.
+#define SHADOW_FAR 0.9999999f
 #define SHADOW_INDIRECT 0x80000000u
 #define SHADOW_PASSES 0x40000000u    // goes through what is not opaque
 #define SHADOW_INFINITE 0x20000000u  // its light is not at `far` 1

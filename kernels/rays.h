@@ -54,6 +54,17 @@ FN void set_row_3(global float* rays, uint rows, uint block, uint row, v3 v) {
   set_row_f(rays, rows, block, row + 1u, v.y);
   set_row_f(rays, rows, block, row + 2u, v.z);
 }
+// Those rows that a query reads; a ray whose `far` is not positive asks nothing.
+FN void set_ray(global float* rays, uint rows, uint block, v3 origin, v3 direction, vf far, vu source) {
+  set_row_3(rays, rows, block, ROW_ORIGIN, origin);
+  set_row_f(rays, rows, block, ROW_NEAR, zero_f());
+  set_row_3(rays, rows, block, ROW_DIRECTION, direction);
+  set_row_f(rays, rows, block, ROW_TIME, zero_f());
+  set_row_f(rays, rows, block, ROW_FAR, far);
+  set_row_u(rays, rows, block, ROW_MASK, (vu)0xffffffffu);
+  set_row_u(rays, rows, block, ROW_SOURCE, source);
+  set_row_u(rays, rows, block, ROW_FLAGS, (vu)0u);
+}
 // Where row 0 of ray `i` lies; add 16 for each row.
 FN vu ray_address(vu i, uint rows) { return (i >> 4) * (rows * 16u) + (i & 15u); }
 

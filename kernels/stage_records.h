@@ -148,6 +148,9 @@ typedef struct {
 } VisibilityParameters;
 GLEANER_SIZE(VisibilityParameters, 16);
 
+// Normals that may share a cluster, and points that a cluster may speak for: eq. 7's threshold nt, sqrt(3) / 2.
+#define CLUSTER_LEAST_COSINE 0.8660254f
+
 #define MOST_FUZZINESS 8u
 #define MOST_DOUBTS 128u  // lights that a point asks for itself
 

@@ -184,6 +184,40 @@ FN void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active) {
 #endif
 }
 
+// Whether light goes on unbent where a surface is not opaque: by lot, in proportion. What is left of the number serves
+// again.
+FN vi passes_by_lot(const Surface* m, vi active, vf* u) {
+#ifdef NEED_ALPHA
+  vi passes = active & (m->opacity < one_f()) & (*u >= m->opacity);
+  *u = pick(*u, min_f(*u / m->opacity, (vf)0.99999994f), m->opacity > zero_f());
+  return passes;
+#else
+  return no_lanes();
+#endif
+}
+
+// The frame in which scattering is reckoned: interpolated and mapped normals decide the side and the cosine.
+typedef struct {
+  v3 normal;  // on the side that the ray came from
+  v3 tangent, bitangent;
+  v3 view;       // where the ray came from, in this frame
+  vi from_back;  // of the normal as modelled
+} ShadingFrame;
+
+FN ShadingFrame shading_frame(v3 normal, v3 direction) {
+  ShadingFrame f;
+  vf facing = dot3(normal, direction);
+  f.from_back = facing > zero_f();
+  f.normal = pick3(normal, negate3(normal), f.from_back);
+  basis3(f.normal, &f.tangent, &f.bitangent);
+  f.view = make3(-dot3(f.tangent, direction), -dot3(f.bitangent, direction), fabs(facing));
+  return f;
+}
+
+FN v3 from_frame(const ShadingFrame* f, v3 d) {
+  return normalize3(add3(add3(scale3(f->tangent, d.x), scale3(f->bitangent, d.y)), scale3(f->normal, d.z)));
+}
+
 // What a solid absorbs of a segment that ended on its back face.
 FN v3 absorbed(const Scene* scene, const Hit* h, v3 origin, v3 direction, v3 throughput, vi active) {
 #ifdef NEED_ATTENUATION

@@ -10,6 +10,9 @@
 // A surface's specular lobe, if any, is not lit by VPLs and makes none: what it carries is left to the path tracer
 // (COVERED in kernels/path.cl), whose paths end where a VPL has been. The two add up to everything.
 
+// How steeply a cluster's place may rise above a point's plane (as a sine) for the two to be of one surface.
+#define SAME_SURFACE 0.25f
+
 #include "kernels/camera.h"
 #include "kernels/cluster_grid.h"
 #include "kernels/lights.h"
@@ -28,14 +31,7 @@
 
 FN void set_walk(global float* paths, uint block, v3 origin, v3 direction, vi idle, v3 throughput, vu slot, vu meta,
                  vu key, vf range) {
-  set_row_3(paths, PATH_ROWS, block, ROW_ORIGIN, origin);
-  set_row_f(paths, PATH_ROWS, block, ROW_NEAR, zero_f());
-  set_row_3(paths, PATH_ROWS, block, ROW_DIRECTION, direction);
-  set_row_f(paths, PATH_ROWS, block, ROW_TIME, zero_f());
-  set_row_f(paths, PATH_ROWS, block, ROW_FAR, pick((vf)INFINITY, (vf)-1.0f, idle));
-  set_row_u(paths, PATH_ROWS, block, ROW_MASK, (vu)0xffffffffu);
-  set_row_u(paths, PATH_ROWS, block, ROW_SOURCE, (vu)GLEANER_NONE);
-  set_row_u(paths, PATH_ROWS, block, ROW_FLAGS, (vu)0u);
+  set_ray(paths, PATH_ROWS, block, origin, direction, pick((vf)INFINITY, (vf)-1.0f, idle), (vu)GLEANER_NONE);
   set_row_u(paths, PATH_ROWS, block, ROW_GEOMETRY, (vu)GLEANER_NONE);
   set_row_3(paths, PATH_ROWS, block, ROW_THROUGHPUT, throughput);
   set_row_f(paths, PATH_ROWS, block, ROW_RANGE, range);
@@ -91,7 +87,7 @@ kernel WIDE void vpl_emit(global const VplTraceParameters* restrict parameters, 
 #ifdef NEED_EMISSIVE_TRIANGLES
   {
     vi here = none(sky) & (kind == CLUSTER_TRIANGLES);
-    v3 e1 = words3(e, EMITTER_E1), e2 = words3(e, EMITTER_E2), radiance = words3(e, EMITTER_RADIANCE);
+    v3 e1 = words3(e, EMITTER_E1), e2 = words3(e, EMITTER_E2);
     vf b1, b2;
     sample_triangle(u0, u1, &b1, &b2);
     v3 error;
@@ -99,22 +95,6 @@ kernel WIDE void vpl_emit(global const VplTraceParameters* restrict parameters, 
     v3 n = cross3(e1, e2);
     vf doubled = length3(n);
     n = normalize3(n);
-#ifdef NEED_EMISSION_TEXTURES
-    vu triangle = pick_u((vu)0u, as_vu(e[EMITTER_TRIANGLE]), here) * TRIANGLE_WORDS;
-    vu material = gather_u((global const uint*)scene->triangles + TRIANGLE_MATERIAL, triangle);
-    vu texture = material_u(scene, material, MATERIAL_EMISSION_TEXTURE);
-    vi textured = here & (texture != GLEANER_NONE);
-    if (any_lane(textured)) {
-      vf b0 = one_f() - b1 - b2;
-      global const float* t = scene->triangles;
-      vf u = b0 * gather_f(t + TRIANGLE_UV0, triangle) + b1 * gather_f(t + TRIANGLE_UV1, triangle) +
-             b2 * gather_f(t + TRIANGLE_UV2, triangle);
-      vf v = b0 * gather_f(t + TRIANGLE_UV0 + 1, triangle) + b1 * gather_f(t + TRIANGLE_UV1 + 1, triangle) +
-             b2 * gather_f(t + TRIANGLE_UV2 + 1, triangle);
-      vf unused;
-      radiance = pick3(radiance, mul3(radiance, texture_lookup(scene, texture, u, v, textured, &unused)), textured);
-    }
-#endif
     v3 s, t;
     basis3(n, &s, &t);
     v3 around = sample_cosine(d0, d1);
@@ -122,7 +102,7 @@ kernel WIDE void vpl_emit(global const VplTraceParameters* restrict parameters, 
     origin = pick3(origin, leave_surface(q, error, n, w), here);
     direction = pick3(direction, w, here);
     // Cosine-weighted over the front: pi times the area.
-    flux = pick3(flux, scale3(radiance, doubled * (vf)1.5707963267948966f), here);
+    flux = pick3(flux, scale3(emitter_radiance(scene, e, b1, b2, here), doubled * (vf)1.5707963267948966f), here);
   }
 #endif
 #ifdef NEED_PUNCTUAL_LIGHTS
@@ -213,29 +193,19 @@ kernel WIDE void vpl_walk_light(global const VplTraceParameters* restrict parame
   sample_pair(pair_key, sample, VPL_SEQUENCE, 0u, &u_slot, &u_roulette);
   sample_pair(pair_key, sample, VPL_SEQUENCE, 2u, &u_lobe, &u_glass);
   sample_pair(pair_key, sample, VPL_SEQUENCE, 3u, &d0, &d1);
-#ifdef NEED_ALPHA
-  vi passes = active & (m.opacity < one_f()) & (u_glass >= m.opacity);
-  u_glass = pick(u_glass, min_f(u_glass / m.opacity, (vf)0.99999994f), m.opacity > zero_f());
-#else
-  vi passes = no_lanes();
-#endif
+  vi passes = passes_by_lot(&m, active, &u_glass);
 #ifdef NEED_UNLIT
   active = active & (passes | ((as_vu(h.words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_UNLIT) == 0u));
 #endif
   load_lobes(scene, &h, &m, active);
-  vf facing = dot3(h.normal, direction);
-  vi from_back = facing > zero_f();
-  v3 normal = pick3(h.normal, negate3(h.normal), from_back);
+  ShadingFrame f = shading_frame(h.normal, direction);
   v3 geometric = pick3(h.geometric, negate3(h.geometric), dot3(h.geometric, direction) > zero_f());
-  v3 tangent, bitangent;
-  basis3(normal, &tangent, &bitangent);
-  v3 view = make3(-dot3(tangent, direction), -dot3(bitangent, direction), fabs(facing));
-  active = active & ((view.z > (vf)1e-6f) | passes);
+  active = active & ((f.view.z > (vf)1e-6f) | passes);
 #ifdef NEED_LOBE
-  prepare_lobe(scene, &m, max_f(view.z, (vf)1e-6f));
+  prepare_lobe(scene, &m, max_f(f.view.z, (vf)1e-6f));
 #endif
   // Flux is per area of the triangle, scattering by the cosine to the shading normal (Veach 1997, 5.3).
-  vf bend = fabs(facing) / max_f(fabs(dot3(geometric, direction)), (vf)1e-6f);
+  vf bend = f.view.z / max_f(fabs(dot3(geometric, direction)), (vf)1e-6f);
 
   // The VPL. What glass does with the path is not the diffuse layer's.
   vi layered = active & none(passes) & ((depth < parameters->depth) | ((vu)parameters->depth == 0u));
@@ -264,9 +234,9 @@ kernel WIDE void vpl_walk_light(global const VplTraceParameters* restrict parame
     scatter_f(records + VPL_POSITION, at, h.p.x);
     scatter_f(records + VPL_POSITION + 1u, at, h.p.y);
     scatter_f(records + VPL_POSITION + 2u, at, h.p.z);
-    scatter_f(records + VPL_NORMAL, at, normal.x);
-    scatter_f(records + VPL_NORMAL + 1u, at, normal.y);
-    scatter_f(records + VPL_NORMAL + 2u, at, normal.z);
+    scatter_f(records + VPL_NORMAL, at, f.normal.x);
+    scatter_f(records + VPL_NORMAL + 1u, at, f.normal.y);
+    scatter_f(records + VPL_NORMAL + 2u, at, f.normal.z);
     scatter_f(records + VPL_GEOMETRIC, at, geometric.x);
     scatter_f(records + VPL_GEOMETRIC + 1u, at, geometric.y);
     scatter_f(records + VPL_GEOMETRIC + 2u, at, geometric.z);
@@ -298,9 +268,8 @@ kernel WIDE void vpl_walk_light(global const VplTraceParameters* restrict parame
     made = pick_u(made, min(made + 1u, (vu)255u), layered);
   }
 
-  BsdfSample scattered = sample_bsdf(scene, &m, view, from_back, u_lobe, u_glass, d0, d1);
-  v3 out = normalize3(add3(add3(scale3(tangent, scattered.direction.x), scale3(bitangent, scattered.direction.y)),
-                           scale3(normal, scattered.direction.z)));
+  BsdfSample scattered = sample_bsdf(scene, &m, f.view, f.from_back, u_lobe, u_glass, d0, d1);
+  v3 out = from_frame(&f, scattered.direction);
   // Flux is not squeezed by refraction as radiance is; and the other half of the shading normals' bend.
   vf unbend = fabs(dot3(geometric, out)) / max_f(fabs(scattered.direction.z), (vf)1e-6f);
   vf adjoint = bend * unbend * scattered.eta * scattered.eta;
@@ -402,25 +371,15 @@ kernel WIDE void vpl_walk(global const VplPointParameters* restrict parameters, 
   sample_pair(pair_key, sample, parameters->samples, 0u, &u_roulette, &u_spare);
   sample_pair(pair_key, sample, parameters->samples, 2u, &u_lobe, &u_glass);
   sample_pair(pair_key, sample, parameters->samples, 3u, &d0, &d1);
-#ifdef NEED_ALPHA
-  vi passes = active & (m.opacity < one_f()) & (u_glass >= m.opacity);
-  u_glass = pick(u_glass, min_f(u_glass / m.opacity, (vf)0.99999994f), m.opacity > zero_f());
-#else
-  vi passes = no_lanes();
-#endif
+  vi passes = passes_by_lot(&m, active, &u_glass);
 #ifdef NEED_UNLIT
   active = active & (passes | ((as_vu(h.words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_UNLIT) == 0u));
 #endif
   load_lobes(scene, &h, &m, active);
-  vf facing = dot3(h.normal, direction);
-  vi from_back = facing > zero_f();
-  v3 normal = pick3(h.normal, negate3(h.normal), from_back);
-  v3 tangent, bitangent;
-  basis3(normal, &tangent, &bitangent);
-  v3 view = make3(-dot3(tangent, direction), -dot3(bitangent, direction), fabs(facing));
-  active = active & ((view.z > (vf)1e-6f) | passes);
+  ShadingFrame f = shading_frame(h.normal, direction);
+  active = active & ((f.view.z > (vf)1e-6f) | passes);
 #ifdef NEED_LOBE
-  prepare_lobe(scene, &m, max_f(view.z, (vf)1e-6f));
+  prepare_lobe(scene, &m, max_f(f.view.z, (vf)1e-6f));
 #endif
   vi stops = active & none(passes);
   // Of the scatterings that are allowed, the VPL and this point need two.
@@ -452,9 +411,9 @@ kernel WIDE void vpl_walk(global const VplPointParameters* restrict parameters, 
     scatter_f(points + POINT_POSITION, at, h.p.x);
     scatter_f(points + POINT_POSITION + 1u, at, h.p.y);
     scatter_f(points + POINT_POSITION + 2u, at, h.p.z);
-    scatter_f(points + POINT_NORMAL, at, normal.x);
-    scatter_f(points + POINT_NORMAL + 1u, at, normal.y);
-    scatter_f(points + POINT_NORMAL + 2u, at, normal.z);
+    scatter_f(points + POINT_NORMAL, at, f.normal.x);
+    scatter_f(points + POINT_NORMAL + 1u, at, f.normal.y);
+    scatter_f(points + POINT_NORMAL + 2u, at, f.normal.z);
     scatter_u(words + POINT_TABLE, at, table);
     scatter_f(points + POINT_ROW, at, table_row);
     scatter_f(points + POINT_WEIGHT, at, one_f());
@@ -466,9 +425,8 @@ kernel WIDE void vpl_walk(global const VplPointParameters* restrict parameters, 
     scatter_f(points + POINT_B2, at, h.b2);
     scatter_f(points + POINT_COS, at, one_f());
   }
-  BsdfSample scattered = sample_bsdf(scene, &m, view, from_back, u_lobe, u_glass, d0, d1);
-  v3 out = normalize3(add3(add3(scale3(tangent, scattered.direction.x), scale3(bitangent, scattered.direction.y)),
-                           scale3(normal, scattered.direction.z)));
+  BsdfSample scattered = sample_bsdf(scene, &m, f.view, f.from_back, u_lobe, u_glass, d0, d1);
+  v3 out = from_frame(&f, scattered.direction);
   v3 next = mul3(throughput, scattered.weight);
   vi alive = on & (max_component(next) > zero_f()) & finite3(next) & finite3(out);
   vu next_depth = min(depth + 1u, (vu)META_DEPTH_MASK);
@@ -506,14 +464,7 @@ FN void connect_light(v3 p, v3 p_error, v3 p_geometric, v3 q, v3 q_error, v3 q_g
 }
 
 FN void set_visibility_ray(global float* rays, uint block, v3 start, v3 direction, vi active, vu source) {
-  set_row_3(rays, VISIBILITY_ROWS, block, ROW_ORIGIN, start);
-  set_row_f(rays, VISIBILITY_ROWS, block, ROW_NEAR, zero_f());
-  set_row_3(rays, VISIBILITY_ROWS, block, ROW_DIRECTION, direction);
-  set_row_f(rays, VISIBILITY_ROWS, block, ROW_TIME, zero_f());
-  set_row_f(rays, VISIBILITY_ROWS, block, ROW_FAR, pick((vf)-1.0f, (vf)0.9999999f, active));
-  set_row_u(rays, VISIBILITY_ROWS, block, ROW_MASK, (vu)0xffffffffu);
-  set_row_u(rays, VISIBILITY_ROWS, block, ROW_SOURCE, source);
-  set_row_u(rays, VISIBILITY_ROWS, block, ROW_FLAGS, (vu)0u);
+  set_ray(rays, VISIBILITY_ROWS, block, start, direction, pick((vf)-1.0f, (vf)SHADOW_FAR, active), source);
 }
 
 // Rays from points to lights: `rows` points, each asked for `width` lights (a multiple of 32) from its own first one

@@ -38,6 +38,13 @@ struct Worker {
 
 struct Cancelled {};
 
+// The job's settings, with the camera that sees this frame.
+FrameSettings settings_of(const JobRequest& request, std::uint32_t frame) {
+  FrameSettings settings = request.settings;
+  if (!request.cameras.empty()) settings.camera = request.cameras[frame - request.first_frame];
+  return settings;
+}
+
 // Records of stages that other frames may want, the least recently used going first.
 class KeptRecords {
  public:
@@ -269,16 +276,13 @@ struct Farm::Impl {
   }
 
   static bool same_camera(const Job& job, std::uint32_t a, std::uint32_t b) {
-    const auto& cameras = job.request.cameras;
-    const std::uint32_t first = job.request.first_frame;
-    return cameras.empty() || std::memcmp(&cameras[a - first], &cameras[b - first], sizeof(scene::Camera)) == 0;
+    const scene::Camera first = settings_of(job.request, a).camera, second = settings_of(job.request, b).camera;
+    return std::memcmp(&first, &second, sizeof first) == 0;
   }
 
   // A plan for another frame of the job.
   void aim(Job& job, std::uint32_t frame) {
-    FrameSettings frame_settings = job.request.settings;
-    frame_settings.camera = job.request.cameras[frame - job.request.first_frame];
-    std::shared_ptr<Plan> plan = settings.plan(frame_settings, job.request.scene);
+    std::shared_ptr<Plan> plan = settings.plan(settings_of(job.request, frame), job.request.scene);
     std::lock_guard plan_lock(job.plan_mutex);
     job.plan = std::move(plan);
     job.drawn = false;
@@ -293,8 +297,7 @@ struct Farm::Impl {
     report.camera = job.request.camera_name;
     report.job = job.id;
     report.frame = frame;
-    report.settings = job.request.settings;
-    if (!job.request.cameras.empty()) report.settings.camera = job.request.cameras[frame - job.request.first_frame];
+    report.settings = settings_of(job.request, frame);
     report.time_limit = job.request.time_limit;
     return report;
   }
@@ -735,9 +738,7 @@ std::string Farm::submit(const JobRequest& request) {
                        std::to_string(request.cameras.size()));
   for (const std::string& id : {request.scene_blob, request.bvh_blob})
     if (!id.empty() && !impl_->blobs.has(id)) throw Error::bad_input("blob " + id, "", "to be uploaded first");
-  FrameSettings first_settings = request.settings;
-  if (!request.cameras.empty()) first_settings.camera = request.cameras.front();
-  std::shared_ptr<Plan> plan = impl_->settings.plan(first_settings, request.scene);
+  std::shared_ptr<Plan> plan = impl_->settings.plan(settings_of(request, request.first_frame), request.scene);
   auto job = std::make_shared<Job>();
   job->request = request;
   job->plan = std::move(plan);

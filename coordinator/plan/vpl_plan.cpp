@@ -10,6 +10,7 @@
 #include "coordinator/blobs/sha256.h"
 #include "kernels/stage_records.h"
 #include "scene/model/error.h"
+#include "scene/model/order.h"
 
 namespace gleaner::coordinator {
 namespace {
@@ -20,7 +21,6 @@ using kernels::VplPointParameters;
 using kernels::VplTraceParameters;
 
 constexpr std::uint32_t kIterations = 6;
-constexpr float kLeastCosine = 0.8660254f;  // eq. 7
 // Points looked at for each point cluster (the paper's down-sampling).
 constexpr std::uint64_t kPointsPerCluster = 8;
 constexpr std::uint32_t kMostPaths = 1u << 16;
@@ -40,22 +40,17 @@ std::vector<float> floats_of(const Bytes& bytes) {
   return values;
 }
 
+std::shared_ptr<const Bytes> bytes_of(const std::vector<float>& values) {
+  auto bytes = std::make_shared<Bytes>(values.size() * 4);
+  std::memcpy(bytes->data(), values.data(), bytes->size());
+  return bytes;
+}
+
 double luminance(const float* c) { return 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2]; }
 
 // In [0, 1): the systematic resampling's offset, another one for each set.
 double offset_of(std::uint64_t seed, std::uint32_t set) {
-  std::uint64_t x = seed + 0x9e3779b97f4a7c15ull * (set + 1);
-  x = (x ^ (x >> 30)) * 0xbf58476d1ce4e5b9ull;
-  x = (x ^ (x >> 27)) * 0x94d049bb133111ebull;
-  x ^= x >> 31;
-  return static_cast<double>(x >> 11) * 0x1p-53;
-}
-
-std::uint32_t spread_bits(std::uint32_t x) {
-  x = (x | (x << 16)) & 0x030000ffu;
-  x = (x | (x << 8)) & 0x0300f00fu;
-  x = (x | (x << 4)) & 0x030c30c3u;
-  return (x | (x << 2)) & 0x09249249u;
+  return scene::unit_hash(seed + 0x9e3779b97f4a7c15ull * (set + 1));
 }
 
 // Lights a square metre where lights are: from how far a light's nearest neighbour is (0.5 / sqrt(density) in the mean
@@ -89,6 +84,11 @@ std::uint32_t set_of(const std::string& name) {
 }
 
 }  // namespace
+
+VplPlan::Table VplPlan::table_of(std::shared_ptr<const Bytes> bytes) {
+  const ArtifactId id = sha256_hex(*bytes);
+  return {id, std::move(bytes)};
+}
 
 VplPlan::VplPlan(const FrameSettings& settings, const SceneSummary& scene)
     : settings_(settings), scene_(scene), vpl_(make_vpl_settings(settings)), sets_(vpl_.sets) {
@@ -203,26 +203,31 @@ void VplPlan::absorb_lights(std::uint32_t set, const Bytes& records, Step& step)
     settle_lights(set, std::move(rows), step);
     return;
   }
-  auto bytes = std::make_shared<Bytes>(rows.size() * 4);
-  std::memcpy(bytes->data(), rows.data(), bytes->size());
-  const Table table{sha256_hex(*bytes), bytes};
-  ClusterParameters p{};
-  p.clusters = vpl_.clusters;
-  p.iterations = kIterations;
-  p.least_cosine = kLeastCosine;
-  p.draw = vpl_.draw ? static_cast<std::uint32_t>(settings_.seed) * 4096 + set + 1 : 0;
-  StageSpec spec;
+  StageSpec spec = cluster(step, "lights", table_of(bytes_of(rows)), vpl_.clusters,
+                           vpl_.draw ? static_cast<std::uint32_t>(settings_.seed) * 4096 + set + 1 : 0);
   spec.name = "vpl.cluster." + std::to_string(set);
   spec.kind = "vpl_cluster";
-  spec.priority = kFirst;
-  spec.items = p.clusters;
-  spec.solo = true;
-  spec.parameters = bytes_of(p);
-  spec.inputs.push_back({"lights", table.id});
   spec.record_bytes = VPL_WORDS * 4;
   spec.keep = true;
-  put(step, table);
   step.stages.push_back(std::move(spec));
+}
+
+// Clusters of the rows of `table`, which the stage knows as `input`; `draw` as in ClusterParameters.
+StageSpec VplPlan::cluster(Step& step, const char* input, const Table& table, std::uint32_t clusters,
+                           std::uint32_t draw) const {
+  ClusterParameters p{};
+  p.clusters = clusters;
+  p.iterations = kIterations;
+  p.least_cosine = CLUSTER_LEAST_COSINE;
+  p.draw = draw;
+  StageSpec spec;
+  spec.priority = kFirst;
+  spec.items = clusters;
+  spec.solo = true;
+  spec.parameters = bytes_of(p);
+  spec.inputs.push_back({input, table.id});
+  put(step, table);
+  return spec;
 }
 
 void VplPlan::absorb_light_clusters(std::uint32_t set, const Bytes& records, Step& step) {
@@ -251,12 +256,10 @@ void VplPlan::settle_lights(std::uint32_t set, std::vector<float> rows, Step& st
   for (unsigned k = 0; k < 3; ++k) edge = std::max(edge, upper[k] - lower[k]);
   std::vector<std::pair<std::uint32_t, std::uint32_t>> order(count);
   for (std::size_t i = 0; i < count; ++i) {
-    std::uint32_t code = 0;
+    std::array<std::uint32_t, 3> cell{};
     for (unsigned k = 0; k < 3; ++k)
-      code |=
-          spread_bits(static_cast<std::uint32_t>(std::min(1023.0, (rows[i * VPL_WORDS + k] - lower[k]) / edge * 1023)))
-          << k;
-    order[i] = {code, static_cast<std::uint32_t>(i)};
+      cell[k] = static_cast<std::uint32_t>(std::min(1023.0, (rows[i * VPL_WORDS + k] - lower[k]) / edge * 1023));
+    order[i] = {scene::morton(cell), static_cast<std::uint32_t>(i)};
   }
   std::sort(order.begin(), order.end());
   const std::uint32_t slices = vpl_.samples;
@@ -268,9 +271,7 @@ void VplPlan::settle_lights(std::uint32_t set, std::vector<float> rows, Step& st
   for (std::size_t i = 0; i < count; ++i)
     std::copy_n(rows.begin() + static_cast<std::ptrdiff_t>(order[i].second * VPL_WORDS), VPL_WORDS,
                 table.begin() + static_cast<std::ptrdiff_t>(((i % slices) * width + i / slices) * VPL_WORDS));
-  auto bytes = std::make_shared<Bytes>(table.size() * 4);
-  std::memcpy(bytes->data(), table.data(), bytes->size());
-  s.lights = {sha256_hex(*bytes), bytes};
+  s.lights = table_of(bytes_of(table));
   s.traced = true;
   if (set == 0) {
     // Where the bound is that many times the lights' density, a light's own spot is that many times as bright as the
@@ -282,41 +283,38 @@ void VplPlan::settle_lights(std::uint32_t set, std::vector<float> rows, Step& st
   }
   if (count == 0) {
     // Nothing to be lit by: the paths alone make the picture.
-    s.shading = s.shaded = true;
+    s.shading = true;
     ++shaded_sets_;
     skips_.push_back({"visibility and shading of set " + std::to_string(set), "no light reached a diffuse surface", 1});
-    if (set + 1 < sets_.size()) step.stages.push_back(trace(set + 1));
+    begin_set(set + 1, step);
     return;
   }
   if (points_ready_) ask_visibility(set, step);
+}
+
+void VplPlan::begin_set(std::uint32_t set, Step& step) const {
+  if (set < sets_.size()) step.stages.push_back(trace(set));
+}
+
+// What the paths ask for becomes a part of the step; returns whether they are done.
+bool VplPlan::take(Step paths, Step& step) {
+  for (StageSpec& spec : paths.stages) step.stages.push_back(std::move(spec));
+  step.artifacts.merge(paths.artifacts);
+  return paths.done;
 }
 
 void VplPlan::begin_paths(Step& step) {
   paths_ = std::make_unique<PathPlan>(
       settings_, scene_,
       PathPlan::Covered{indirect(), vpl_.compensate ? clamp_ : std::numeric_limits<float>::infinity()});
-  Step more = paths_->next(nullptr);
-  for (StageSpec& spec : more.stages) step.stages.push_back(std::move(spec));
-  step.artifacts.merge(more.artifacts);
+  take(paths_->next(nullptr), step);
 }
 
-void VplPlan::absorb_points(const Bytes& records, Step& step) {
-  auto bytes = std::make_shared<Bytes>(records);
-  const Table table{sha256_hex(*bytes), bytes};
-  ClusterParameters p{};
-  p.clusters = vpl_.point_clusters;
-  p.iterations = kIterations;
-  p.least_cosine = kLeastCosine;
-  StageSpec spec;
+void VplPlan::absorb_points(std::shared_ptr<const Bytes> records, Step& step) {
+  StageSpec spec = cluster(step, "points", table_of(std::move(records)), vpl_.point_clusters, 0);
   spec.name = "vpl.point_cluster";
   spec.kind = "point_cluster";
-  spec.priority = kFirst;
-  spec.items = p.clusters;
-  spec.solo = true;
-  spec.parameters = bytes_of(p);
-  spec.inputs.push_back({"points", table.id});
   spec.record_bytes = POINT_WORDS * 4;
-  put(step, table);
   step.stages.push_back(std::move(spec));
 }
 
@@ -330,7 +328,7 @@ void VplPlan::absorb_point_clusters(const Bytes& records, Step& step) {
                    records.begin() + static_cast<std::ptrdiff_t>(at + POINT_WORDS * 4));
   }
   point_rows_ = static_cast<std::uint32_t>(held->size() / (POINT_WORDS * 4));
-  points_ = {sha256_hex(*held), held};
+  points_ = table_of(std::move(held));
   points_ready_ = true;
   for (std::uint32_t set = 0; set < sets_.size(); ++set)
     if (sets_[set].traced && !sets_[set].shading) ask_visibility(set, step);
@@ -387,7 +385,7 @@ void VplPlan::shade(std::uint32_t set, Step& step) {
   }
   spec.record_bytes = 12;
   step.stages.push_back(std::move(spec));
-  if (set + 1 < sets_.size()) step.stages.push_back(trace(set + 1));
+  begin_set(set + 1, step);
 }
 
 void VplPlan::absorb_shade(std::uint32_t set, const Bytes& records) {
@@ -398,7 +396,6 @@ void VplPlan::absorb_shade(std::uint32_t set, const Bytes& records) {
     if (!square_.empty()) square_[i] += value * value;
   }
   ++shaded_sets_;
-  sets_[set].shaded = true;
   sets_[set].visibility = {};
   sets_[set].lights = {};
 }
@@ -411,7 +408,7 @@ Step VplPlan::next(const FinishedStage* finished) {
       return step;
     }
     // One set after another, each begun while the one before is shaded: a frame whose time is up has whole sets.
-    step.stages.push_back(trace(0));
+    begin_set(0, step);
     if (vpl_.point_clusters)
       step.stages.push_back(points());
     else
@@ -421,16 +418,13 @@ Step VplPlan::next(const FinishedStage* finished) {
   const std::string& name = finished->name;
   const auto is = [&](const char* prefix) { return name.starts_with(prefix); };
   if (is("path.")) {
-    Step more = paths_->next(finished);
-    paths_done_ = more.done;
-    for (StageSpec& spec : more.stages) step.stages.push_back(std::move(spec));
-    step.artifacts.merge(more.artifacts);
+    paths_done_ = take(paths_->next(finished), step);
   } else if (is("vpl.trace.")) {
     absorb_lights(set_of(name), *finished->records, step);
   } else if (is("vpl.cluster.")) {
     absorb_light_clusters(set_of(name), *finished->records, step);
   } else if (name == "vpl.points") {
-    absorb_points(*finished->records, step);
+    absorb_points(finished->records, step);
   } else if (name == "vpl.point_cluster") {
     absorb_point_clusters(*finished->records, step);
   } else if (is("vpl.visibility.")) {
@@ -442,7 +436,7 @@ Step VplPlan::next(const FinishedStage* finished) {
       faced_away_ += away;
     }
     asked_ += std::uint64_t{point_rows_} * s.clusters;
-    s.visibility = {sha256_hex(*finished->records), finished->records};
+    s.visibility = table_of(finished->records);
     shade(set_of(name), step);
   } else if (is("vpl.shade.")) {
     absorb_shade(set_of(name), *finished->records);

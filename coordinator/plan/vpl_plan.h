@@ -42,7 +42,7 @@ class VplPlan final : public Plan {
     Table lights;  // rows of VPL_WORDS: slices of equal width, padded with rows of no flux
     std::uint32_t rows = 0, made = 0, kept = 0, clusters = 0;
     Table visibility;
-    bool traced = false, shading = false, shaded = false;
+    bool traced = false, shading = false;
   };
 
   std::uint64_t pixels() const { return std::uint64_t{settings_.width} * settings_.height; }
@@ -51,13 +51,18 @@ class VplPlan final : public Plan {
   StageSpec points() const;
   void absorb_lights(std::uint32_t set, const Bytes& records, Step& step);
   void absorb_light_clusters(std::uint32_t set, const Bytes& records, Step& step);
-  void absorb_points(const Bytes& records, Step& step);
+  void absorb_points(std::shared_ptr<const Bytes> records, Step& step);
   void absorb_point_clusters(const Bytes& records, Step& step);
   void settle_lights(std::uint32_t set, std::vector<float> rows, Step& step);
   void ask_visibility(std::uint32_t set, Step& step);
   void shade(std::uint32_t set, Step& step);
   void absorb_shade(std::uint32_t set, const Bytes& records);
+  void begin_set(std::uint32_t set, Step& step) const;
   void begin_paths(Step& step);
+  static bool take(Step paths, Step& step);
+  static Table table_of(std::shared_ptr<const Bytes> bytes);
+  StageSpec cluster(Step& step, const char* input, const Table& table, std::uint32_t clusters,
+                    std::uint32_t draw) const;
   void put(Step& step, const Table& table) const { step.artifacts[table.id] = table.bytes; }
 
   FrameSettings settings_;

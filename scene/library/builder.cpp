@@ -1,4 +1,5 @@
 #include "scene/library/builder.h"
+#include "scene/model/order.h"
 
 #include <algorithm>
 #include <cmath>
@@ -59,11 +60,7 @@ Vec rotate_y(Vec a, double angle) {
 }
 
 double hash_unit(std::uint64_t item, std::uint32_t dimension) {
-  std::uint64_t x = (item + 1) * 0x9e3779b97f4a7c15ull + dimension * 0xd1b54a32d192ed03ull;
-  x = (x ^ (x >> 30)) * 0xbf58476d1ce4e5b9ull;
-  x = (x ^ (x >> 27)) * 0x94d049bb133111ebull;
-  x ^= x >> 31;
-  return static_cast<double>(x >> 11) * 0x1p-53;
+  return unit_hash((item + 1) * 0x9e3779b97f4a7c15ull + dimension * 0xd1b54a32d192ed03ull);
 }
 
 Material lambert(Rgb base_color) {

@@ -31,8 +31,7 @@ double product(const std::array<std::uint64_t, 3>& n) {
 
 }  // namespace
 
-ClusterGrid make_cluster_grid(std::span<const float> rows, std::size_t stride, const std::vector<bool>& used,
-                              float edge) {
+ClusterGrid make_cluster_grid(std::span<const float> rows, std::size_t stride, const std::vector<bool>& used) {
   const std::size_t count = used.size();
   Extent extent;
   std::vector<std::uint32_t> members;
@@ -68,20 +67,17 @@ ClusterGrid make_cluster_grid(std::span<const float> rows, std::size_t stride, c
     }
     return (c[2] * n[1] + c[1]) * n[0] + c[0];
   };
-  double size = edge;
-  if (!(size > 0)) {
-    // Seeds lie on surfaces: cells that hold any are as the square of 1 / edge. A few steps of that rule.
-    size = diagonal / std::sqrt(static_cast<double>(members.size()) / kSeedsPerCell);
-    for (int step = 0; step < 4; ++step) {
-      while (product(cells_of(extent, size)) > kMostCells) size *= 1.1;
-      const auto n = cells_of(extent, size);
-      std::vector<std::uint64_t> held;
-      for (auto i : members) held.push_back(index_of(i, size, n));
-      std::sort(held.begin(), held.end());
-      const double occupied = static_cast<double>(std::unique(held.begin(), held.end()) - held.begin());
-      const double density = static_cast<double>(members.size()) / occupied;
-      size *= std::clamp(std::sqrt(kSeedsPerCell / density), 0.5, 2.0);
-    }
+  // Seeds lie on surfaces: cells that hold any are as the square of 1 / edge. A few steps of that rule.
+  double size = diagonal / std::sqrt(static_cast<double>(members.size()) / kSeedsPerCell);
+  for (int step = 0; step < 4; ++step) {
+    while (product(cells_of(extent, size)) > kMostCells) size *= 1.1;
+    const auto n = cells_of(extent, size);
+    std::vector<std::uint64_t> held;
+    for (auto i : members) held.push_back(index_of(i, size, n));
+    std::sort(held.begin(), held.end());
+    const double occupied = static_cast<double>(std::unique(held.begin(), held.end()) - held.begin());
+    const double density = static_cast<double>(members.size()) / occupied;
+    size *= std::clamp(std::sqrt(kSeedsPerCell / density), 0.5, 2.0);
   }
   while (product(cells_of(extent, size)) > kMostCells) size *= 1.1;
   const auto n = cells_of(extent, size);

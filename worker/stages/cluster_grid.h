@@ -13,10 +13,8 @@ struct ClusterGrid {
   std::vector<float> seeds;          // SEED_WORDS each, in the order of cells, then of rows; room for 16 words more
 };
 
-// A grid over the rows of `stride` words (position, normal first) of which `used` says that they take part. `edge`, in
-// metres, is the cell's; it grows where the cells would be too many. 0: chosen so that a cell that holds any holds
-// about three.
-ClusterGrid make_cluster_grid(std::span<const float> rows, std::size_t stride, const std::vector<bool>& used,
-                              float edge = 0);
+// A grid over the rows of `stride` words (position, normal first) of which `used` says that they take part. The cells'
+// edge is chosen so that a cell that holds any holds about three, and larger where the cells would be too many.
+ClusterGrid make_cluster_grid(std::span<const float> rows, std::size_t stride, const std::vector<bool>& used);
 
 }  // namespace gleaner::worker

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <chrono>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -11,33 +10,17 @@
 
 #include "kernels/stage_records.h"
 #include "scene/model/error.h"
+#include "scene/model/order.h"
 #include "worker/stages/cluster_grid.h"
+#include "worker/stages/launch.h"
 
 namespace gleaner::worker {
 namespace {
 
 using kernels::ClusterParameters;
 
-constexpr std::uint32_t kAssignItems = 1u << 13;  // data a launch: one grid size (see path_stage.cpp)
+constexpr std::uint32_t kAssignItems = 1u << 13;  // data a launch
 constexpr std::size_t kCentroidWords = 8;
-
-double seconds_now() {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
-
-// Ten bits each of three coordinates, interleaved.
-std::uint32_t morton(const std::array<double, 3>& unit) {
-  std::uint32_t code = 0;
-  for (int k = 0; k < 3; ++k) {
-    auto x = static_cast<std::uint32_t>(std::clamp(unit[k] * 1024, 0.0, 1023.0));
-    x = (x | (x << 16)) & 0x030000ffu;
-    x = (x | (x << 8)) & 0x0300f00fu;
-    x = (x | (x << 4)) & 0x030c30c3u;
-    x = (x | (x << 2)) & 0x09249249u;
-    code |= x << k;
-  }
-  return code;
-}
 
 // Which of the six axes a normal is nearest to.
 std::uint32_t side_of(const float* n) {
@@ -54,15 +37,6 @@ double distance2(const float* a, const float* b) {
 }
 
 float cosine(const float* a, const float* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-
-// A number in [0, 1) for each key and cluster.
-double unit_of(std::uint32_t key, std::uint32_t cluster) {
-  std::uint64_t x = (std::uint64_t{key} << 32) | cluster;
-  x = (x ^ (x >> 30)) * 0xbf58476d1ce4e5b9ull;
-  x = (x ^ (x >> 27)) * 0x94d049bb133111ebull;
-  x ^= x >> 31;
-  return static_cast<double>(x >> 11) * 0x1p-53;
-}
 
 class KMeans {
  public:
@@ -113,9 +87,10 @@ class KMeans {
     for (int k = 0; k < 3; ++k) edge = std::max(edge, upper[k] - lower[k]);
     std::vector<std::pair<std::uint64_t, std::uint32_t>> order(count_);
     for (std::size_t i = 0; i < count_; ++i) {
-      std::array<double, 3> unit{};
-      for (int k = 0; k < 3; ++k) unit[k] = (datum(i)[k] - lower[k]) / edge;
-      order[i] = {(std::uint64_t{side_of(datum(i) + 3)} << 32) | morton(unit), static_cast<std::uint32_t>(i)};
+      std::array<std::uint32_t, 3> cell{};
+      for (int k = 0; k < 3; ++k)
+        cell[k] = static_cast<std::uint32_t>(std::clamp((datum(i)[k] - lower[k]) / edge * 1024, 0.0, 1023.0));
+      order[i] = {(std::uint64_t{side_of(datum(i) + 3)} << 32) | scene::morton(cell), static_cast<std::uint32_t>(i)};
     }
     std::sort(order.begin(), order.end());
     centroids_.assign(parameters_.clusters * kCentroidWords, 0.0f);
@@ -140,12 +115,10 @@ class KMeans {
     kernel.setArg(6, put("cluster.seeds", grid.seeds));
     kernel.setArg(7, parameters_.least_cosine);
     kernel.setArg(8, assigned_buffer_);
-    const std::size_t group = device_.info().cpu ? 8 : 64;
     for (std::size_t base = 0; base < count_; base += kAssignItems) {
       kernel.setArg(2, static_cast<cl_uint>(base));
       kernel.setArg(3, static_cast<cl_uint>(std::min<std::size_t>(kAssignItems, count_ - base)));
-      queue_.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange(kAssignItems / device_.lanes()),
-                                  cl::NDRange(group));
+      launch(device_, queue_, kernel, kAssignItems, kAssignItems, device_.lanes());
     }
     queue_.enqueueReadBuffer(assigned_buffer_, CL_TRUE, 0, count_ * 4, assigned_.data());
   }
@@ -258,7 +231,7 @@ void write_clusters(const KMeans& means, const std::vector<std::uint32_t>& assig
   if (lights && draw) {
     std::vector<double> aim(clusters), sum(clusters, 0.0);
     for (std::uint32_t k = 0; k < clusters; ++k)
-      aim[k] = unit_of(draw, k) * (flux[3 * k] + flux[3 * k + 1] + flux[3 * k + 2]);
+      aim[k] = scene::unit_hash((std::uint64_t{draw} << 32) | k) * (flux[3 * k] + flux[3 * k + 1] + flux[3 * k + 2]);
     std::vector<bool> drawn(clusters, false);
     for (std::size_t i = 0; i < count; ++i) {
       const std::uint32_t k = assigned[i];
@@ -297,11 +270,7 @@ void write_clusters(const KMeans& means, const std::vector<std::uint32_t>& assig
 BatchResult run_cluster_stage(const Device& device, Workspace& workspace, DeviceScene&, const StageTask& task,
                               std::uint64_t first, std::uint64_t count) {
   const std::string where = "stage " + task.kind;
-  ClusterParameters parameters;
-  if (task.parameters.size() != sizeof parameters)
-    throw Error::bad_input(where, "parameters", std::to_string(sizeof parameters) + " bytes",
-                           std::to_string(task.parameters.size()));
-  std::memcpy(&parameters, task.parameters.data(), sizeof parameters);
+  const auto parameters = read_parameters<ClusterParameters>(task);
   if (first != 0 || count != parameters.clusters || count == 0 || count > (1u << 24))
     throw Error::bad_input(where, "items", "all of its clusters, 1 to 2^24",
                            std::to_string(first) + " + " + std::to_string(count));

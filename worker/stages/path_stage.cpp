@@ -3,13 +3,13 @@
 #include <algorithm>
 #include <atomic>
 #include <bit>
-#include <chrono>
 #include <cstring>
 
 #include "kernels/path_layout.h"
 #include "kernels/stage_records.h"
 #include "scene/model/error.h"
 #include "worker/stages/lane_threads.h"
+#include "worker/stages/launch.h"
 
 namespace gleaner::worker {
 namespace {
@@ -18,10 +18,6 @@ using kernels::PathFeatureRecord;
 using kernels::PathItem;
 using kernels::PathParameters;
 using kernels::PathRecord;
-
-double seconds_now() {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
 
 // Slots of paths in flight take 32 bytes each; a batch beyond this runs in parts.
 constexpr std::uint64_t kMostPaths = std::uint64_t{1} << 19;
@@ -32,15 +28,9 @@ constexpr std::uint32_t kResolveItems = 1u << 14;
 // Paths that move in step. CPU: small enough for a core's own cache, large enough that a kernel's launch does not show.
 std::uint32_t wave_size(const Device& device) { return device.info().cpu ? 1u << 12 : 1u << 20; }
 
-PathParameters read_parameters(const StageTask& task) {
-  if (task.parameters.size() != sizeof(PathParameters))
-    throw Error::bad_input("stage path", "parameters", std::to_string(sizeof(PathParameters)) + " bytes",
-                           std::to_string(task.parameters.size()));
-  PathParameters p;
-  std::memcpy(&p, task.parameters.data(), sizeof p);
-  if (p.width == 0 || p.height == 0 || std::uint64_t{p.width} * p.height > (std::uint64_t{1} << 28))
-    throw Error::bad_input("stage path", "size", "1 to 2^28 pixels",
-                           std::to_string(p.width) + "x" + std::to_string(p.height));
+PathParameters read_path_parameters(const StageTask& task) {
+  const auto p = read_parameters<PathParameters>(task);
+  check_film(task, p.camera, p.width, p.height);
   if (!std::has_single_bit(p.samples_per_item) || p.samples_per_item > GLEANER_PATH_MAX_ITEM_SAMPLES)
     throw Error::bad_input("stage path", "samples_per_item",
                            "a power of two up to " + std::to_string(GLEANER_PATH_MAX_ITEM_SAMPLES),
@@ -50,10 +40,6 @@ PathParameters read_parameters(const StageTask& task) {
                            std::to_string(p.last_item_samples));
   if (p.covered && !(p.clamp > 0))
     throw Error::bad_input("stage path", "clamp", "a number above 0", std::to_string(p.clamp));
-  // A ray that is not finite ends Embree and the environment's look-up alike.
-  scene::Scene with_camera;
-  with_camera.cameras.push_back({"camera", p.camera});
-  scene::validate(with_camera, "stage path");
   return p;
 }
 
@@ -234,15 +220,7 @@ class Lane {
   std::uint32_t slot_count() const { return (shared_.paths + RAY_BLOCK - 1) / RAY_BLOCK * RAY_BLOCK; }
 
   void launch(cl::Kernel& kernel, std::uint32_t rays) {
-    // On CPU devices always the whole wave's grid (work-items beyond `rays` return at once): PoCL 3.1 keeps one
-    // compiled copy a grid size, and where there are several its count of their users goes wrong as soon as two threads
-    // launch (pocl_release_dlhandle_cache aborts).
-    if (shared_.device.info().cpu) rays = shared_.capacity;
-    const std::size_t items = (rays + shared_.device.lanes() - 1) / shared_.device.lanes();
-    // Fixed, so that the compiled code, and with it every bit, does not depend on how much there is to do.
-    const std::size_t group = shared_.device.info().cpu ? 8 : 64;
-    queue_.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange((items + group - 1) / group * group),
-                                cl::NDRange(group));
+    worker::launch(shared_.device, queue_, kernel, rays, shared_.capacity, shared_.device.lanes());
   }
 
   Shared& shared_;
@@ -258,11 +236,9 @@ class Lane {
 
 BatchResult run_path_stage(const Device& device, Workspace& workspace, DeviceScene& scene, const StageTask& task,
                            std::uint64_t first, std::uint64_t count) {
-  const PathParameters parameters = read_parameters(task);
+  const PathParameters parameters = read_path_parameters(task);
   const std::uint64_t total = (std::uint64_t{parameters.items_high} << 32) | parameters.items_low;
-  if (first + count < first || first + count > total)
-    throw Error::bad_input("stage path", "items", "a range below " + std::to_string(total),
-                           std::to_string(first) + " + " + std::to_string(count));
+  check_range(task, total, first, count);
   const std::byte* list = nullptr;
   if (auto items = task.inputs.find("items"); items != task.inputs.end()) {
     if (items->second->size() != total * sizeof(PathItem))

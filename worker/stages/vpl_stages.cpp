@@ -4,7 +4,6 @@
 #include <any>
 #include <atomic>
 #include <bit>
-#include <chrono>
 #include <cmath>
 #include <cstring>
 
@@ -14,6 +13,7 @@
 #include "scene/model/error.h"
 #include "worker/stages/cluster_grid.h"
 #include "worker/stages/lane_threads.h"
+#include "worker/stages/launch.h"
 
 namespace gleaner::worker {
 namespace {
@@ -22,33 +22,10 @@ using kernels::VisibilityParameters;
 using kernels::VplPointParameters;
 using kernels::VplTraceParameters;
 
-// Eq. 7: two thirds of a right angle between normals are too many for one cluster; the paper's sqrt(3)/2.
-constexpr float kLeastCosine = 0.8660254f;
-
-double seconds_now() {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
-
 // Paths, and rays between points and lights, that move in step. A kernel always runs on one grid of this size on CPU
-// devices (path_stage.cpp says why).
+// devices (launch() says why).
 std::uint32_t path_capacity(const Device& device) { return device.info().cpu ? 1u << 12 : 1u << 17; }
 std::uint32_t ray_capacity(const Device& device) { return device.info().cpu ? 1u << 14 : 1u << 21; }
-
-template <typename Parameters>
-Parameters read_parameters(const StageTask& task) {
-  Parameters p;
-  if (task.parameters.size() != sizeof p)
-    throw Error::bad_input("stage " + task.kind, "parameters", std::to_string(sizeof p) + " bytes",
-                           std::to_string(task.parameters.size()));
-  std::memcpy(&p, task.parameters.data(), sizeof p);
-  return p;
-}
-
-void check_range(const StageTask& task, std::uint64_t total, std::uint64_t first, std::uint64_t count) {
-  if (first + count < first || first + count > total)
-    throw Error::bad_input("stage " + task.kind, "items", "a range below " + std::to_string(total),
-                           std::to_string(first) + " + " + std::to_string(count));
-}
 
 // A table that is the stage's input: rows of `words` words, as many as the parameters say.
 const scene::Bytes& read_table(const StageTask& task, const std::string& name, std::uint64_t rows, std::size_t words) {
@@ -73,18 +50,13 @@ void check_triangles(const StageTask& task, const std::string& name, const scene
 
 VplPointParameters read_point_parameters(const StageTask& task) {
   const auto p = read_parameters<VplPointParameters>(task);
+  check_film(task, p.camera, p.width, p.height);
   const std::string where = "stage " + task.kind;
-  const std::uint64_t pixels = std::uint64_t{p.width} * p.height;
-  if (pixels == 0 || pixels > (std::uint64_t{1} << 28))
-    throw Error::bad_input(where, "size", "1 to 2^28 pixels", std::to_string(p.width) + "x" + std::to_string(p.height));
   if (!std::has_single_bit(p.samples) || p.samples > 64)
     throw Error::bad_input(where, "samples", "a power of two up to 64", std::to_string(p.samples));
-  if (p.items_high || p.items_low > pixels)
+  if (p.items_high || p.items_low > std::uint64_t{p.width} * p.height)
     throw Error::bad_input(where, "items", "at most a pixel each", std::to_string(p.items_low));
   if (!(p.clamp > 0)) throw Error::bad_input(where, "clamp", "a number above 0", std::to_string(p.clamp));
-  scene::Scene with_camera;
-  with_camera.cameras.push_back({"camera", p.camera});
-  scene::validate(with_camera, where);
   return p;
 }
 
@@ -109,8 +81,7 @@ struct Batch {
         task(t),
         first(f),
         count(c),
-        program(d.build("kernels/vpl.cl",
-                        s.kernel_options() + " -D SAME_SURFACE=0.25f -D FUZZINESS=" + std::to_string(fuzziness))),
+        program(d.build("kernels/vpl.cl", s.kernel_options() + " -D FUZZINESS=" + std::to_string(fuzziness))),
         lanes(d.info().cpu ? d.info().threads : 1) {
     cl::CommandQueue queue = device.make_queue();
     parameters = put(queue, "vpl.parameters", task.parameters.data(), task.parameters.size());
@@ -132,6 +103,30 @@ struct Batch {
     return true;
   }
 };
+
+// What a stage made of its inputs.
+template <typename Tables>
+struct KeptTables {
+  Tables tables;
+  // Held, so that another input cannot come to lie at the same place.
+  std::string scene;
+  std::map<std::string, std::shared_ptr<const scene::Bytes>> inputs;
+  std::vector<std::byte> parameters;
+};
+
+// Made once for a stage: its batches read the same tables.
+template <typename Tables, typename Make>
+const Tables& kept_tables(Batch& batch, const std::string& name, Make make) {
+  using Kept = KeptTables<Tables>;
+  const StageTask& task = batch.task;
+  std::any& place = batch.workspace.keep(name);
+  if (const auto* held = std::any_cast<Kept>(&place))
+    if (held->scene == task.scene && held->inputs == task.inputs && held->parameters == task.parameters)
+      return held->tables;
+  place.reset();  // its buffers are about to hold something else
+  place = Kept{make(), task.scene, task.inputs, task.parameters};
+  return std::any_cast<Kept>(&place)->tables;
+}
 
 struct LaneCounters {
   std::uint64_t camera = 0, scatter = 0, shadow = 0, nonfinite = 0;
@@ -162,10 +157,7 @@ class Lane {
 
   // `capacity` on CPU devices, whatever there is to do.
   void launch(cl::Kernel& kernel, std::uint32_t work, std::uint32_t capacity, unsigned lanes) {
-    const std::size_t items = ((batch_.device.info().cpu ? capacity : work) + lanes - 1) / lanes;
-    const std::size_t group = batch_.device.info().cpu ? 8 : 64;
-    queue_.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange((items + group - 1) / group * group),
-                                cl::NDRange(group));
+    worker::launch(batch_.device, queue_, kernel, work, capacity, lanes);
   }
   void launch(cl::Kernel& kernel, std::uint32_t work) {
     launch(kernel, work, path_capacity(batch_.device), batch_.device.lanes());
@@ -282,7 +274,6 @@ class PointLane : public Lane {
   PointLane(Batch& batch, unsigned index, bool by_point)
       : Lane(batch, index),
         capacity_(path_capacity(batch.device)),
-        by_point_(by_point),
         generate_(kernel("vpl_generate")),
         walk_(kernel("vpl_walk")) {
     const std::size_t blocks = capacity_ / RAY_BLOCK + 1;
@@ -322,7 +313,6 @@ class PointLane : public Lane {
   }
 
   std::uint32_t capacity_;
-  bool by_point_;
   cl::Kernel generate_, walk_;
   cl::Buffer paths_, points_;
   unsigned walk_first_ = 0;
@@ -370,7 +360,7 @@ class Asker {
       const auto count = static_cast<std::uint32_t>(std::min<std::uint64_t>(capacity, all - base));
       ask_.setArg(first_ + 7, static_cast<cl_uint>(base));
       ask_.setArg(first_ + 8, count);
-      launch(ask_, count, batch_.device.lanes());
+      launch(batch_.device, queue_, ask_, count, capacity, batch_.device.lanes());
       queue_.finish();
       const double start = seconds_now();
       RayRange range;
@@ -381,7 +371,7 @@ class Asker {
       counters.trace += seconds_now() - start;
       pack_.setArg(1, count / 32);
       pack_.setArg(2, static_cast<cl_uint>(base / 32));
-      launch(pack_, count, 32);
+      launch(batch_.device, queue_, pack_, count, capacity, 32);
     }
     cl_uint asked = 0;
     queue_.enqueueReadBuffer(counters_, CL_TRUE, 0, sizeof asked, &asked);
@@ -389,13 +379,6 @@ class Asker {
   }
 
  private:
-  void launch(cl::Kernel& kernel, std::uint32_t work, unsigned lanes) {
-    const std::size_t items = ((batch_.device.info().cpu ? ray_capacity(batch_.device) : work) + lanes - 1) / lanes;
-    const std::size_t group = batch_.device.info().cpu ? 8 : 64;
-    queue_.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange((items + group - 1) / group * group),
-                                cl::NDRange(group));
-  }
-
   Batch& batch_;
   cl::CommandQueue& queue_;
   std::uint32_t width_;
@@ -404,15 +387,18 @@ class Asker {
   unsigned first_ = 0;
 };
 
+struct VisibilityTables {
+  cl::Buffer lights, points;
+};
+
 class VisibilityLane : public Lane {
  public:
-  VisibilityLane(Batch& batch, unsigned index, const cl::Buffer& points, const cl::Buffer& lights,
-                 const VisibilityParameters& parameters)
+  VisibilityLane(Batch& batch, unsigned index, const VisibilityTables& tables, const VisibilityParameters& parameters)
       : Lane(batch, index),
-        points_(points),
+        points_(tables.points),
         clusters_(parameters.clusters),
         asker_(batch, queue_, take("rays", std::size_t{ray_capacity(batch.device)} * VISIBILITY_ROWS * 4),
-               counters_buffer_, lights, parameters.clusters, 1) {
+               counters_buffer_, tables.lights, parameters.clusters, 1) {
     rows_ = std::max<std::uint32_t>(1, 4 * ray_capacity(batch.device) / clusters_);
     bits_ = take("bits", std::size_t{rows_} * clusters_ / 8);
     away_ = take("away", std::size_t{rows_} * 4);
@@ -450,25 +436,13 @@ struct ShadeTables {
   cl::Buffer lights, grid, cells, seeds, bits;
   std::uint32_t width = 0;      // lights of a slice
   std::uint32_t row_words = 0;  // of a point cluster's bits
-  // What they were made of. Held, so that another input cannot come to lie at the same place.
-  std::string scene{};
-  std::map<std::string, std::shared_ptr<const scene::Bytes>> inputs{};
-  std::vector<std::byte> parameters{};
 };
 
-// Made once for a stage: its batches read the same tables.
-const ShadeTables& shade_tables(Batch& batch, const VplPointParameters& p) {
+ShadeTables make_shade_tables(Batch& batch, const VplPointParameters& p) {
   const StageTask& task = batch.task;
-  std::any& kept = batch.workspace.keep("vpl.shade");
-  if (const auto* held = std::any_cast<ShadeTables>(&kept))
-    if (held->scene == task.scene && held->inputs == task.inputs && held->parameters == task.parameters) return *held;
-  kept.reset();
   const scene::Bytes& lights = read_table(task, "lights", p.clusters, VPL_WORDS);
   check_triangles(task, "lights", lights, VPL_WORDS, VPL_TRIANGLE, batch.scene.triangles());
   ShadeTables tables;
-  tables.scene = task.scene;
-  tables.inputs = task.inputs;
-  tables.parameters = task.parameters;
   cl::CommandQueue queue = batch.device.make_queue();
   tables.width = p.clusters / p.samples;
   tables.lights = batch.put(queue, "vpl.shade.lights", lights.data(), lights.size());
@@ -499,8 +473,7 @@ const ShadeTables& shade_tables(Batch& batch, const VplPointParameters& p) {
   tables.grid = batch.put(queue, "vpl.shade.grid", grid.header.data(), grid.header.size() * 4);
   tables.cells = batch.put(queue, "vpl.shade.cells", grid.cells.data(), grid.cells.size() * 4);
   tables.seeds = batch.put(queue, "vpl.shade.seeds", grid.seeds.data(), grid.seeds.size() * 4);
-  kept = std::move(tables);
-  return *std::any_cast<ShadeTables>(&kept);
+  return tables;
 }
 
 class ShadeLane : public PointLane {
@@ -535,7 +508,7 @@ class ShadeLane : public PointLane {
     members_.setArg(3, tables.grid);
     members_.setArg(4, tables.cells);
     members_.setArg(5, tables.seeds);
-    members_.setArg(6, kLeastCosine);
+    members_.setArg(6, CLUSTER_LEAST_COSINE);
     members_.setArg(7, rows_);
     members_.setArg(8, weights_);
     members_.setArg(9, lonely_);
@@ -745,18 +718,20 @@ BatchResult run_vpl_visibility_stage(const Device& device, Workspace& workspace,
     throw Error::bad_input("stage vpl_visibility", "clusters", "a multiple of 32 up to 2^24",
                            std::to_string(p.clusters));
   check_range(task, p.point_clusters, first, count);
-  const scene::Bytes& lights = read_table(task, "lights", p.clusters, VPL_WORDS);
-  const scene::Bytes& points = read_table(task, "points", p.point_clusters, POINT_WORDS);
-  check_triangles(task, "lights", lights, VPL_WORDS, VPL_TRIANGLE, scene.triangles());
-  check_triangles(task, "points", points, POINT_WORDS, POINT_TRIANGLE, scene.triangles());
   const double start = seconds_now();
   BatchResult result;
   result.records.resize(count * (p.clusters / 32 + 1) * 4);
   Batch batch(device, workspace, scene, task, first, count, 1);
-  cl::CommandQueue queue = device.make_queue();
-  const cl::Buffer light_buffer = batch.put(queue, "vpl.all_lights", lights.data(), lights.size());
-  const cl::Buffer point_buffer = batch.put(queue, "vpl.all_points", points.data(), points.size());
-  run<VisibilityLane>(batch, result, start, point_buffer, light_buffer, p);
+  const auto& tables = kept_tables<VisibilityTables>(batch, "vpl.visibility", [&] {
+    const scene::Bytes& lights = read_table(task, "lights", p.clusters, VPL_WORDS);
+    const scene::Bytes& points = read_table(task, "points", p.point_clusters, POINT_WORDS);
+    check_triangles(task, "lights", lights, VPL_WORDS, VPL_TRIANGLE, scene.triangles());
+    check_triangles(task, "points", points, POINT_WORDS, POINT_TRIANGLE, scene.triangles());
+    cl::CommandQueue queue = device.make_queue();
+    return VisibilityTables{batch.put(queue, "vpl.visibility.lights", lights.data(), lights.size()),
+                            batch.put(queue, "vpl.visibility.points", points.data(), points.size())};
+  });
+  run<VisibilityLane>(batch, result, start, tables, p);
   return result;
 }
 
@@ -777,7 +752,7 @@ BatchResult run_vpl_shade_stage(const Device& device, Workspace& workspace, Devi
   BatchResult result;
   result.records.resize(count * 12);
   Batch batch(device, workspace, scene, task, first, count, p.point_clusters ? p.fuzziness : 1);
-  const ShadeTables& tables = shade_tables(batch, p);
+  const auto& tables = kept_tables<ShadeTables>(batch, "vpl.shade", [&] { return make_shade_tables(batch, p); });
   run<ShadeLane>(batch, result, start, p, tables);
   return result;
 }
