@@ -244,6 +244,8 @@ struct Farm::Impl {
       job->plan.reset();
     }
     std::lock_guard lock(mutex);
+    // Who cancelled while the last frame was written was told that the job ends so.
+    if (state == JobState::done && job->cancel) state = JobState::cancelled;
     job->state = state;
     job->message = message;
     job->ended = now();
@@ -558,13 +560,13 @@ struct Farm::Impl {
   }
 
   void write(Job& job, std::uint32_t frame, const Film& film, Seconds begun) {
-    FramePaths paths = settings.paths(job.id, frame);
     FrameReport report;
     {
       std::lock_guard lock(mutex);
       if (job.cancel) throw Cancelled{};
       report = job.report;
     }
+    FramePaths paths = settings.paths(job.id, frame);
     for (const fs::path& path : {paths.exr, paths.png, paths.report}) {
       if (path.empty() || path.parent_path().empty()) continue;
       std::error_code code;

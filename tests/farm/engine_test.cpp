@@ -398,6 +398,25 @@ TEST_F(FarmEngine, CancelRevokesWhatIsOut) {
   EXPECT_FALSE(farm.cancel("no-such-job"));
 }
 
+TEST_F(FarmEngine, ACancelThatWasAcceptedHolds) {
+  FarmSettings cancelling = settings();
+  Farm* farm = nullptr;
+  JobState answered = JobState::queued;
+  // Where its files go is asked when the picture is made: no later moment can be cancelled in.
+  cancelling.paths = [&, paths = cancelling.paths](const std::string& job, std::uint32_t frame) {
+    answered = farm->cancel(job)->state;
+    return paths(job, frame);
+  };
+  Farm cancelled(cancelling, blobs_);
+  farm = &cancelled;
+  ScriptedWorker worker;
+  worker.join(cancelled);
+  std::string job = cancelled.submit(request());
+  serve(cancelled, worker, job);
+  EXPECT_EQ(end_of(cancelled, job).state, JobState::cancelled);
+  EXPECT_EQ(answered, JobState::running) << "who cancelled was not told that it is too late";
+}
+
 TEST_F(FarmEngine, TwoJobsRunAtTheSameTimeAndAThirdWaits) {
   Farm farm(settings(), blobs_);
   FrameSettings other = fake_settings();
