@@ -80,7 +80,7 @@ GLEANER_SIZE(PathFeatureRecord, 56);
 #define VPL_COUNT 22u   // clusters: members (float)
 #define VPL_DEPTH 23u   // scatterings on the light's way, this one included (float)
 
-// Slots of a light path: one more VPL than these takes the last slot in turn, so that no energy is lost.
+// Most VPLs of a light path: where it would leave more, it leaves half as many of twice the flux.
 #define VPL_PATH_SLOTS 8u
 
 // Stage kind "vpl_trace". An item is a light path; its record is VPL_PATH_SLOTS rows of VPL_WORDS.

@@ -25,7 +25,11 @@
 #define ROW_RANGE ROW_PDF  // of the light's window; 0: none, or passed already
 #define LIGHT_BOUNCE_MASK 255u
 #define LIGHT_DEPTH 8u
-#define LIGHT_COUNT 16u  // VPLs so far, at most 255
+#define LIGHT_COUNT 16u  // slots taken
+#define LIGHT_DOUBLINGS 20u  // of the spacing
+#define MOST_DOUBLINGS 20u
+#define ROW_PASSED ROW_ETA     // what the path's diffuse layers have sent on so far, by vpl_weight
+#define ROW_SPACING ROW_COVER  // of its VPLs at first
 
 #define VPL_SEQUENCE 65536u
 
@@ -40,9 +44,30 @@ FN void set_walk(global float* paths, uint block, v3 origin, v3 direction, vi id
   set_row_u(paths, PATH_ROWS, block, ROW_KEY, key);
 }
 
+// Luminance.
+FN vf brightness(v3 c) { return c.x * 0.2126f + c.y * 0.7152f + c.z * 0.0722f; }
+
 // --- Light paths ---
 
 #ifdef NEED_LIGHTS
+
+// What decides how many VPLs stand for some flux: its luminance, or a trace of it all where it has next to none.
+FN vf vpl_weight(v3 flux) { return max_f(brightness(flux), (flux.x + flux.y + flux.z) * 1e-3f); }
+
+// Of the lights in a path's slots, every second one goes, and the others carry twice as much.
+FN void halve_lights(global float* records, vu slot, vu odd) {
+  vu first = slot * VPL_PATH_SLOTS;
+  for (uint k = 0; k < VPL_PATH_SLOTS / 2u; ++k) {
+    vu from = (first + 2u * k + odd) * VPL_WORDS, to = (first + k) * VPL_WORDS;
+    for (uint word = 0; word < VPL_WORDS; ++word) {
+      vf value = gather_f(records, from + word);
+      scatter_f(records, to + word, word >= VPL_FLUX && word < VPL_FLUX + 3u ? value * 2.0f : value);
+    }
+  }
+  for (uint k = VPL_PATH_SLOTS / 2u; k < VPL_PATH_SLOTS; ++k)
+    for (uint word = VPL_FLUX; word < VPL_FLUX + 3u; ++word)
+      scatter_f(records, (first + k) * VPL_WORDS + word, zero_f());
+}
 
 // Light paths' starts: a light by its power, a point on it, a direction from it. Throughput is the flux that the path
 // stands for, W; the mean over all paths is the scene's light.
@@ -152,6 +177,9 @@ kernel WIDE void vpl_emit(global const VplTraceParameters* restrict parameters, 
   vi idle = (lane >= count) | none(share > zero_f()) | none(finite3(flux)) | none(max_component(flux) > zero_f());
   set_walk(paths, block, origin, direction, idle, flux, lane, pick_u((vu)0u, (vu)META_IDLE, idle), key, range);
   set_row_u(paths, PATH_ROWS, block, ROW_TOTAL, sample);
+  set_row_f(paths, PATH_ROWS, block, ROW_PASSED, zero_f());
+  // A white surface sends on 1 / pi of it.
+  set_row_f(paths, PATH_ROWS, block, ROW_SPACING, vpl_weight(flux) * (vf)(0.25f * INV_PI));
 }
 
 // One step of the light paths: a VPL where a diffuse layer was met, then a scattered ray in place of the old one.
@@ -175,7 +203,7 @@ kernel WIDE void vpl_walk_light(global const VplTraceParameters* restrict parame
   vu sample = row_u(paths, PATH_ROWS, block, ROW_TOTAL);
   vu bounce = meta & LIGHT_BOUNCE_MASK;
   vu depth = (meta >> LIGHT_DEPTH) & 255u;
-  vu made = (meta >> LIGHT_COUNT) & 255u;
+  vu made = (meta >> LIGHT_COUNT) & 15u, doublings = (meta >> LIGHT_DOUBLINGS) & 31u;
   vu primitive = pick_u((vu)0u, row_u(paths, PATH_ROWS, block, ROW_PRIMITIVE), active);
   Hit h =
       load_hit(scene, primitive, row_f(paths, PATH_ROWS, block, ROW_U), row_f(paths, PATH_ROWS, block, ROW_V), active);
@@ -189,8 +217,8 @@ kernel WIDE void vpl_walk_light(global const VplTraceParameters* restrict parame
   }
   flux = absorbed(scene, &h, origin, direction, flux, active);
   vu pair_key = hash_combine(key, bounce * 4u + 16u);
-  vf u_lobe, u_glass, d0, d1, u_slot, u_roulette;
-  sample_pair(pair_key, sample, VPL_SEQUENCE, 0u, &u_slot, &u_roulette);
+  vf u_lobe, u_glass, d0, d1, u_spare, u_roulette;
+  sample_pair(pair_key, sample, VPL_SEQUENCE, 0u, &u_spare, &u_roulette);
   sample_pair(pair_key, sample, VPL_SEQUENCE, 2u, &u_lobe, &u_glass);
   sample_pair(pair_key, sample, VPL_SEQUENCE, 3u, &d0, &d1);
   vi passes = passes_by_lot(&m, active, &u_glass);
@@ -222,50 +250,61 @@ kernel WIDE void vpl_walk_light(global const VplTraceParameters* restrict parame
 #endif
   v3 sent = scale3(mul3(flux, layer), bend);
   layered = layered & (max_component(sent) > zero_f()) & finite3(sent);
+  vf passed = row_f(paths, PATH_ROWS, block, ROW_PASSED), spacing = row_f(paths, PATH_ROWS, block, ROW_SPACING);
   if (any_lane(layered)) {
-    vu last = (vu)(VPL_PATH_SLOTS - 1u);
-    // Beyond the last slot, each of m candidates keeps it with chance 1 / m and stands for all of them.
-    vu candidates = pick_u((vu)1u, made - last + 1u, made > last);
-    vi taken = (made <= last) | (u_slot * to_f(candidates) < one_f());
-    vu place = slot * VPL_PATH_SLOTS + min(made, last);
-    vf scale = to_f(candidates);
-    // Lanes with nothing to write do so behind the records.
-    vu at = pick_u((vu)count * VPL_PATH_SLOTS, place, layered & taken) * VPL_WORDS;
-    scatter_f(records + VPL_POSITION, at, h.p.x);
-    scatter_f(records + VPL_POSITION + 1u, at, h.p.y);
-    scatter_f(records + VPL_POSITION + 2u, at, h.p.z);
-    scatter_f(records + VPL_NORMAL, at, f.normal.x);
-    scatter_f(records + VPL_NORMAL + 1u, at, f.normal.y);
-    scatter_f(records + VPL_NORMAL + 2u, at, f.normal.z);
-    scatter_f(records + VPL_GEOMETRIC, at, geometric.x);
-    scatter_f(records + VPL_GEOMETRIC + 1u, at, geometric.y);
-    scatter_f(records + VPL_GEOMETRIC + 2u, at, geometric.z);
-    scatter_f(records + VPL_FLUX, at, sent.x * scale);
-    scatter_f(records + VPL_FLUX + 1u, at, sent.y * scale);
-    scatter_f(records + VPL_FLUX + 2u, at, sent.z * scale);
-    global uint* words = (global uint*)records;
-    scatter_u(words + VPL_TRIANGLE, at, primitive);
-    scatter_f(records + VPL_B1, at, h.b1);
-    scatter_f(records + VPL_B2, at, h.b2);
-    scatter_u(words + VPL_TABLE, at, table);
-    scatter_f(records + VPL_ROW, at, table_row);
-    scatter_f(records + VPL_ERROR, at, h.error.x);
-    scatter_f(records + VPL_ERROR + 1u, at, h.error.y);
-    scatter_f(records + VPL_ERROR + 2u, at, h.error.z);
-    scatter_f(records + VPL_RADIUS, at, zero_f());
-    scatter_f(records + VPL_COS, at, one_f());
-    scatter_f(records + VPL_COUNT, at, one_f());
-    scatter_f(records + VPL_DEPTH, at, to_f(depth) + 1.0f);
-    vi kept = layered & none(taken);
-    if (any_lane(kept)) {
-      vu old = pick_u((vu)count * VPL_PATH_SLOTS, place, kept) * VPL_WORDS + VPL_FLUX;
-      vf grow = scale / (scale - one_f());
-      v3 value = scale3(gather3(records, old), grow);
-      scatter_f(records, old, value.x);
-      scatter_f(records + 1u, old, value.y);
-      scatter_f(records + 2u, old, value.z);
+    // A mark every `spacing` of what the path sends on: where it passes one, a VPL of just that flux stays. However
+    // long the path is, its VPLs are of one brightness, and where they lie is left to what is sent.
+    vf weight = vpl_weight(sent);
+    v3 share = scale3(sent, one_f() / weight);
+    passed += pick(zero_f(), weight, layered);
+    vf offset, unused;
+    sample_pair(key, sample, VPL_SEQUENCE, 0u, &unused, &offset);
+    vu lot = hash_combine(hash_combine(key, sample), 0x6d61726bu);
+    for (;;) {
+      // Doubled spacings shift the marks by whole old ones.
+      vf shift = offset + to_f(lot & (((vu)1u << doublings) - 1u));
+      vf scale = to_f((vu)1u << doublings);
+      vi passes_mark = layered & ((shift + to_f(made) * scale) * spacing < passed);
+      if (!any_lane(passes_mark)) break;
+      vi full = passes_mark & (made >= VPL_PATH_SLOTS);
+      // Lanes with nothing to write do so behind the records.
+      if (any_lane(full)) {
+        layered = layered & (none(full) | (doublings < MOST_DOUBLINGS));
+        vu odd = (lot >> doublings) & 1u;
+        halve_lights(records, pick_u((vu)count, slot, full), odd);
+        made = pick_u(made, (vu)(VPL_PATH_SLOTS / 2u), full);
+        doublings = pick_u(doublings, min(doublings + 1u, (vu)MOST_DOUBLINGS), full);
+        continue;
+      }
+      vu at = pick_u((vu)count * VPL_PATH_SLOTS, slot * VPL_PATH_SLOTS + made, passes_mark) * VPL_WORDS;
+      vf carried = spacing * scale;
+      scatter_f(records + VPL_POSITION, at, h.p.x);
+      scatter_f(records + VPL_POSITION + 1u, at, h.p.y);
+      scatter_f(records + VPL_POSITION + 2u, at, h.p.z);
+      scatter_f(records + VPL_NORMAL, at, f.normal.x);
+      scatter_f(records + VPL_NORMAL + 1u, at, f.normal.y);
+      scatter_f(records + VPL_NORMAL + 2u, at, f.normal.z);
+      scatter_f(records + VPL_GEOMETRIC, at, geometric.x);
+      scatter_f(records + VPL_GEOMETRIC + 1u, at, geometric.y);
+      scatter_f(records + VPL_GEOMETRIC + 2u, at, geometric.z);
+      scatter_f(records + VPL_FLUX, at, share.x * carried);
+      scatter_f(records + VPL_FLUX + 1u, at, share.y * carried);
+      scatter_f(records + VPL_FLUX + 2u, at, share.z * carried);
+      global uint* words = (global uint*)records;
+      scatter_u(words + VPL_TRIANGLE, at, primitive);
+      scatter_f(records + VPL_B1, at, h.b1);
+      scatter_f(records + VPL_B2, at, h.b2);
+      scatter_u(words + VPL_TABLE, at, table);
+      scatter_f(records + VPL_ROW, at, table_row);
+      scatter_f(records + VPL_ERROR, at, h.error.x);
+      scatter_f(records + VPL_ERROR + 1u, at, h.error.y);
+      scatter_f(records + VPL_ERROR + 2u, at, h.error.z);
+      scatter_f(records + VPL_RADIUS, at, zero_f());
+      scatter_f(records + VPL_COS, at, one_f());
+      scatter_f(records + VPL_COUNT, at, one_f());
+      scatter_f(records + VPL_DEPTH, at, to_f(depth) + 1.0f);
+      made += pick_u((vu)0u, (vu)1u, passes_mark);
     }
-    made = pick_u(made, min(made + 1u, (vu)255u), layered);
   }
 
   BsdfSample scattered = sample_bsdf(scene, &m, f.view, f.from_back, u_lobe, u_glass, d0, d1);
@@ -294,7 +333,9 @@ kernel WIDE void vpl_walk_light(global const VplTraceParameters* restrict parame
   rank_lanes(alive, &kept);
   if (kept == 0u) return;
   atomic_add(counters, kept);
-  vu next_meta = ((bounce + 1u) & LIGHT_BOUNCE_MASK) | (next_depth << LIGHT_DEPTH) | (made << LIGHT_COUNT);
+  vu next_meta = ((bounce + 1u) & LIGHT_BOUNCE_MASK) | (next_depth << LIGHT_DEPTH) | (made << LIGHT_COUNT) |
+                 (doublings << LIGHT_DOUBLINGS);
+  set_row_f(paths, PATH_ROWS, block, ROW_PASSED, passed);
   set_walk(paths, block, start, out, none(alive), next, slot, pick_u((vu)META_IDLE, next_meta, alive), key, zero_f());
 }
 
@@ -605,9 +646,6 @@ FN vf light_geometry(const Scene* scene, global const float* light, v3 p, v3 n, 
 #endif
   return pick(zero_f(), g, (at_point > zero_f()) & (side > zero_f()) & (d2 > zero_f()));
 }
-
-// Luminance.
-FN vf brightness(v3 c) { return c.x * 0.2126f + c.y * 0.7152f + c.z * 0.0722f; }
 
 // Eq. 6 over one slice of the lights, which the sixteen points of a block share. `own`: point `chosen[i]` reads row i
 // of `bits`, which holds its slice alone; else every point reads its clusters' rows of `bits`.
