@@ -151,8 +151,18 @@ GLEANER_SIZE(VisibilityParameters, 16);
 // Normals that may share a cluster, and points that a cluster may speak for: eq. 7's threshold nt, sqrt(3) / 2.
 #define CLUSTER_LEAST_COSINE 0.8660254f
 
+// Of 32 lights in a row: the box about them (its middle, half its edges) and the luminance of the brightest.
+#define LIGHT_BOX_WORDS 8u
+#define LIGHT_BOX_BRIGHTEST 6u
+
 #define MOST_FUZZINESS 8u
 #define MOST_DOUBTS 128u  // lights that a point asks for itself
+// A doubt: a light's row, and why it is asked for.
+#define DOUBT_LIGHT 0xffffffu
+#define DOUBT_BY_LOT 0x80000000u   // its answer corrects what clusters said of many
+#define DOUBT_CERTAIN 0x40000000u  // it would have been asked for whatever the lot
+#define DOUBT_AGREED 0x20000000u   // the point's clusters agree on it
+#define DOUBT_THIN 0x10000000u     // of its neighbours only some were looked at
 
 #ifndef __OPENCL_VERSION__
 }  // namespace gleaner::kernels

@@ -25,7 +25,7 @@
 #define ROW_RANGE ROW_PDF  // of the light's window; 0: none, or passed already
 #define LIGHT_BOUNCE_MASK 255u
 #define LIGHT_DEPTH 8u
-#define LIGHT_COUNT 16u  // slots taken
+#define LIGHT_COUNT 16u      // slots taken
 #define LIGHT_DOUBLINGS 20u  // of the spacing
 #define MOST_DOUBLINGS 20u
 #define ROW_PASSED ROW_ETA     // what the path's diffuse layers have sent on so far, by vpl_weight
@@ -620,32 +620,57 @@ kernel WIDE void vpl_members(global const VplPointParameters* restrict parameter
   store_u(lonely + first_lane, 0, pick_u((vu)0u, (vu)1u, active & (who[0] == GLEANER_NONE)));
 }
 
-// What of a light's flux a point would get if nothing stood between: the bounded geometry term (eq. 4), and what the
-// lobes over both diffuse layers leave to them.
-FN vf light_geometry(const Scene* scene, global const float* light, v3 p, v3 n, vu table, vf table_row, vf clamp_to) {
-  v3 d = make3(light[VPL_POSITION] - p.x, light[VPL_POSITION + 1] - p.y, light[VPL_POSITION + 2] - p.z);
+// The bounded geometry term (eq. 4) between a point and a light, 1/m^2. `side`: the cosine at the light, by its normal
+// for shading, times the distance; `at_point` as well; `inverse`: one over the squared distance.
+FN vf bounded_geometry(v3 p, v3 n, v3 q, v3 light_normal, v3 light_geometric, vf clamp_to, vf* at_point, vf* side,
+                       vf* inverse) {
+  v3 d = sub3(q, p);
   vf d2 = dot3(d, d);
-  vf at_point = dot3(n, d);
-  vf side = -(light[VPL_NORMAL] * d.x + light[VPL_NORMAL + 1] * d.y + light[VPL_NORMAL + 2] * d.z);
-  vf at_light = fabs(light[VPL_GEOMETRIC] * d.x + light[VPL_GEOMETRIC + 1] * d.y + light[VPL_GEOMETRIC + 2] * d.z);
-  vf inverse = one_f() / d2;
-  // Both cosines times the distance.
-  vf g = min_f(at_point * at_light * inverse * inverse, clamp_to);
+  *at_point = dot3(n, d);
+  *side = -dot3(light_normal, d);
+  *inverse = one_f() / d2;
+  vf g = min_f(*at_point * fabs(dot3(light_geometric, d)) * *inverse * *inverse, clamp_to);
+  return pick(zero_f(), g, (*at_point > zero_f()) & (*side > zero_f()) & (d2 > zero_f()));
+}
+
+FN vf plain_geometry(global const float* light, v3 p, v3 n, vf clamp_to, vf* at_point, vf* side, vf* inverse) {
+  return bounded_geometry(p, n, uniform3(light[VPL_POSITION], light[VPL_POSITION + 1], light[VPL_POSITION + 2]),
+                          uniform3(light[VPL_NORMAL], light[VPL_NORMAL + 1], light[VPL_NORMAL + 2]),
+                          uniform3(light[VPL_GEOMETRIC], light[VPL_GEOMETRIC + 1], light[VPL_GEOMETRIC + 2]), clamp_to,
+                          at_point, side, inverse);
+}
+
 #ifdef NEED_LOBE
+FN vf left_at(const Scene* scene, vu table, vf table_row, vf cosine) {
   Surface m;
   m.table = table;
   m.table_row = table_row;
-  vf r = sqrt(inverse);
-  g *= left_to_layer(scene, &m, at_point * r);
-  uint light_table = ((global const uint*)light)[VPL_TABLE];
-  if (light_table != GLEANER_NONE) {
-    m.table = (vu)light_table;
-    m.table_row = (vf)light[VPL_ROW];
-    g *= left_to_layer(scene, &m, side * r);
-  }
-#endif
-  return pick(zero_f(), g, (at_point > zero_f()) & (side > zero_f()) & (d2 > zero_f()));
+  return left_to_layer(scene, &m, cosine);
 }
+#endif
+
+// What of a light's flux a point would get if nothing stood between: the bounded geometry term, and what the lobes
+// over both diffuse layers leave to them. `lobed`: any lane's point has a lobe.
+FN vf light_geometry(const Scene* scene, global const float* light, v3 p, v3 n, uint lobed, vu table, vf table_row,
+                     vf clamp_to) {
+  vf at_point, side, inverse;
+  vf g = plain_geometry(light, p, n, clamp_to, &at_point, &side, &inverse);
+#ifdef NEED_LOBE
+  uint light_table = ((global const uint*)light)[VPL_TABLE];
+  if (!lobed && light_table == GLEANER_NONE) return g;
+  vf r = sqrt(inverse);
+  if (lobed) g *= left_at(scene, table, table_row, at_point * r);
+  if (light_table != GLEANER_NONE) g *= left_at(scene, (vu)light_table, (vf)light[VPL_ROW], side * r);
+#endif
+  return g;
+}
+
+FN float light_brightness(global const float* light) {
+  return 0.2126f * light[VPL_FLUX] + 0.7152f * light[VPL_FLUX + 1] + 0.0722f * light[VPL_FLUX + 2];
+}
+
+// A point in deep shadow is as exact as one that gets this much of what the lights its clusters see would bring it.
+#define LEAST_LIT 0.1f
 
 // Eq. 6 over one slice of the lights, which the sixteen points of a block share. `own`: point `chosen[i]` reads row i
 // of `bits`, which holds its slice alone; else every point reads its clusters' rows of `bits`.
@@ -669,10 +694,12 @@ kernel WIDE void vpl_gather(global const VplPointParameters* restrict parameters
   load_words(points, point * POINT_WORDS, w);
   active = active & (as_vu(w[POINT_TRIANGLE]) != GLEANER_NONE);
   v3 sum = splat3(zero_f());
+  vf unshadowed = zero_f();
   if (any_lane(active)) {
     v3 p = words3(w, POINT_POSITION), n = words3(w, POINT_NORMAL);
     vu table = pick_u((vu)GLEANER_NONE, as_vu(w[POINT_TABLE]), active);
     vf table_row = pick(zero_f(), w[POINT_ROW], active);
+    uint lobed = any_lane(table != GLEANER_NONE) ? 1u : 0u;
     uint words = width / 32u;
     uint slice = (leader >> 4) & (slices - 1u);
     vf clamp_to = (vf)parameters->clamp;
@@ -702,11 +729,13 @@ kernel WIDE void vpl_gather(global const VplPointParameters* restrict parameters
         global const float* light = l + VPL_WORDS * k;
         vf visible = zero_f();
         for (uint f = 0; f < FUZZINESS; ++f) visible += pick(zero_f(), weight[f], (seen[f] & (1u << k)) != 0u);
-        vf g = light_geometry(scene, light, p, n, table, table_row, clamp_to) * visible;
-        sum = mad3(make3((vf)light[VPL_FLUX], (vf)light[VPL_FLUX + 1], (vf)light[VPL_FLUX + 2]), g, sum);
+        vf whole = light_geometry(scene, light, p, n, lobed, table, table_row, clamp_to);
+        v3 flux = make3((vf)light[VPL_FLUX], (vf)light[VPL_FLUX + 1], (vf)light[VPL_FLUX + 2]);
+        sum = mad3(flux, whole * visible, sum);
+        unshadowed += whole * flux.y;
       }
     }
-    if (!own) store_f(level + first_lane, 0, pick(zero_f(), brightness(sum), active));
+    if (!own) store_f(level + first_lane, 0, pick(zero_f(), max_f(brightness(sum), LEAST_LIT * unshadowed), active));
     sum = pick3(splat3(zero_f()), mul3(sum, words3(w, POINT_ALBEDO)), active);
   } else if (!own) {
     store_f(level + first_lane, 0, zero_f());
@@ -718,76 +747,130 @@ kernel WIDE void vpl_gather(global const VplPointParameters* restrict parameters
   scatter_f(radiance + 2u, at, sum.z);
 }
 
-// Lights that a point had better ask itself: those that would bring it more than a share of the light it got, where its
-// clusters disagree on them, and those of so many times as much in any case. At most MOST_DOUBTS of them, the first
-// ones; `counts` tells how many.
-#define MOST_TRUSTED 5.0f
-kernel WIDE void vpl_doubt(global const VplPointParameters* restrict parameters, SCENE_PARAMETERS,
-                           global const float* restrict points, uint count, global const float* restrict lights,
+// Lights that a point asks itself, so that its light does not hang on its clusters alone: how far those are off is
+// measured with a few lights and taken off again (control variates). A light that would bring more than `doubt` of the
+// point's light is asked, of lesser ones each with a chance in proportion to what it would bring; lights on which the
+// point's clusters agree count a fifth of that. A point near no cluster has nothing but what it asks. At most
+// MOST_DOUBTS of them; `counts` tells how many.
+#define AGREED 0.2f
+// Lights too weak to be asked for certain, were they so many times brighter, are looked at one in so many.
+#define THINNED 4u
+#define THINNED_BITS 0x11111111u
+kernel WIDE void vpl_doubt(global const VplPointParameters* restrict parameters, global const float* restrict points,
+                           uint count, global const float* restrict lights, global const float* restrict boxes,
                            uint width, uint slices, global const uint* restrict bits, uint row_words,
                            global const uint* restrict rows, global const float* restrict weights,
-                           global const float* restrict level, global uint* restrict doubt_light,
-                           global float* restrict doubt_terms, uint behind, global uint* restrict counts) {
+                           global const float* restrict level, global uint* restrict doubt_light, uint behind,
+                           global uint* restrict counts, global float* restrict spacings) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
   if (first_lane >= count) return;
-  Scene scene_value = SCENE_FROM_PARAMETERS;
-  const Scene* scene = &scene_value;
   vu lane = (vu)first_lane + lane_index();
   vf w[16];
   load_words(points, min(lane, (vu)(count - 1u)) * POINT_WORDS, w);
   vi active = (as_vu(w[POINT_TRIANGLE]) != GLEANER_NONE) & (lane < count);
-  vu found = (vu)0u;
-  if (any_lane(active)) {
-    v3 p = words3(w, POINT_POSITION), n = words3(w, POINT_NORMAL);
-    vu table = pick_u((vu)GLEANER_NONE, as_vu(w[POINT_TABLE]), active);
-    vf table_row = pick(zero_f(), w[POINT_ROW], active);
-    // The samples of a pixel see a slice each: what one of them lacks is so much less of the pixel's light.
-    vf least = load_f(level + first_lane, 0) * parameters->doubt * (float)slices;
-    uint words = width / 32u;
-    uint slice = (first_lane >> 4) & (slices - 1u);
-    vu row[FUZZINESS];
-    vf weight[FUZZINESS];
-    for (uint f = 0; f < FUZZINESS; ++f) {
-      row[f] = load_u(rows + (ulong)FUZZINESS * first_lane + f * LANES, 0) * row_words + slice * words;
-      weight[f] = load_f(weights + (ulong)FUZZINESS * first_lane + f * LANES, 0);
+  if (!any_lane(active)) {
+    store_u(counts + first_lane, 0, (vu)0u);
+    return;
+  }
+  vu row[FUZZINESS];
+  vf weight[FUZZINESS];
+  uint words = width / 32u;
+  uint slice = (first_lane >> 4) & (slices - 1u);
+  for (uint f = 0; f < FUZZINESS; ++f) {
+    row[f] = load_u(rows + (ulong)FUZZINESS * first_lane + f * LANES, 0) * row_words + slice * words;
+    weight[f] = load_f(weights + (ulong)FUZZINESS * first_lane + f * LANES, 0);
+  }
+  vi lonely = active & none(weight[0] > zero_f());
+  // A sole cluster has nobody to disagree with.
+  vu alone = (vu)0u;
+  if (FUZZINESS > 1u) alone = pick_u((vu)0xffffffffu, (vu)0u, weight[1u % FUZZINESS] > zero_f());
+  alone = pick_u(alone, (vu)0xffffffffu, lonely);
+  v3 p = words3(w, POINT_POSITION), n = words3(w, POINT_NORMAL);
+  vf clamp_to = (vf)parameters->clamp;
+  global const float* first_light = lights + (ulong)VPL_WORDS * (slice * width);
+  uint shared_lot = ((global const uint*)points)[(ulong)POINT_WORDS * first_lane + POINT_B1] * 0x9e3779b9u;
+  // The samples of a pixel see a slice each: what one of them lacks is so much less of the pixel's light.
+  vf spacing = load_f(level + first_lane, 0) * parameters->doubt * (float)slices;
+  if (any_lane(lonely)) {
+    vf all = zero_f();
+    for (uint k = shared_lot & (THINNED - 1u); k < width; k += THINNED) {
+      global const float* light = first_light + VPL_WORDS * k;
+      vf at_point, side, inverse;
+      all += plain_geometry(light, p, n, clamp_to, &at_point, &side, &inverse) * light_brightness(light);
     }
+    spacing = pick(spacing, all * (vf)(THINNED / (0.75f * MOST_DOUBTS)), lonely);
+  }
+  spacing = max_f(spacing, (vf)1e-30f);
+  vu lot = hash_combine(hash_combine(as_vu(w[POINT_B1]), as_vu(w[POINT_B2])), (vu)parameters->set);
+  vf offset = to_f(lot >> 8) * (vf)5.9604644775390625e-8f;
+  vu found = (vu)0u;
+  // A point with more doubts than there is room for begins again and asks fewer.
+  vi open = active;
+  while (any_lane(open)) {
+    vf mark = offset * spacing, passed = zero_f();
+    found = pick_u(found, (vu)0u, open);
     for (uint word = 0; word < words; ++word) {
       vu seen[FUZZINESS];
       vu any = (vu)0u, all = (vu)0xffffffffu;
       for (uint f = 0; f < FUZZINESS; ++f) {
-        vi member = active & (weight[f] > zero_f());
+        vi member = open & (weight[f] > zero_f());
         seen[f] = gather_u(bits, pick_u((vu)0u, row[f] + word, member));
-        any |= pick_u((vu)0u, seen[f], member);
+        seen[f] = pick_u((vu)0u, seen[f], member);
+        any |= seen[f];
         all &= pick_u((vu)0xffffffffu, seen[f], member);
       }
-      vu doubtful = any & ~all;
-      global const float* l = lights + (ulong)VPL_WORDS * (slice * width + 32u * word);
-      for (uint k = 0; k < 32u; ++k) {
+      vu doubtful = (any & ~all) | alone;
+      // The same ones for all lanes. No number of this launch enters: pixels are the same in any batch.
+      uint thinned = THINNED_BITS << (any_bits(hash_u((vu)(shared_lot + word))) & (THINNED - 1u));
+      global const float* l = first_light + VPL_WORDS * 32u * word;
+      global const float* box = boxes + LIGHT_BOX_WORDS * (slice * words + word);
+      v3 beyond = make3(max_f(fabs(p.x - box[0]) - box[3], zero_f()), max_f(fabs(p.y - box[1]) - box[4], zero_f()),
+                        max_f(fabs(p.z - box[2]) - box[5], zero_f()));
+      // Both cosines are at most 1, the point's at most what its plane leaves.
+      vf above = n.x * (box[0] - p.x) + n.y * (box[1] - p.y) + n.z * (box[2] - p.z) + fabs(n.x) * box[3] +
+                 fabs(n.y) * box[4] + fabs(n.z) * box[5];
+      vf near2 = dot3(beyond, beyond);
+      vf most =
+          min_f(clamp_to, min_f(one_f(), max_f(above, zero_f()) / sqrt(near2)) / near2) * box[LIGHT_BOX_BRIGHTEST];
+      vi thin = most * (vf)(float)THINNED <= spacing;
+      vf stands = pick(one_f(), (vf)(float)THINNED, thin);
+      for (uint looked = any_lane(open & none(thin)) ? 0xffffffffu : thinned; looked; looked &= looked - 1u) {
+        uint bit = looked & (0u - looked), k = 31u - clz(bit);
         global const float* light = l + VPL_WORDS * k;
-        vf whole = light_geometry(scene, light, p, n, table, table_row, (vf)parameters->clamp);
-        vf g = whole;
-        whole *= 0.2126f * light[VPL_FLUX] + 0.7152f * light[VPL_FLUX + 1] + 0.0722f * light[VPL_FLUX + 2];
-        vi here = active & (found < MOST_DOUBTS) & (whole > least) &
-                  (((doubtful & (1u << k)) != 0u) | (whole > least * MOST_TRUSTED));
+        vf at_point, side, inverse;
+        vf g = plain_geometry(light, p, n, clamp_to, &at_point, &side, &inverse);
+        vi disputed = (doubtful & bit) != 0u;
+        vf at_stake = g * light_brightness(light) * pick((vf)AGREED, one_f(), disputed) * stands;
+        if (!(thinned & bit)) at_stake = pick(at_stake, zero_f(), thin);
+        vi certain = at_stake >= spacing;
+        passed += pick(at_stake, zero_f(), certain);
+        vi here = open & (certain | (passed > mark));
         if (!any_lane(here)) continue;
-        vf visible = zero_f();
-        for (uint f = 0; f < FUZZINESS; ++f) visible += pick(zero_f(), weight[f], (seen[f] & (1u << k)) != 0u);
-        vu at = pick_u((vu)behind, lane * MOST_DOUBTS + found, here);
-        scatter_u(doubt_light, at, (vu)(slice * width + 32u * word + k));
-        scatter_f(doubt_terms, at * 2u, g);
-        scatter_f(doubt_terms + 1u, at * 2u, visible);
+        mark += pick(zero_f(), spacing, here & none(certain));
         found += pick_u((vu)0u, (vu)1u, here);
+        here = here & (found <= MOST_DOUBTS);
+        vu at = pick_u((vu)behind, lane * MOST_DOUBTS + found - 1u, here);
+        // What nobody else told of the point is no correction, and is not held against its noise.
+        vu by_lot = pick_u((vu)DOUBT_BY_LOT, (vu)0u, lonely | (certain & none(thin)));
+        vu agreed = pick_u((vu)DOUBT_AGREED, (vu)0u, disputed);
+        vu sure = pick_u((vu)0u, pick_u((vu)DOUBT_CERTAIN, (vu)(DOUBT_CERTAIN | DOUBT_THIN), thin), certain);
+        scatter_u(doubt_light, at, (vu)(slice * width + 32u * word + k) | by_lot | agreed | sure);
       }
     }
+    open = open & (found > MOST_DOUBTS) & (spacing < (vf)INFINITY);
+    spacing *= pick(one_f(), to_f(found) * (vf)(1.25f / MOST_DOUBTS), open);
   }
-  store_u(counts + first_lane, 0, found);
+  store_u(counts + first_lane, 0, pick_u((vu)0u, found, active));
+  store_f(spacings + first_lane, 0, spacing);
 }
 
-// The rays for `count` doubts, by their places.
-kernel WIDE void vpl_doubt_rays(SCENE_PARAMETERS, global const float* restrict points,
-                                global const float* restrict lights, global const uint* restrict places, uint base,
-                                uint count, global const uint* restrict doubt_light, global float* restrict rays) {
+// The rays for `count` doubts, by their places; and their terms: what flux the answer of each is worth.
+kernel WIDE void vpl_doubt_rays(global const VplPointParameters* restrict parameters, SCENE_PARAMETERS,
+                                global const float* restrict points, global const float* restrict lights,
+                                global const uint* restrict places, uint base, uint count,
+                                global const uint* restrict doubt_light, global const float* restrict spacings,
+                                global float* restrict rays, global float* restrict doubt_terms) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
   if (first_lane >= count) return;
@@ -796,60 +879,104 @@ kernel WIDE void vpl_doubt_rays(SCENE_PARAMETERS, global const float* restrict p
   vi active = (vu)first_lane + lane_index() < count;
   vu place = gather_u(places, (vu)base + min((vu)first_lane + lane_index(), (vu)(count - 1u)));
   vf w[16], l[16], second[16], t[16];
-  load_words(points, place / MOST_DOUBTS * POINT_WORDS, w);
-  vu at = gather_u(doubt_light, place) * VPL_WORDS;
+  vu point = place / MOST_DOUBTS;
+  load_words(points, point * POINT_WORDS, w);
+  vu doubt = gather_u(doubt_light, place);
+  vu at = (doubt & (vu)DOUBT_LIGHT) * VPL_WORDS;
   load_words(lights, at, l);
   load_words(lights + 8u, at, second);  // words 8 to 23
   vu triangle = as_vu(w[POINT_TRIANGLE]);
   load_words(scene->triangles, triangle * TRIANGLE_WORDS, t);
   v3 p0 = words3(t, TRIANGLE_P0);
   v3 e1 = sub3(words3(t, TRIANGLE_P1), p0), e2 = sub3(words3(t, TRIANGLE_P2), p0), error;
-  v3 p = words3(w, POINT_POSITION);
+  v3 p = words3(w, POINT_POSITION), q = words3(l, VPL_POSITION);
+  vf at_point, side, inverse;
+  vf g = bounded_geometry(p, words3(w, POINT_NORMAL), q, words3(l, VPL_NORMAL), words3(l, VPL_GEOMETRIC),
+                          (vf)parameters->clamp, &at_point, &side, &inverse);
+  vf bright = brightness(words3(l, VPL_FLUX)) * pick(one_f(), (vf)AGREED, (doubt & DOUBT_AGREED) != 0u);
+  // One that came by lot stands for as much as lies between two marks.
+  vf term = pick(gather_f(spacings, point) / bright, g * pick(one_f(), (vf)(float)THINNED, (doubt & DOUBT_THIN) != 0u),
+                 (doubt & DOUBT_CERTAIN) != 0u);
+#ifdef NEED_LOBE
+  vf r = sqrt(inverse);
+  term *= left_at(scene, as_vu(w[POINT_TABLE]), w[POINT_ROW], at_point * r) *
+          left_at(scene, as_vu(l[VPL_TABLE]), second[VPL_ROW - 8u], side * r);
+#endif
+  // Of lanes without a doubt the last one's is written once more, and the same.
+  scatter_f(doubt_terms, place, term);
   surface_point(p0, e1, e2, w[POINT_B1], w[POINT_B2], &error);
   v3 start, direction;
-  connect_light(p, error, normalize3(cross3(e1, e2)), words3(l, VPL_POSITION), words3(second, VPL_ERROR - 8u),
-                words3(l, VPL_GEOMETRIC), &start, &direction);
+  connect_light(p, error, normalize3(cross3(e1, e2)), q, words3(second, VPL_ERROR - 8u), words3(l, VPL_GEOMETRIC),
+                &start, &direction);
   active = active & finite3(start) & finite3(direction);
   set_visibility_ray(rays, block, start, direction, active, triangle);
 }
 
-// What the answers change, point by point, doubt by doubt.
+// What the answers change, point by point, doubt by doubt: at once where the light was asked for certain. What was
+// asked by lot goes to `sampled`, its sum and the sum of its squared luminance.
 kernel void vpl_settle(global const float* restrict points, uint count, global const uint* restrict firsts,
                        global const uint* restrict counts, global const uint* restrict doubt_light,
                        global const float* restrict doubt_terms, global const uint* restrict answers,
-                       global const float* restrict lights, global float* restrict radiance) {
+                       global const float* restrict lights, global const uint* restrict bits, uint row_words,
+                       global const uint* restrict rows, global const float* restrict weights,
+                       global float* restrict radiance, global float* restrict sampled) {
   uint point = (uint)get_global_id(0);
   if (point >= count) return;
-  float sum[3] = {0, 0, 0};
+  float certain[3] = {0, 0, 0}, by_lot[3] = {0, 0, 0}, square = 0;
+  global const float* albedo = points + (ulong)POINT_WORDS * point + POINT_ALBEDO;
+  ulong member = (ulong)FUZZINESS * (point / LANES * LANES) + point % LANES;
   for (uint k = 0; k < counts[point]; ++k) {
     uint place = point * MOST_DOUBTS + k;
+    uint doubt = doubt_light[place], row = doubt & DOUBT_LIGHT;
+    global const float* light = lights + (ulong)VPL_WORDS * row + VPL_FLUX;
+    float told = 0;
+    for (uint f = 0; f < FUZZINESS; ++f) {
+      float weight = weights[member + f * LANES];
+      if (weight > 0.0f && ((bits[(ulong)rows[member + f * LANES] * row_words + row / 32u] >> (row & 31u)) & 1u))
+        told += weight;
+    }
     uint ray = firsts[point] + k;
     float seen = (answers[ray >> 5] >> (ray & 31u)) & 1u ? 1.0f : 0.0f;
-    float change = doubt_terms[2 * place] * (seen - doubt_terms[2 * place + 1]);
-    global const float* light = lights + (ulong)VPL_WORDS * doubt_light[place];
-    for (uint c = 0; c < 3; ++c) sum[c] += light[VPL_FLUX + c] * change;
+    float change = doubt_terms[place] * (seen - told);
+    float brought[3];
+    for (uint c = 0; c < 3; ++c) brought[c] = light[c] * albedo[c] * change;
+    if (doubt & DOUBT_BY_LOT) {
+      float much = 0.2126f * brought[0] + 0.7152f * brought[1] + 0.0722f * brought[2];
+      square += much * much;
+      for (uint c = 0; c < 3; ++c) by_lot[c] += brought[c];
+    } else {
+      for (uint c = 0; c < 3; ++c) certain[c] += brought[c];
+    }
   }
-  for (uint c = 0; c < 3; ++c) {
-    float all = radiance[3 * point + c] + sum[c] * points[(ulong)POINT_WORDS * point + POINT_ALBEDO + c];
-    // All its light may hang on doubts, and their sum round below nothing.
-    radiance[3 * point + c] = all > 0.0f ? all : 0.0f;
-  }
+  for (uint c = 0; c < 3; ++c) radiance[3 * point + c] += certain[c];
+  for (uint c = 0; c < 3; ++c) sampled[4 * point + c] = by_lot[c];
+  sampled[4 * point + 3] = square;
 }
 
-// A pixel's samples, in their order, each of which saw a slice of the lights: their sum saw all of them.
+// A pixel's samples, in their order, each of which saw a slice of the lights: their sum saw all of them. What was
+// sampled of the clusters' error is taken off as far as it stands out of its own noise (James & Stein 1961).
 kernel void vpl_resolve(global const VplPointParameters* restrict parameters, uint count,
-                        global const float* restrict radiance, global float* restrict records,
-                        global uint* restrict report) {
+                        global const float* restrict radiance, global const float* restrict sampled,
+                        global float* restrict records, global uint* restrict report) {
   uint item = (uint)get_global_id(0);
   if (item >= count) return;
   uint samples = parameters->samples;
-  float sum[3] = {0, 0, 0};
+  float sum[3] = {0, 0, 0}, change[3] = {0, 0, 0}, square = 0;
   for (uint s = 0; s < samples; ++s) {
     uint path = ((item >> 4) * samples + s) * 16u + (item & 15u);
     for (uint k = 0; k < 3; ++k) sum[k] += radiance[3 * path + k];
+    for (uint k = 0; k < 3; ++k) change[k] += sampled[4 * path + k];
+    square += sampled[4 * path + 3];
   }
+  float mean = 0.2126f * change[0] + 0.7152f * change[1] + 0.0722f * change[2];
+  float share = mean * mean > square ? 1.0f - square / (mean * mean) : 0.0f;
   int fine = 1;
-  for (uint k = 0; k < 3; ++k) fine = fine && fabs(sum[k]) <= 3.402823466e38f;
+  for (uint k = 0; k < 3; ++k) {
+    // Where all its light is in doubt, the sum may come out below nothing.
+    float all = sum[k] + share * change[k];
+    fine = fine && fabs(all) <= 3.402823466e38f;
+    sum[k] = all > 0.0f ? all : 0.0f;
+  }
   if (!fine) {
     atomic_add(report, samples);
     uint at = atomic_inc(report + 1);

@@ -433,10 +433,41 @@ class VisibilityLane : public Lane {
 
 // What all lanes of a shading batch read.
 struct ShadeTables {
-  cl::Buffer lights, grid, cells, seeds, bits;
+  cl::Buffer lights, boxes, grid, cells, seeds, bits;
   std::uint32_t width = 0;      // lights of a slice
   std::uint32_t row_words = 0;  // of a point cluster's bits
 };
+
+// LIGHT_BOX_WORDS for each 32 lights.
+std::vector<float> light_boxes(const scene::Bytes& lights) {
+  std::vector<float> rows(lights.size() / 4);
+  std::memcpy(rows.data(), lights.data(), rows.size() * 4);
+  const std::size_t boxes = rows.size() / VPL_WORDS / 32;
+  std::vector<float> out(std::max<std::size_t>(boxes, 1) * LIGHT_BOX_WORDS);
+  for (std::size_t box = 0; box < boxes; ++box) {
+    float lower[3], upper[3], brightest = 0;
+    std::fill(lower, lower + 3, std::numeric_limits<float>::infinity());
+    std::fill(upper, upper + 3, -std::numeric_limits<float>::infinity());
+    for (const float *row = &rows[box * 32 * VPL_WORDS], *end = row + 32 * VPL_WORDS; row < end; row += VPL_WORDS) {
+      const float* flux = row + VPL_FLUX;
+      const float bright = 0.2126f * flux[0] + 0.7152f * flux[1] + 0.0722f * flux[2];
+      if (!(bright > 0)) continue;
+      brightest = std::max(brightest, bright);
+      for (unsigned k = 0; k < 3; ++k) {
+        lower[k] = std::min(lower[k], row[VPL_POSITION + k]);
+        upper[k] = std::max(upper[k], row[VPL_POSITION + k]);
+      }
+    }
+    float* to = &out[box * LIGHT_BOX_WORDS];
+    to[LIGHT_BOX_BRIGHTEST] = brightest;
+    // Nothing shines there: the box may lie anywhere.
+    for (unsigned k = 0; k < 3 && brightest > 0; ++k) {
+      to[k] = 0.5f * (lower[k] + upper[k]);
+      to[3 + k] = 0.5f * (upper[k] - lower[k]);
+    }
+  }
+  return out;
+}
 
 ShadeTables make_shade_tables(Batch& batch, const VplPointParameters& p) {
   const StageTask& task = batch.task;
@@ -446,6 +477,8 @@ ShadeTables make_shade_tables(Batch& batch, const VplPointParameters& p) {
   cl::CommandQueue queue = batch.device.make_queue();
   tables.width = p.clusters / p.samples;
   tables.lights = batch.put(queue, "vpl.shade.lights", lights.data(), lights.size());
+  const std::vector<float> boxes = light_boxes(lights);
+  tables.boxes = batch.put(queue, "vpl.shade.boxes", boxes.data(), boxes.size() * 4);
   std::vector<float> points;
   ClusterGrid grid;
   if (p.point_clusters) {
@@ -526,11 +559,13 @@ class ShadeLane : public PointLane {
     gather_.setArg(at + 12, radiance_);
     level_ = take("level", room * 4);
     gather_.setArg(at + 13, level_);
+    sampled_ = take("sampled", room * 16);
     if (p_.point_clusters && p_.doubt > 0) prepare_doubts(room);
     resolve_.setArg(0, batch.parameters);
     resolve_.setArg(2, radiance_);
-    resolve_.setArg(3, records_);
-    resolve_.setArg(4, report_);
+    resolve_.setArg(3, sampled_);
+    resolve_.setArg(4, records_);
+    resolve_.setArg(5, report_);
   }
 
   void run(BatchResult& result) {
@@ -543,6 +578,7 @@ class ShadeLane : public PointLane {
       const std::uint32_t paths = blocks * 16 * p_.samples;
       find_points(begin, paths);
       counters.camera -= paths - part * p_.samples;
+      queue_.enqueueFillBuffer(sampled_, cl_float{0}, 0, std::size_t{paths} * 16);
       if (p_.point_clusters) {
         members_.setArg(2, paths);
         launch(members_, paths);
@@ -551,13 +587,15 @@ class ShadeLane : public PointLane {
         gather_.setArg(gather_first_ + 7, tables_.bits);
         launch(gather_, paths);
         if (p_.doubt > 0) ask_doubts(paths);
+      }
+      if (asks_alone_ && p_.point_clusters) {
         queue_.enqueueReadBuffer(lonely_, CL_TRUE, 0, std::size_t{paths} * 4, lonely.data());
-      } else {
+      } else if (asks_alone_) {
         // Points that are none stay as they are.
         queue_.enqueueFillBuffer(radiance_, cl_float{0}, 0, std::size_t{paths} * 12);
         std::fill(lonely.begin(), lonely.begin() + paths, 1u);
       }
-      ask_alone(lonely, paths);
+      if (asks_alone_) ask_alone(lonely, paths);
       std::uint32_t reported[2 + REPORTED_ITEMS] = {};
       queue_.enqueueWriteBuffer(report_, CL_TRUE, 0, sizeof reported, reported);
       resolve_.setArg(1, static_cast<cl_uint>(part));
@@ -574,33 +612,37 @@ class ShadeLane : public PointLane {
   void prepare_doubts(std::size_t room) {
     const std::size_t most = room * MOST_DOUBTS;
     doubt_lights_ = take("doubt.lights", (most + 1) * 4);
-    doubt_terms_ = take("doubt.terms", (most + 1) * 8);
+    doubt_terms_ = take("doubt.terms", (most + 1) * 4);
+    doubt_spacings_ = take("doubt.spacings", room * 4);
     doubt_counts_ = take("doubt.counts", room * 4);
     doubt_firsts_ = take("doubt.firsts", room * 4);
     doubt_places_ = take("doubt.places", most * 4);
     doubt_answers_ = take("doubt.answers", most / 8);
     rays_ = take("rays", std::size_t{ray_capacity(batch_.device)} * VISIBILITY_ROWS * 4);
     doubt_.setArg(0, batch_.parameters);
-    unsigned at = doubt_first_ = batch_.scene.set_arguments(doubt_, 1);
-    doubt_.setArg(at, points_);
-    doubt_.setArg(at + 2, tables_.lights);
-    doubt_.setArg(at + 3, tables_.width);
-    doubt_.setArg(at + 4, p_.samples);
-    doubt_.setArg(at + 5, tables_.bits);
-    doubt_.setArg(at + 6, tables_.row_words);
-    doubt_.setArg(at + 7, rows_);
-    doubt_.setArg(at + 8, weights_);
-    doubt_.setArg(at + 9, level_);
-    doubt_.setArg(at + 10, doubt_lights_);
-    doubt_.setArg(at + 11, doubt_terms_);
-    doubt_.setArg(at + 12, static_cast<cl_uint>(most));
-    doubt_.setArg(at + 13, doubt_counts_);
-    at = doubt_rays_first_ = batch_.scene.set_arguments(doubt_rays_, 0);
+    doubt_.setArg(1, points_);
+    doubt_.setArg(3, tables_.lights);
+    doubt_.setArg(4, tables_.boxes);
+    doubt_.setArg(5, tables_.width);
+    doubt_.setArg(6, p_.samples);
+    doubt_.setArg(7, tables_.bits);
+    doubt_.setArg(8, tables_.row_words);
+    doubt_.setArg(9, rows_);
+    doubt_.setArg(10, weights_);
+    doubt_.setArg(11, level_);
+    doubt_.setArg(12, doubt_lights_);
+    doubt_.setArg(13, static_cast<cl_uint>(most));
+    doubt_.setArg(14, doubt_counts_);
+    doubt_.setArg(15, doubt_spacings_);
+    doubt_rays_.setArg(0, batch_.parameters);
+    const unsigned at = doubt_rays_first_ = batch_.scene.set_arguments(doubt_rays_, 1);
     doubt_rays_.setArg(at, points_);
     doubt_rays_.setArg(at + 1, tables_.lights);
     doubt_rays_.setArg(at + 2, doubt_places_);
     doubt_rays_.setArg(at + 5, doubt_lights_);
-    doubt_rays_.setArg(at + 6, rays_);
+    doubt_rays_.setArg(at + 6, doubt_spacings_);
+    doubt_rays_.setArg(at + 7, rays_);
+    doubt_rays_.setArg(at + 8, doubt_terms_);
     doubt_pack_.setArg(0, rays_);
     doubt_pack_.setArg(3, doubt_answers_);
     settle_.setArg(0, points_);
@@ -610,12 +652,17 @@ class ShadeLane : public PointLane {
     settle_.setArg(5, doubt_terms_);
     settle_.setArg(6, doubt_answers_);
     settle_.setArg(7, tables_.lights);
-    settle_.setArg(8, radiance_);
+    settle_.setArg(8, tables_.bits);
+    settle_.setArg(9, tables_.row_words);
+    settle_.setArg(10, rows_);
+    settle_.setArg(11, weights_);
+    settle_.setArg(12, radiance_);
+    settle_.setArg(13, sampled_);
   }
 
   // Points whose clusters disagree on lights that matter ask for these themselves.
   void ask_doubts(std::uint32_t paths) {
-    doubt_.setArg(doubt_first_ + 1, paths);
+    doubt_.setArg(2, paths);
     launch(doubt_, paths);
     std::vector<std::uint32_t> counts(paths), firsts(paths), places;
     queue_.enqueueReadBuffer(doubt_counts_, CL_TRUE, 0, std::size_t{paths} * 4, counts.data());
@@ -672,12 +719,15 @@ class ShadeLane : public PointLane {
   }
 
   VplPointParameters p_;
+  // Points near no cluster ask every light where they do not have doubts to ask some.
+  bool asks_alone_ = !p_.point_clusters || !(p_.doubt > 0);
   const ShadeTables& tables_;
   Asker asker_;
   cl::Kernel members_, gather_, resolve_, doubt_, doubt_rays_, doubt_pack_, settle_;
-  cl::Buffer level_, rays_, doubt_lights_, doubt_terms_, doubt_counts_, doubt_firsts_, doubt_places_, doubt_answers_;
-  unsigned doubt_first_ = 0, doubt_rays_first_ = 0;
-  cl::Buffer rows_, weights_, lonely_, radiance_, records_, report_, own_bits_, away_, chosen_;
+  cl::Buffer level_, rays_, doubt_lights_, doubt_terms_, doubt_spacings_, doubt_counts_, doubt_firsts_, doubt_places_,
+      doubt_answers_;
+  unsigned doubt_rays_first_ = 0;
+  cl::Buffer rows_, weights_, lonely_, radiance_, sampled_, records_, report_, own_bits_, away_, chosen_;
   std::uint32_t own_rows_ = 0;
   unsigned gather_first_ = 0;
 };
