@@ -159,7 +159,7 @@ Step PathPlan::next(const FinishedStage* finished) {
   const std::uint64_t left = all - spent_;
   // A first look at two chunks is a noisy guide for a long way: half now, and the rest once more is known. Not for a
   // few chunks: each stage ends with workers waiting for the last.
-  const bool halves = planned_.size() == 1 && left >= pixels() * chunk_samples_ * 4;
+  const bool halves = planned_.size() == 1 && left >= pixels() * chunk_samples_ * 2;
   return spend(halves ? left / 2 : left);
 }
 

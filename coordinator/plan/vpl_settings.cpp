@@ -17,7 +17,7 @@ VplSettings make_vpl_settings(const FrameSettings& settings) {
   vpl.samples = std::min<std::uint32_t>(std::bit_floor(settings.spp), 16);
   // Measured on the Cornell box and on sponza: a second set pays once the paths have some 64 samples a pixel.
   vpl.sets = std::clamp<std::uint32_t>(settings.spp / 64, 1, 64);
-  vpl.count = whole_setting(settings, "vpl.count", 40000, 1, 1u << 22);
+  vpl.count = whole_setting(settings, "vpl.count", 16000, 1, 1u << 22);
   vpl.clusters = whole_setting(settings, "vpl.clusters", std::min(1536u, vpl.count), 0, 1u << 20);
   const auto points = static_cast<std::uint32_t>(std::clamp(pixels / 80, 256.0, 20000.0));
   vpl.point_clusters = whole_setting(settings, "vpl.point_clusters", points, 0, 1u << 22);
@@ -29,7 +29,7 @@ VplSettings make_vpl_settings(const FrameSettings& settings) {
   vpl.equal_weights = whole_setting(settings, "vpl.equal_weights", 0, 0, 1) != 0;
   vpl.draw = whole_setting(settings, "vpl.draw", vpl.sets > 1 ? 1 : 0, 0, 1) != 0;
   vpl.compensate = whole_setting(settings, "vpl.compensate", 1, 0, 1) != 0;
-  vpl.doubt = real_setting(settings, "vpl.doubt", 0.02, 0, 1);
+  vpl.doubt = real_setting(settings, "vpl.doubt", 0.05, 0, 1);
   vpl.clamp = real_setting(settings, "vpl.clamp", 0.1, 0, 1e6);
   return vpl;
 }
