@@ -198,7 +198,10 @@ cl::Program Device::compile(const std::string& file, const std::string& options)
   for (const std::string& part : {info_.platform, info_.name, info_.driver, info_.version, all_options, text})
     hash = fingerprint(fingerprint(hash, part), std::string_view("\0", 1));
   std::filesystem::path cached;
-  if (auto folder = cache_folder(); !folder.empty()) {
+  // PoCL has a cache of its own. To be asked for a binary makes it compile every kernel once more, for a launch that
+  // never comes: half of a first frame's wait.
+  const bool keeps_its_own = info_.platform == kPoclPlatform;
+  if (auto folder = cache_folder(); !folder.empty() && !keeps_its_own) {
     char name[40];
     std::snprintf(name, sizeof name, "%016llx.clbin", static_cast<unsigned long long>(hash));
     cached = folder / name;

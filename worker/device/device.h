@@ -25,8 +25,8 @@ class Device {
   unsigned lanes() const { return info_.cpu ? 16 : 1; }
 
   // Builds `file` of the kernels with `options`, once; a binary that an earlier run left is taken from the cache folder
-  // ($GLEANER_CACHE, else $XDG_CACHE_HOME/gleaner, else ~/.cache/gleaner). Thread-safe. Throws Error::failed with the
-  // compiler's log.
+  // ($GLEANER_CACHE, else $XDG_CACHE_HOME/gleaner, else ~/.cache/gleaner; PoCL has its own, $POCL_CACHE_DIR).
+  // Thread-safe. Throws Error::failed with the compiler's log.
   cl::Program build(const std::string& file, const std::string& options) const;
 
   // A buffer of at least one byte. On CPU devices it lies in memory that host and kernels share.
