@@ -7,6 +7,14 @@
 
 namespace gleaner::coordinator {
 
+namespace {
+
+// Of edges' variance, what counts. Measured on two Cornell boxes at 8 to 24 samples: enough for a lamp's edge to be
+// found whatever the luck, next to nothing for texture.
+constexpr float kEdge = 0.03f;
+
+}  // namespace
+
 std::vector<float> neighbours_variance(const PixelNoise& noise, int radius) {
   const std::size_t w = noise.width, h = noise.height;
   // Sums over windows from a summed-area table for each colour.
@@ -35,6 +43,33 @@ std::vector<float> neighbours_variance(const PixelNoise& noise, int radius) {
       const double sum =
           table[y1 * (w + 1) + x1] - table[y0 * (w + 1) + x1] - table[y1 * (w + 1) + x0] + table[y0 * (w + 1) + x0];
       result[y * w + x] = count > 0 ? static_cast<float>(std::max(0.0, sum / count)) : 1.0f;
+    }
+  return result;
+}
+
+std::vector<float> edge_variance(const PixelNoise& noise) {
+  const std::size_t w = noise.width, h = noise.height;
+  std::vector<float> result(w * h, 0.0f);
+  if (noise.mean.empty()) return result;
+  for (std::size_t y = 0; y < h; ++y)
+    for (std::size_t x = 0; x < w; ++x) {
+      const float* at = &noise.mean[y * w + x];
+      double sum = 0, square = 0;
+      int count = 0;
+      const auto add = [&](bool there, std::ptrdiff_t step) {
+        if (!there) return;
+        const double value = at[step];
+        sum += value;
+        square += value * value;
+        ++count;
+      };
+      add(x > 0, -1);
+      add(x + 1 < w, 1);
+      add(y > 0, -static_cast<std::ptrdiff_t>(w));
+      add(y + 1 < h, static_cast<std::ptrdiff_t>(w));
+      if (count < 2) continue;
+      const double variance = std::max(0.0, square / count - sum / count * (sum / count));
+      if (std::isfinite(variance)) result[y * w + x] = static_cast<float>(variance / noise.chunk_samples);
     }
   return result;
 }
@@ -92,8 +127,10 @@ std::vector<std::uint32_t> allocate_chunks(const std::vector<float>& variance, c
 
 std::vector<std::uint32_t> allocate_by_noise(const PixelNoise& noise, const std::vector<std::uint32_t>& chunks,
                                              std::uint64_t extra, int radius) {
-  const std::vector<float> variance = neighbours_variance(noise, radius);
+  std::vector<float> variance = neighbours_variance(noise, radius);
+  const std::vector<float> edges = edge_variance(noise);
   const std::size_t n = variance.size();
+  for (std::size_t i = 0; i < n; ++i) variance[i] += kEdge * edges[i];
   std::vector<std::uint32_t> more(n, 0);
   std::uint64_t left = extra;
   for (std::size_t color : {1u, 0u}) {

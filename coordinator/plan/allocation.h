@@ -11,11 +11,18 @@ struct PixelNoise {
   std::vector<float> chunk_variance;  // width * height, not negative
   std::vector<std::uint32_t> chunks;  // width * height
   std::uint32_t width = 0, height = 0;
+  std::vector<float> mean{};  // radiance (mean over the channels), width * height; empty: not known
+  float chunk_samples = 1;
 };
 
 // For each pixel the mean of its neighbours' variances in a (2 radius + 1)^2 window, as far as they are of the other
 // colour of a chessboard; 1 where it has none (a picture of one pixel).
 std::vector<float> neighbours_variance(const PixelNoise& noise, int radius);
+
+// For each pixel the variance that a chunk would have if an edge ran through it: that of its four neighbours' means,
+// all of the other colour. A lamp's edge seen by a few samples looks quiet or, in one pixel of many, glares; its
+// neighbours know better. Nothing where means are not known.
+std::vector<float> edge_variance(const PixelNoise& noise);
 
 // Further chunks a pixel, `extra` in all. The sum over the pixels of variance / chunks is least where chunks go as the
 // square root of the variance (Lagrange); pixels that have more than their share already keep what they have. What

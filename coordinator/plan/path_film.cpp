@@ -53,9 +53,14 @@ void PathFilm::add_clamped(std::uint32_t pixel, const float clamped[3]) {
 
 PixelNoise PathFilm::noise() const {
   PixelNoise noise{std::vector<float>(pixels_.size()), std::vector<std::uint32_t>(pixels_.size()), width_, height_};
+  noise.mean.resize(pixels_.size());
   for (std::size_t i = 0; i < pixels_.size(); ++i) {
     const Pixel& p = pixels_[i];
     noise.chunks[i] = p.chunks;
+    if (p.samples)
+      noise.mean[i] =
+          static_cast<float>((p.direct[0] + p.direct[1] + p.direct[2] + p.indirect[0] + p.indirect[1] + p.indirect[2]) /
+                             (3.0 * p.samples));
     if (p.chunks > 1)
       noise.chunk_variance[i] = static_cast<float>((p.square[0] + p.square[1] + p.square[2]) / (3.0 * (p.chunks - 1)));
   }

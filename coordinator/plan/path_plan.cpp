@@ -114,7 +114,9 @@ Step PathPlan::spend(std::uint64_t samples) {
   const std::uint64_t whole = samples / chunk_samples_;
   const std::uint32_t rest = static_cast<std::uint32_t>(samples % chunk_samples_);
   const std::uint64_t items = whole + (rest ? 1 : 0);
-  const std::vector<std::uint32_t> more = allocate_by_noise(film_.noise(), used_chunks_, items, kNoiseRadius);
+  PixelNoise noise = film_.noise();
+  noise.chunk_samples = static_cast<float>(chunk_samples_);
+  const std::vector<std::uint32_t> more = allocate_by_noise(noise, used_chunks_, items, kNoiseRadius);
   auto list = std::make_shared<Bytes>(items * sizeof(PathItem));
   auto* item = reinterpret_cast<PathItem*>(list->data());
   for (std::uint32_t pixel = 0; pixel < more.size(); ++pixel)

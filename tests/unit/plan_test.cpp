@@ -403,6 +403,7 @@ TEST(Allocation, NoPixelDecidesForItself) {
     PixelNoise noise{{}, {}, width, height};
     for (std::uint32_t i = 0; i < width * height; ++i) noise.chunk_variance.push_back(static_cast<float>(unit(i)));
     noise.chunks.assign(noise.chunk_variance.size(), 2);
+    for (std::uint32_t i = 0; i < width * height; ++i) noise.mean.push_back(static_cast<float>(10 * unit(i + 1000)));
     for (const std::uint64_t extra : {1u, 10u, 77u, 1000u}) {
       const auto before = allocate_by_noise(noise, noise.chunks, extra, 3);
       std::uint64_t given = 0, moved = 0;
@@ -411,6 +412,7 @@ TEST(Allocation, NoPixelDecidesForItself) {
       for (std::size_t i = 0; i < before.size(); ++i) {
         PixelNoise louder = noise;
         louder.chunk_variance[i] *= 1000;
+        louder.mean[i] += 100;
         const auto after = allocate_by_noise(louder, noise.chunks, extra, 3);
         ASSERT_EQ(after[i], before[i]) << width << "x" << height << ", pixel " << i << " of " << extra << " chunks";
         moved += after != before;
@@ -420,6 +422,27 @@ TEST(Allocation, NoPixelDecidesForItself) {
       }
     }
   }
+}
+
+// A lamp's edge that few samples met: no pixel looks noisy, and yet those beside it may hold a part of it.
+TEST(Allocation, EdgesDrawSamplesThoughTheyLookQuiet) {
+  const std::uint32_t width = 16, height = 12, row = 5;
+  PixelNoise noise{std::vector<float>(width * height, 1e-4f), std::vector<std::uint32_t>(width * height, 2), width,
+                   height};
+  noise.chunk_samples = 4;
+  for (std::uint32_t i = 0; i < width * height; ++i) noise.mean.push_back(i / width < row ? 17.0f : 0.2f);
+  const auto edges = edge_variance(noise);
+  const auto more = allocate_by_noise(noise, noise.chunks, width * height, 3);
+  for (std::uint32_t y = 0; y < height; ++y)
+    for (std::uint32_t x = 1; x + 1 < width; ++x) {
+      const std::size_t i = std::size_t{y} * width + x;
+      const bool beside = y == row || y + 1 == row;
+      // One neighbour of four across the edge: 3/16 of the step's square, over the chunk's samples.
+      EXPECT_NEAR(edges[i], beside ? 16.8 * 16.8 * 3 / 16 / 4 : 0.0, 1e-4) << x << ", " << y;
+      EXPECT_EQ(more[i] > 2, beside) << x << ", " << y << ": " << more[i];
+    }
+  noise.mean.clear();
+  for (const float variance : edge_variance(noise)) EXPECT_EQ(variance, 0.0f);
 }
 
 TEST(Allocation, NeighboursAreOfTheOtherColour) {
