@@ -861,7 +861,7 @@ kernel WIDE void vpl_doubt(global const VplPointParameters* restrict parameters,
     open = open & (found > MOST_DOUBTS) & (spacing < (vf)INFINITY);
     spacing *= pick(one_f(), to_f(found) * (vf)(1.25f / MOST_DOUBTS), open);
   }
-  store_u(counts + first_lane, 0, pick_u((vu)0u, found, active));
+  store_u(counts + first_lane, 0, pick_u((vu)0u, min(found, (vu)MOST_DOUBTS), active));
   store_f(spacings + first_lane, 0, spacing);
 }
 

@@ -280,6 +280,24 @@ TEST(Vpl, ClustersCarryTheirMembersLight) {
   EXPECT_EQ(members, kept.size() / VPL_WORDS);
 }
 
+// However long light paths are, none of what they leave stands for so much that it lights a spot.
+TEST(Vpl, NoLightOutshinesTheOthers) {
+  const Rendered made = render(frame_of("furnace", {{"albedo", "0.95"}}, {}, 16, 1, {{"vpl.count", "4000"}}));
+  const auto& bytes = *made.tasks.at("vpl.cluster.0").inputs.at("lights");
+  std::vector<float> lights(bytes.size() / 4);
+  std::memcpy(lights.data(), bytes.data(), bytes.size());
+  double sum = 0, most = 0;
+  float deepest = 0;
+  for (std::size_t at = 0; at < lights.size(); at += VPL_WORDS) {
+    const double flux = lights[at + VPL_FLUX + 1];
+    sum += flux;
+    most = std::max(most, flux);
+    deepest = std::max(deepest, lights[at + VPL_DEPTH]);
+  }
+  EXPECT_GT(deepest, 30) << "no path was long";
+  EXPECT_LT(most, 8 * sum / static_cast<double>(lights.size() / VPL_WORDS));
+}
+
 // --- Numbers ---
 
 TEST(Vpl, AnySceneGivesAFinitePicture) {
