@@ -123,8 +123,8 @@ typedef struct {
   gl_uint fuzziness;       // clusters a point belongs to
   gl_uint equal_weights;   // 1: eq. 8, else eq. 9-10
   gl_float clamp;          // bound of the geometry term, 1/m^2; infinity: none
-  gl_float doubt;  // lights that bring more than this share of a point's light, and on which its clusters disagree, are
-                   // asked for by the point itself; 0: none
+  gl_float doubt;  // a point asks itself for a light that would bring it more than this share of its light, for lesser
+                   // ones by lot; 0: none, and points near no cluster ask for all
 } VplPointParameters;
 GLEANER_SIZE(VplPointParameters, 128);
 

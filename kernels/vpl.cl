@@ -6,6 +6,7 @@
 //   visibility_rays, _pack      bits: which light does a point (cluster) see
 //   vpl_members                 the point clusters a point belongs to, with weights (eq. 9-10)
 //   vpl_gather                  eq. 6
+//   vpl_doubt, _rays, vpl_settle, vpl_resolve   how far the clusters are off, by lights that points ask themselves
 //
 // A surface's specular lobe, if any, is not lit by VPLs and makes none: what it carries is left to the path tracer
 // (COVERED in kernels/path.cl), whose paths end where a VPL has been. The two add up to everything.
@@ -46,6 +47,7 @@ FN void set_walk(global float* paths, uint block, v3 origin, v3 direction, vi id
 
 // Luminance.
 FN vf brightness(v3 c) { return c.x * 0.2126f + c.y * 0.7152f + c.z * 0.0722f; }
+FN float brightness_of(float r, float g, float b) { return 0.2126f * r + 0.7152f * g + 0.0722f * b; }
 
 // --- Light paths ---
 
@@ -666,7 +668,21 @@ FN vf light_geometry(const Scene* scene, global const float* light, v3 p, v3 n, 
 }
 
 FN float light_brightness(global const float* light) {
-  return 0.2126f * light[VPL_FLUX] + 0.7152f * light[VPL_FLUX + 1] + 0.0722f * light[VPL_FLUX + 2];
+  return brightness_of(light[VPL_FLUX], light[VPL_FLUX + 1], light[VPL_FLUX + 2]);
+}
+
+// The point clusters of a block's points: weights, and where each one's bits of a slice begin.
+FN void load_members(global const uint* rows, global const float* weights, uint first_lane, uint row_words,
+                     uint first_word, vu* row, vf* weight) {
+  for (uint f = 0; f < FUZZINESS; ++f) {
+    row[f] = load_u(rows + (ulong)FUZZINESS * first_lane + f * LANES, 0) * row_words + first_word;
+    weight[f] = load_f(weights + (ulong)FUZZINESS * first_lane + f * LANES, 0);
+  }
+}
+
+// Which of 32 lights a member sees; none where it counts for nothing.
+FN vu member_bits(global const uint* bits, vu word, vi member) {
+  return pick_u((vu)0u, gather_u(bits, pick_u((vu)0u, word, member)), member);
 }
 
 // A point in deep shadow is as exact as one that gets this much of what the lights its clusters see would bring it.
@@ -705,21 +721,19 @@ kernel WIDE void vpl_gather(global const VplPointParameters* restrict parameters
     vf clamp_to = (vf)parameters->clamp;
     vu row[FUZZINESS];
     vf weight[FUZZINESS];
-    for (uint f = 0; f < FUZZINESS; ++f) {
-      if (own) {
+    if (own) {
+      for (uint f = 0; f < FUZZINESS; ++f) {
         row[f] = lane * words;
         weight[f] = f == 0u ? one_f() : zero_f();
-      } else {
-        row[f] = load_u(rows + (ulong)FUZZINESS * first_lane + f * LANES, 0) * row_words + slice * words;
-        weight[f] = load_f(weights + (ulong)FUZZINESS * first_lane + f * LANES, 0);
       }
+    } else {
+      load_members(rows, weights, first_lane, row_words, slice * words, row, weight);
     }
     for (uint word = 0; word < words; ++word) {
       vu seen[FUZZINESS];
       vu any = (vu)0u;
       for (uint f = 0; f < FUZZINESS; ++f) {
-        seen[f] = gather_u(bits, pick_u((vu)0u, row[f] + word, active & (weight[f] > zero_f())));
-        seen[f] = pick_u((vu)0u, seen[f], active & (weight[f] > zero_f()));
+        seen[f] = member_bits(bits, row[f] + word, active & (weight[f] > zero_f()));
         any |= seen[f];
       }
       uint asked = any_bits(any);
@@ -777,10 +791,7 @@ kernel WIDE void vpl_doubt(global const VplPointParameters* restrict parameters,
   vf weight[FUZZINESS];
   uint words = width / 32u;
   uint slice = (first_lane >> 4) & (slices - 1u);
-  for (uint f = 0; f < FUZZINESS; ++f) {
-    row[f] = load_u(rows + (ulong)FUZZINESS * first_lane + f * LANES, 0) * row_words + slice * words;
-    weight[f] = load_f(weights + (ulong)FUZZINESS * first_lane + f * LANES, 0);
-  }
+  load_members(rows, weights, first_lane, row_words, slice * words, row, weight);
   vi lonely = active & none(weight[0] > zero_f());
   // A sole cluster has nobody to disagree with.
   vu alone = (vu)0u;
@@ -811,14 +822,12 @@ kernel WIDE void vpl_doubt(global const VplPointParameters* restrict parameters,
     vf mark = offset * spacing, passed = zero_f();
     found = pick_u(found, (vu)0u, open);
     for (uint word = 0; word < words; ++word) {
-      vu seen[FUZZINESS];
       vu any = (vu)0u, all = (vu)0xffffffffu;
       for (uint f = 0; f < FUZZINESS; ++f) {
         vi member = open & (weight[f] > zero_f());
-        seen[f] = gather_u(bits, pick_u((vu)0u, row[f] + word, member));
-        seen[f] = pick_u((vu)0u, seen[f], member);
-        any |= seen[f];
-        all &= pick_u((vu)0xffffffffu, seen[f], member);
+        vu seen = member_bits(bits, row[f] + word, member);
+        any |= seen;
+        all &= pick_u((vu)0xffffffffu, seen, member);
       }
       vu doubtful = (any & ~all) | alone;
       // The same ones for all lanes. No number of this launch enters: pixels are the same in any batch.
@@ -941,7 +950,7 @@ kernel void vpl_settle(global const float* restrict points, uint count, global c
     float brought[3];
     for (uint c = 0; c < 3; ++c) brought[c] = light[c] * albedo[c] * change;
     if (doubt & DOUBT_BY_LOT) {
-      float much = 0.2126f * brought[0] + 0.7152f * brought[1] + 0.0722f * brought[2];
+      float much = brightness_of(brought[0], brought[1], brought[2]);
       square += much * much;
       for (uint c = 0; c < 3; ++c) by_lot[c] += brought[c];
     } else {
@@ -968,7 +977,7 @@ kernel void vpl_resolve(global const VplPointParameters* restrict parameters, ui
     for (uint k = 0; k < 3; ++k) change[k] += sampled[4 * path + k];
     square += sampled[4 * path + 3];
   }
-  float mean = 0.2126f * change[0] + 0.7152f * change[1] + 0.0722f * change[2];
+  float mean = brightness_of(change[0], change[1], change[2]);
   float share = mean * mean > square ? 1.0f - square / (mean * mean) : 0.0f;
   int fine = 1;
   for (uint k = 0; k < 3; ++k) {

@@ -355,27 +355,35 @@ class Asker {
     ask_.setArg(first_ + 2, static_cast<cl_uint>(listed));
     ask_.setArg(first_ + 6, point_base);
     ask_.setArg(first_ + 11, away);
-    pack_.setArg(3, bits);
     for (std::uint64_t base = 0; base < all; base += capacity) {
       const auto count = static_cast<std::uint32_t>(std::min<std::uint64_t>(capacity, all - base));
       ask_.setArg(first_ + 7, static_cast<cl_uint>(base));
       ask_.setArg(first_ + 8, count);
       launch(batch_.device, queue_, ask_, count, capacity, batch_.device.lanes());
-      queue_.finish();
-      const double start = seconds_now();
       RayRange range;
-      range.rows = VISIBILITY_ROWS;
       // Sixteen lights as one point sees them, always the same sixteen.
       range.coherent_count = count;
-      batch_.scene.tracer().any(queue_, rays_, range);
-      counters.trace += seconds_now() - start;
-      pack_.setArg(1, count / 32);
-      pack_.setArg(2, static_cast<cl_uint>(base / 32));
-      launch(batch_.device, queue_, pack_, count, capacity, 32);
+      answer(range, count, base, bits, counters);
     }
     cl_uint asked = 0;
     queue_.enqueueReadBuffer(counters_, CL_TRUE, 0, sizeof asked, &asked);
     counters.shadow += asked;
+  }
+
+  // Where rays are written that `answer` traces: ray_capacity() of them.
+  const cl::Buffer& rays() const { return rays_; }
+
+  // Traces `count` rays, and writes their answers into `bits` from bit `base` (a multiple of 32) on.
+  void answer(RayRange range, std::uint32_t count, std::uint64_t base, const cl::Buffer& bits, LaneCounters& counters) {
+    queue_.finish();
+    const double start = seconds_now();
+    range.rows = VISIBILITY_ROWS;
+    batch_.scene.tracer().any(queue_, rays_, range);
+    counters.trace += seconds_now() - start;
+    pack_.setArg(1, (count + 31) / 32);
+    pack_.setArg(2, static_cast<cl_uint>(base / 32));
+    pack_.setArg(3, bits);
+    launch(batch_.device, queue_, pack_, count, ray_capacity(batch_.device), 32);
   }
 
  private:
@@ -522,7 +530,6 @@ class ShadeLane : public PointLane {
         resolve_(kernel("vpl_resolve")),
         doubt_(kernel("vpl_doubt")),
         doubt_rays_(kernel("vpl_doubt_rays")),
-        doubt_pack_(kernel("visibility_pack")),
         settle_(kernel("vpl_settle")) {
     const std::size_t room = capacity_ + RAY_BLOCK;
     rows_ = take("rows", room * MOST_FUZZINESS * 4);
@@ -560,7 +567,7 @@ class ShadeLane : public PointLane {
     level_ = take("level", room * 4);
     gather_.setArg(at + 13, level_);
     sampled_ = take("sampled", room * 16);
-    if (p_.point_clusters && p_.doubt > 0) prepare_doubts(room);
+    if (!asks_alone_) prepare_doubts(room);
     resolve_.setArg(0, batch.parameters);
     resolve_.setArg(2, radiance_);
     resolve_.setArg(3, sampled_);
@@ -586,11 +593,11 @@ class ShadeLane : public PointLane {
         gather_.setArg(gather_first_ + 3, paths);
         gather_.setArg(gather_first_ + 7, tables_.bits);
         launch(gather_, paths);
-        if (p_.doubt > 0) ask_doubts(paths);
-      }
-      if (asks_alone_ && p_.point_clusters) {
-        queue_.enqueueReadBuffer(lonely_, CL_TRUE, 0, std::size_t{paths} * 4, lonely.data());
-      } else if (asks_alone_) {
+        if (asks_alone_)
+          queue_.enqueueReadBuffer(lonely_, CL_TRUE, 0, std::size_t{paths} * 4, lonely.data());
+        else
+          ask_doubts(paths);
+      } else {
         // Points that are none stay as they are.
         queue_.enqueueFillBuffer(radiance_, cl_float{0}, 0, std::size_t{paths} * 12);
         std::fill(lonely.begin(), lonely.begin() + paths, 1u);
@@ -618,7 +625,6 @@ class ShadeLane : public PointLane {
     doubt_firsts_ = take("doubt.firsts", room * 4);
     doubt_places_ = take("doubt.places", most * 4);
     doubt_answers_ = take("doubt.answers", most / 8);
-    rays_ = take("rays", std::size_t{ray_capacity(batch_.device)} * VISIBILITY_ROWS * 4);
     doubt_.setArg(0, batch_.parameters);
     doubt_.setArg(1, points_);
     doubt_.setArg(3, tables_.lights);
@@ -641,10 +647,8 @@ class ShadeLane : public PointLane {
     doubt_rays_.setArg(at + 2, doubt_places_);
     doubt_rays_.setArg(at + 5, doubt_lights_);
     doubt_rays_.setArg(at + 6, doubt_spacings_);
-    doubt_rays_.setArg(at + 7, rays_);
+    doubt_rays_.setArg(at + 7, asker_.rays());
     doubt_rays_.setArg(at + 8, doubt_terms_);
-    doubt_pack_.setArg(0, rays_);
-    doubt_pack_.setArg(3, doubt_answers_);
     settle_.setArg(0, points_);
     settle_.setArg(2, doubt_firsts_);
     settle_.setArg(3, doubt_counts_);
@@ -660,7 +664,7 @@ class ShadeLane : public PointLane {
     settle_.setArg(13, sampled_);
   }
 
-  // Points whose clusters disagree on lights that matter ask for these themselves.
+  // Points ask for some lights themselves, and are put right by the answers.
   void ask_doubts(std::uint32_t paths) {
     doubt_.setArg(2, paths);
     launch(doubt_, paths);
@@ -676,21 +680,13 @@ class ShadeLane : public PointLane {
     const std::uint32_t capacity = ray_capacity(batch_.device);
     for (std::size_t base = 0; base < places.size(); base += capacity) {
       const auto count = static_cast<std::uint32_t>(std::min<std::size_t>(capacity, places.size() - base));
-      const std::uint32_t words = (count + 31) / 32;
       doubt_rays_.setArg(doubt_rays_first_ + 3, static_cast<cl_uint>(base));
       doubt_rays_.setArg(doubt_rays_first_ + 4, count);
       launch(doubt_rays_, count, capacity, batch_.device.lanes());
-      queue_.finish();
-      const double start = seconds_now();
       RayRange range;
-      range.rows = VISIBILITY_ROWS;
       // One by one: which rays stand beside each other depends on the batch.
       range.incoherent = count;
-      batch_.scene.tracer().any(queue_, rays_, range);
-      counters.trace += seconds_now() - start;
-      doubt_pack_.setArg(1, words);
-      doubt_pack_.setArg(2, static_cast<cl_uint>(base / 32));
-      launch(doubt_pack_, words, capacity / 32, 1);
+      asker_.answer(range, count, base, doubt_answers_, counters);
     }
     counters.shadow += places.size();
     settle_.setArg(1, paths);
@@ -723,8 +719,8 @@ class ShadeLane : public PointLane {
   bool asks_alone_ = !p_.point_clusters || !(p_.doubt > 0);
   const ShadeTables& tables_;
   Asker asker_;
-  cl::Kernel members_, gather_, resolve_, doubt_, doubt_rays_, doubt_pack_, settle_;
-  cl::Buffer level_, rays_, doubt_lights_, doubt_terms_, doubt_spacings_, doubt_counts_, doubt_firsts_, doubt_places_,
+  cl::Kernel members_, gather_, resolve_, doubt_, doubt_rays_, settle_;
+  cl::Buffer level_, doubt_lights_, doubt_terms_, doubt_spacings_, doubt_counts_, doubt_firsts_, doubt_places_,
       doubt_answers_;
   unsigned doubt_rays_first_ = 0;
   cl::Buffer rows_, weights_, lonely_, radiance_, sampled_, records_, report_, own_bits_, away_, chosen_;
