@@ -78,7 +78,10 @@ GLEANER_SIZE(PathFeatureRecord, 56);
 #define VPL_RADIUS 20u  // clusters: of the sphere about the position that holds every member
 #define VPL_COS 21u     // clusters: least cosine between the normal and a member's
 #define VPL_COUNT 22u   // clusters: members (float)
-#define VPL_DEPTH 23u   // scatterings on the light's way, this one included (float)
+#define VPL_DEPTH 23u   // VPLs: scatterings on the light's way, this one included (float)
+#define VPL_FIRST \
+  23u  // clusters: row of the first of their members, which follow each other; members: their cluster's
+       // row (uint)
 
 // Most VPLs of a light path: where it would leave more, it leaves half as many of twice the flux.
 #define VPL_PATH_SLOTS 8u
@@ -118,7 +121,8 @@ typedef struct {
   gl_uint depth;           // most scatterings on a light's way; 0 = without end
   gl_uint stride;          // vpl_points: item i is pixel i * stride, sample i % samples
   gl_uint clusters;        // vpl_shade: rows of the input "lights", a multiple of 32 * samples; sample j of a pixel
-                           // sees one slice of clusters / samples rows
+                           // sees one slice of clusters / samples rows. The input "members" (maybe of no rows) goes on
+                           // where those rows end: clusters' members
   gl_uint point_clusters;  // vpl_shade: rows of the input "points"; 0: every point asks for itself
   gl_uint fuzziness;       // clusters a point belongs to
   gl_uint equal_weights;   // 1: eq. 8, else eq. 9-10
@@ -130,14 +134,18 @@ GLEANER_SIZE(VplPointParameters, 128);
 
 // Stage kinds "vpl_cluster" (input "lights": rows of VPL_WORDS) and "point_cluster" (input "points"); solo. An item is
 // a cluster; its record is a row of VPL_WORDS or POINT_WORDS words, of flux 0 or triangle GLEANER_NONE where empty.
+// vpl_cluster says behind its clusters which one each of the lights is in: uints, in the lights' order, in rows of
+// VPL_WORDS.
 typedef struct {
   gl_uint clusters;
   gl_uint iterations;
   gl_float least_cosine;  // eq. 7: nt
-  gl_uint draw;  // 0: the member nearest to the centroid stands for its cluster; else one drawn by what it sends, by
-                 // this key: the mean over many keys is what all members would give
+  gl_uint draw;    // 0: the member nearest to the centroid stands for its cluster; else one drawn by what it sends, by
+                   // this key: the mean over many keys is what all members would give
+  gl_uint lights;  // rows of "lights", all of some flux
+  gl_uint reserved[3];
 } ClusterParameters;
-GLEANER_SIZE(ClusterParameters, 16);
+GLEANER_SIZE(ClusterParameters, 32);
 
 // Stage kind "vpl_visibility" (inputs "lights", "points"). An item is a point cluster; its record is a bit a light, 32
 // to a word, then one word: how many were not asked because they face away.
@@ -158,7 +166,7 @@ GLEANER_SIZE(VisibilityParameters, 16);
 #define MOST_FUZZINESS 8u
 #define MOST_DOUBTS 128u  // lights that a point asks for itself
 // A doubt: a light's row, and why it is asked for.
-#define DOUBT_LIGHT 0xffffffu
+#define DOUBT_LIGHT 0xffffffu      // in "lights", or behind them in "members"
 #define DOUBT_BY_LOT 0x80000000u   // its answer corrects what clusters said of many
 #define DOUBT_CERTAIN 0x40000000u  // it would have been asked for whatever the lot
 #define DOUBT_AGREED 0x20000000u   // the point's clusters agree on it

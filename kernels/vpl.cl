@@ -652,11 +652,13 @@ FN vf left_at(const Scene* scene, vu table, vf table_row, vf cosine) {
 #endif
 
 // What of a light's flux a point would get if nothing stood between: the bounded geometry term, and what the lobes
-// over both diffuse layers leave to them. `lobed`: any lane's point has a lobe.
+// over both diffuse layers leave to them. `lobed`: any lane's point has a lobe. `inverse`: one over the squared
+// distance.
 FN vf light_geometry(const Scene* scene, global const float* light, v3 p, v3 n, uint lobed, vu table, vf table_row,
-                     vf clamp_to) {
+                     vf clamp_to, vf* inverse_out) {
   vf at_point, side, inverse;
   vf g = plain_geometry(light, p, n, clamp_to, &at_point, &side, &inverse);
+  *inverse_out = inverse;
 #ifdef NEED_LOBE
   uint light_table = ((global const uint*)light)[VPL_TABLE];
   if (!lobed && light_table == GLEANER_NONE) return g;
@@ -670,6 +672,21 @@ FN vf light_geometry(const Scene* scene, global const float* light, v3 p, v3 n, 
 FN float light_brightness(global const float* light) {
   return brightness_of(light[VPL_FLUX], light[VPL_FLUX + 1], light[VPL_FLUX + 2]);
 }
+
+FN v3 light_flux(global const float* light) {
+  return uniform3(light[VPL_FLUX], light[VPL_FLUX + 1], light[VPL_FLUX + 2]);
+}
+
+// A cluster nearer than so many times its radius shines from its members' places, not from its representative's. On
+// white-room (4000 clusters of 10000 VPLs) the error is 11.7 % without it, 8.0, 7.5, 7.2 and 7.1 % for 2, 4, 8 and 16.
+#define NEAR_RADII 6.0f
+FN vi is_near(global const float* light, vf inverse) {
+  return inverse * (light[VPL_RADIUS] * light[VPL_RADIUS] * (NEAR_RADII * NEAR_RADII)) > one_f();
+}
+
+// How many members of a light are looked at one by one where it is near; they begin at the row VPL_FIRST.
+FN uint light_members(global const float* light) { return light[VPL_RADIUS] > 0.0f ? (uint)light[VPL_COUNT] : 0u; }
+FN uint first_member(global const float* light) { return ((global const uint*)light)[VPL_FIRST]; }
 
 // The point clusters of a block's points: weights, and where each one's bits of a slice begin.
 FN void load_members(global const uint* rows, global const float* weights, uint first_lane, uint row_words,
@@ -743,10 +760,20 @@ kernel WIDE void vpl_gather(global const VplPointParameters* restrict parameters
         global const float* light = l + VPL_WORDS * k;
         vf visible = zero_f();
         for (uint f = 0; f < FUZZINESS; ++f) visible += pick(zero_f(), weight[f], (seen[f] & (1u << k)) != 0u);
-        vf whole = light_geometry(scene, light, p, n, lobed, table, table_row, clamp_to);
-        v3 flux = make3((vf)light[VPL_FLUX], (vf)light[VPL_FLUX + 1], (vf)light[VPL_FLUX + 2]);
-        sum = mad3(flux, whole * visible, sum);
-        unshadowed += whole * flux.y;
+        vf inverse;
+        vf whole = light_geometry(scene, light, p, n, lobed, table, table_row, clamp_to, &inverse);
+        v3 brought = scale3(light_flux(light), whole);
+        vi near = active & is_near(light, inverse);
+        if (any_lane(near)) {
+          v3 all = splat3(zero_f());
+          global const float* member = lights + (ulong)VPL_WORDS * first_member(light);
+          for (uint left = light_members(light); left; --left, member += VPL_WORDS)
+            all = mad3(light_flux(member),
+                       light_geometry(scene, member, p, n, lobed, table, table_row, clamp_to, &inverse), all);
+          brought = pick3(brought, all, near);
+        }
+        sum = mad3(brought, visible, sum);
+        unshadowed += brought.y;
       }
     }
     if (!own) store_f(level + first_lane, 0, pick(zero_f(), max_f(brightness(sum), LEAST_LIT * unshadowed), active));
@@ -849,22 +876,36 @@ kernel WIDE void vpl_doubt(global const VplPointParameters* restrict parameters,
         global const float* light = l + VPL_WORDS * k;
         vf at_point, side, inverse;
         vf g = plain_geometry(light, p, n, clamp_to, &at_point, &side, &inverse);
+        vi near = open & is_near(light, inverse);
         vi disputed = (doubtful & bit) != 0u;
-        vf at_stake = g * light_brightness(light) * pick((vf)AGREED, one_f(), disputed) * stands;
-        if (!(thinned & bit)) at_stake = pick(at_stake, zero_f(), thin);
-        vi certain = at_stake >= spacing;
-        passed += pick(at_stake, zero_f(), certain);
-        vi here = open & (certain | (passed > mark));
-        if (!any_lane(here)) continue;
-        mark += pick(zero_f(), spacing, here & none(certain));
-        found += pick_u((vu)0u, (vu)1u, here);
-        here = here & (found <= MOST_DOUBTS);
-        vu at = pick_u((vu)behind, lane * MOST_DOUBTS + found - 1u, here);
-        // What nobody else told of the point is no correction, and is not held against its noise.
-        vu by_lot = pick_u((vu)DOUBT_BY_LOT, (vu)0u, lonely | (certain & none(thin)));
-        vu agreed = pick_u((vu)DOUBT_AGREED, (vu)0u, disputed);
-        vu sure = pick_u((vu)0u, pick_u((vu)DOUBT_CERTAIN, (vu)(DOUBT_CERTAIN | DOUBT_THIN), thin), certain);
-        scatter_u(doubt_light, at, (vu)(slice * width + 32u * word + k) | by_lot | agreed | sure);
+        // The light itself, then, where it is near, its members.
+        uint members = any_lane(near) ? light_members(light) : 0u;
+        uint row_of = slice * width + 32u * word + k;
+        for (uint m = 0; m <= members; ++m) {
+          if (m) {
+            row_of = first_member(light) + m - 1u;
+            global const float* member = lights + (ulong)VPL_WORDS * row_of;
+            g = plain_geometry(member, p, n, clamp_to, &at_point, &side, &inverse) * light_brightness(member);
+          } else {
+            g *= light_brightness(light);
+          }
+          vi turn = open & (m ? near : none(near));
+          vf at_stake = pick(zero_f(), g * pick((vf)AGREED, one_f(), disputed) * stands, turn);
+          if (!(thinned & bit)) at_stake = pick(at_stake, zero_f(), thin);
+          vi certain = at_stake >= spacing;
+          passed += pick(at_stake, zero_f(), certain);
+          vi here = turn & (certain | (passed > mark));
+          if (!any_lane(here)) continue;
+          mark += pick(zero_f(), spacing, here & none(certain));
+          found += pick_u((vu)0u, (vu)1u, here);
+          here = here & (found <= MOST_DOUBTS);
+          vu at = pick_u((vu)behind, lane * MOST_DOUBTS + found - 1u, here);
+          // What nobody else told of the point is no correction, and is not held against its noise.
+          vu by_lot = pick_u((vu)DOUBT_BY_LOT, (vu)0u, lonely | (certain & none(thin)));
+          vu agreed = pick_u((vu)DOUBT_AGREED, (vu)0u, disputed);
+          vu sure = pick_u((vu)0u, pick_u((vu)DOUBT_CERTAIN, (vu)(DOUBT_CERTAIN | DOUBT_THIN), thin), certain);
+          scatter_u(doubt_light, at, (vu)row_of | by_lot | agreed | sure);
+        }
       }
     }
     open = open & (found > MOST_DOUBTS) & (spacing < (vf)INFINITY);
@@ -926,8 +967,8 @@ kernel WIDE void vpl_doubt_rays(global const VplPointParameters* restrict parame
 kernel void vpl_settle(global const float* restrict points, uint count, global const uint* restrict firsts,
                        global const uint* restrict counts, global const uint* restrict doubt_light,
                        global const float* restrict doubt_terms, global const uint* restrict answers,
-                       global const float* restrict lights, global const uint* restrict bits, uint row_words,
-                       global const uint* restrict rows, global const float* restrict weights,
+                       global const float* restrict lights, uint clusters, global const uint* restrict bits,
+                       uint row_words, global const uint* restrict rows, global const float* restrict weights,
                        global float* restrict radiance, global float* restrict sampled) {
   uint point = (uint)get_global_id(0);
   if (point >= count) return;
@@ -938,6 +979,8 @@ kernel void vpl_settle(global const float* restrict points, uint count, global c
     uint place = point * MOST_DOUBTS + k;
     uint doubt = doubt_light[place], row = doubt & DOUBT_LIGHT;
     global const float* light = lights + (ulong)VPL_WORDS * row + VPL_FLUX;
+    // Of a member the clusters told what they told of its cluster.
+    if (row >= clusters) row = ((global const uint*)light)[VPL_FIRST - VPL_FLUX];
     float told = 0;
     for (uint f = 0; f < FUZZINESS; ++f) {
       float weight = weights[member + f * LANES];

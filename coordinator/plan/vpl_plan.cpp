@@ -79,6 +79,14 @@ double light_density(const std::vector<float>& rows) {
   return std::log(2.0) / (3.14159265358979 * nearest[nearest.size() / 2]);
 }
 
+ClusterParameters cluster_parameters(std::uint32_t clusters) {
+  ClusterParameters p{};
+  p.clusters = clusters;
+  p.iterations = kIterations;
+  p.least_cosine = CLUSTER_LEAST_COSINE;
+  return p;
+}
+
 std::uint32_t set_of(const std::string& name) {
   return static_cast<std::uint32_t>(std::stoul(name.substr(name.rfind('.') + 1)));
 }
@@ -200,29 +208,27 @@ void VplPlan::absorb_lights(std::uint32_t set, const Bytes& records, Step& step)
   s.kept = static_cast<std::uint32_t>(rows.size() / VPL_WORDS);
   if (set == 0) density_ = light_density(rows);
   if (vpl_.clusters == 0 || vpl_.clusters >= s.kept) {
-    settle_lights(set, std::move(rows), step);
+    settle_lights(set, std::move(rows), {}, step);
     return;
   }
-  StageSpec spec = cluster(step, "lights", table_of(bytes_of(rows)), vpl_.clusters,
-                           vpl_.draw ? static_cast<std::uint32_t>(settings_.seed) * 4096 + set + 1 : 0);
+  ClusterParameters p = cluster_parameters(vpl_.clusters);
+  p.draw = vpl_.draw ? static_cast<std::uint32_t>(settings_.seed) * 4096 + set + 1 : 0;
+  p.lights = s.kept;
+  StageSpec spec = cluster(step, "lights", table_of(bytes_of(rows)), p);
   spec.name = "vpl.cluster." + std::to_string(set);
   spec.kind = "vpl_cluster";
+  spec.items = p.clusters + (p.lights + VPL_WORDS - 1) / VPL_WORDS;
   spec.record_bytes = VPL_WORDS * 4;
   spec.keep = true;
   step.stages.push_back(std::move(spec));
+  s.vpls = std::move(rows);
 }
 
-// Clusters of the rows of `table`, which the stage knows as `input`; `draw` as in ClusterParameters.
-StageSpec VplPlan::cluster(Step& step, const char* input, const Table& table, std::uint32_t clusters,
-                           std::uint32_t draw) const {
-  ClusterParameters p{};
-  p.clusters = clusters;
-  p.iterations = kIterations;
-  p.least_cosine = CLUSTER_LEAST_COSINE;
-  p.draw = draw;
+// Clusters of the rows of `table`, which the stage knows as `input`.
+StageSpec VplPlan::cluster(Step& step, const char* input, const Table& table, const ClusterParameters& p) const {
   StageSpec spec;
   spec.priority = kFirst;
-  spec.items = clusters;
+  spec.items = p.clusters;
   spec.solo = true;
   spec.parameters = bytes_of(p);
   spec.inputs.push_back({input, table.id});
@@ -231,18 +237,31 @@ StageSpec VplPlan::cluster(Step& step, const char* input, const Table& table, st
 }
 
 void VplPlan::absorb_light_clusters(std::uint32_t set, const Bytes& records, Step& step) {
-  std::vector<float> rows = floats_of(records);
+  Set& s = sets_[set];
+  const std::vector<float> rows = floats_of(records);
   std::vector<float> held;
-  for (std::size_t at = 0; at < rows.size(); at += VPL_WORDS)
-    if (rows[at + VPL_COUNT] > 0)
-      held.insert(held.end(), rows.begin() + static_cast<std::ptrdiff_t>(at),
-                  rows.begin() + static_cast<std::ptrdiff_t>(at + VPL_WORDS));
-  settle_lights(set, std::move(held), step);
+  std::vector<std::uint32_t> place(vpl_.clusters, 0);
+  for (std::uint32_t k = 0; k < vpl_.clusters; ++k) {
+    const std::size_t at = std::size_t{k} * VPL_WORDS;
+    if (!(rows[at + VPL_COUNT] > 0)) continue;
+    place[k] = static_cast<std::uint32_t>(held.size() / VPL_WORDS);
+    held.insert(held.end(), rows.begin() + static_cast<std::ptrdiff_t>(at),
+                rows.begin() + static_cast<std::ptrdiff_t>(at + VPL_WORDS));
+  }
+  std::vector<std::vector<std::uint32_t>> members(held.size() / VPL_WORDS);
+  for (std::uint32_t i = 0; i < s.kept; ++i) {
+    std::uint32_t cluster = 0;
+    std::memcpy(&cluster, &rows[std::size_t{vpl_.clusters} * VPL_WORDS + i], 4);
+    if (cluster >= vpl_.clusters) throw Error::failed("plan vpl: a light is in no cluster");
+    members[place[cluster]].push_back(i);
+  }
+  settle_lights(set, std::move(held), members, step);
 }
 
 // The order in which lights are asked: neighbours together, so that a packet of rays goes one way, and dealt out to the
-// slices in turn, so that each slice is lit from everywhere.
-void VplPlan::settle_lights(std::uint32_t set, std::vector<float> rows, Step& step) {
+// slices in turn, so that each slice is lit from everywhere. `members`: rows of Set::vpls, for each light; or nothing.
+void VplPlan::settle_lights(std::uint32_t set, std::vector<float> rows,
+                            const std::vector<std::vector<std::uint32_t>>& members, Step& step) {
   Set& s = sets_[set];
   const std::size_t count = rows.size() / VPL_WORDS;
   s.clusters = static_cast<std::uint32_t>(count);
@@ -268,10 +287,23 @@ void VplPlan::settle_lights(std::uint32_t set, std::vector<float> rows, Step& st
   s.rows = width * slices;
   std::vector<float> table(std::size_t{s.rows} * VPL_WORDS, 0.0f);
   for (std::uint32_t i = 0; i < s.rows; ++i) std::memset(&table[std::size_t{i} * VPL_WORDS + VPL_TRIANGLE], 0xff, 4);
-  for (std::size_t i = 0; i < count; ++i)
-    std::copy_n(rows.begin() + static_cast<std::ptrdiff_t>(order[i].second * VPL_WORDS), VPL_WORDS,
-                table.begin() + static_cast<std::ptrdiff_t>(((i % slices) * width + i / slices) * VPL_WORDS));
+  std::vector<float> held;
+  for (std::size_t i = 0; i < count; ++i) {
+    const auto row = static_cast<std::uint32_t>((i % slices) * width + i / slices);
+    float* light = &table[std::size_t{row} * VPL_WORDS];
+    std::copy_n(&rows[order[i].second * VPL_WORDS], VPL_WORDS, light);
+    if (!(light[VPL_RADIUS] > 0)) continue;
+    const auto first = static_cast<std::uint32_t>(s.rows + held.size() / VPL_WORDS);
+    std::memcpy(light + VPL_FIRST, &first, 4);
+    for (const std::uint32_t member : members[order[i].second]) {
+      const float* vpl = &s.vpls[std::size_t{member} * VPL_WORDS];
+      held.insert(held.end(), vpl, vpl + VPL_WORDS);
+      std::memcpy(&held[held.size() - VPL_WORDS + VPL_FIRST], &row, 4);
+    }
+  }
+  s.vpls.clear();
   s.lights = table_of(bytes_of(table));
+  s.members = table_of(bytes_of(held));
   s.traced = true;
   if (set == 0) {
     // Where the bound is that many times the lights' density, a light's own spot is that many times as bright as the
@@ -311,7 +343,7 @@ void VplPlan::begin_paths(Step& step) {
 }
 
 void VplPlan::absorb_points(std::shared_ptr<const Bytes> records, Step& step) {
-  StageSpec spec = cluster(step, "points", table_of(std::move(records)), vpl_.point_clusters, 0);
+  StageSpec spec = cluster(step, "points", table_of(std::move(records)), cluster_parameters(vpl_.point_clusters));
   spec.name = "vpl.point_cluster";
   spec.kind = "point_cluster";
   spec.record_bytes = POINT_WORDS * 4;
@@ -375,8 +407,9 @@ void VplPlan::shade(std::uint32_t set, Step& step) {
   spec.items = pixels();
   spec.tile = 16;
   spec.parameters = bytes_of(p);
-  spec.inputs = {{"lights", s.lights.id}};
+  spec.inputs = {{"lights", s.lights.id}, {"members", s.members.id}};
   put(step, s.lights);
+  put(step, s.members);
   if (point_rows_) {
     spec.inputs.push_back({"points", points_.id});
     spec.inputs.push_back({"visibility", s.visibility.id});
@@ -398,6 +431,7 @@ void VplPlan::absorb_shade(std::uint32_t set, const Bytes& records) {
   ++shaded_sets_;
   sets_[set].visibility = {};
   sets_[set].lights = {};
+  sets_[set].members = {};
 }
 
 Step VplPlan::next(const FinishedStage* finished) {

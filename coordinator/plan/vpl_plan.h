@@ -16,6 +16,7 @@
 #include "coordinator/plan/path_plan.h"
 #include "coordinator/plan/plan.h"
 #include "coordinator/plan/vpl_settings.h"
+#include "kernels/stage_records.h"
 
 namespace gleaner::coordinator {
 
@@ -39,7 +40,9 @@ class VplPlan final : public Plan {
     std::shared_ptr<const Bytes> bytes;
   };
   struct Set {
-    Table lights;  // rows of VPL_WORDS: slices of equal width, padded with rows of no flux
+    std::vector<float> vpls;  // rows of VPL_WORDS, while they are clustered
+    Table lights;             // rows of VPL_WORDS: slices of equal width, padded with rows of no flux
+    Table members;            // rows of VPL_WORDS: those of the lights that stand for several
     std::uint32_t rows = 0, made = 0, kept = 0, clusters = 0;
     Table visibility;
     bool traced = false, shading = false;
@@ -53,7 +56,8 @@ class VplPlan final : public Plan {
   void absorb_light_clusters(std::uint32_t set, const Bytes& records, Step& step);
   void absorb_points(std::shared_ptr<const Bytes> records, Step& step);
   void absorb_point_clusters(const Bytes& records, Step& step);
-  void settle_lights(std::uint32_t set, std::vector<float> rows, Step& step);
+  void settle_lights(std::uint32_t set, std::vector<float> rows, const std::vector<std::vector<std::uint32_t>>& members,
+                     Step& step);
   void ask_visibility(std::uint32_t set, Step& step);
   void shade(std::uint32_t set, Step& step);
   void absorb_shade(std::uint32_t set, const Bytes& records);
@@ -61,8 +65,7 @@ class VplPlan final : public Plan {
   void begin_paths(Step& step);
   static bool take(Step paths, Step& step);
   static Table table_of(std::shared_ptr<const Bytes> bytes);
-  StageSpec cluster(Step& step, const char* input, const Table& table, std::uint32_t clusters,
-                    std::uint32_t draw) const;
+  StageSpec cluster(Step& step, const char* input, const Table& table, const kernels::ClusterParameters& p) const;
   void put(Step& step, const Table& table) const { step.artifacts[table.id] = table.bytes; }
 
   FrameSettings settings_;

@@ -271,12 +271,14 @@ BatchResult run_cluster_stage(const Device& device, Workspace& workspace, Device
                               std::uint64_t first, std::uint64_t count) {
   const std::string where = "stage " + task.kind;
   const auto parameters = read_parameters<ClusterParameters>(task);
-  if (first != 0 || count != parameters.clusters || count == 0 || count > (1u << 24))
-    throw Error::bad_input(where, "items", "all of its clusters, 1 to 2^24",
+  const bool lights = task.kind == "vpl_cluster";
+  const std::uint64_t all =
+      parameters.clusters + (lights ? (std::uint64_t{parameters.lights} + VPL_WORDS - 1) / VPL_WORDS : 0);
+  if (first != 0 || count != all || parameters.clusters == 0 || parameters.clusters > (1u << 24))
+    throw Error::bad_input(where, "items", "all of its clusters, 1 to 2^24, and the rows of what is in them",
                            std::to_string(first) + " + " + std::to_string(count));
   if (parameters.iterations > 1000 || !(parameters.least_cosine >= -1 && parameters.least_cosine <= 1))
     throw Error::bad_input(where, "parameters", "at most 1000 iterations, a cosine", "other numbers");
-  const bool lights = task.kind == "vpl_cluster";
   const char* const name = lights ? "lights" : "points";
   const std::size_t stride = lights ? VPL_WORDS : POINT_WORDS;
   const auto input = task.inputs.find(name);
@@ -299,16 +301,24 @@ BatchResult run_cluster_stage(const Device& device, Workspace& workspace, Device
         throw Error::bad_input(where, "row " + std::to_string(at / (stride * 4)), "finite numbers", "others");
     data.insert(data.end(), row.begin(), row.end());
   }
+  const std::size_t held = data.size() / stride;
+  if (lights && held != parameters.lights)
+    throw Error::bad_input(where, "input lights", std::to_string(parameters.lights) + " rows of some flux",
+                           std::to_string(held));
   std::vector<float> rows(count * stride, 0.0f);
   if (!lights)
     for (std::size_t k = 0; k < count; ++k) std::memset(&rows[k * stride + POINT_TRIANGLE], 0xff, 4);
-  if (data.size() / stride <= count) {
+  std::vector<std::uint32_t> assigned(held);
+  if (held <= parameters.clusters) {
     // As many clusters as there is to cluster: each stands for itself, exactly.
     std::copy(data.begin(), data.end(), rows.begin());
+    std::iota(assigned.begin(), assigned.end(), 0u);
   } else {
     KMeans means(device, workspace, data, stride, parameters);
-    write_clusters(means, means.run(), data, stride, parameters.clusters, parameters.draw, rows);
+    assigned = means.run();
+    write_clusters(means, assigned, data, stride, parameters.clusters, parameters.draw, rows);
   }
+  if (lights) std::memcpy(&rows[parameters.clusters * stride], assigned.data(), held * 4);
   BatchResult result;
   result.records.resize(rows.size() * 4);
   std::memcpy(result.records.data(), rows.data(), result.records.size());

@@ -477,14 +477,40 @@ std::vector<float> light_boxes(const scene::Bytes& lights) {
   return out;
 }
 
+// The lights and, behind them, their members.
+cl::Buffer put_lights(Batch& batch, cl::CommandQueue& queue, const scene::Bytes& lights, std::uint32_t clusters) {
+  const StageTask& task = batch.task;
+  const std::size_t stride = VPL_WORDS * 4;
+  const auto found = task.inputs.find("members");
+  scene::Bytes rows = lights;
+  if (found != task.inputs.end()) rows.insert(rows.end(), found->second->begin(), found->second->end());
+  const std::size_t all = rows.size() / stride;
+  if (rows.size() % stride != 0 || all > DOUBT_LIGHT)
+    throw Error::bad_input("stage " + task.kind, "input members", "rows of " + std::to_string(stride) + " bytes",
+                           std::to_string(rows.size() - lights.size()) + " bytes");
+  check_triangles(task, "lights and members", rows, VPL_WORDS, VPL_TRIANGLE, batch.scene.triangles());
+  for (std::size_t row = 0; row < all; ++row) {
+    float radius = 0, count = 0;
+    std::uint32_t first = 0;
+    std::memcpy(&radius, &rows[row * stride + VPL_RADIUS * 4], 4);
+    std::memcpy(&count, &rows[row * stride + VPL_COUNT * 4], 4);
+    std::memcpy(&first, &rows[row * stride + VPL_FIRST * 4], 4);
+    const bool member = row >= clusters;
+    if (member ? first >= clusters || radius > 0
+               : radius > 0 && !(first >= clusters && count >= 0 && first + static_cast<double>(count) <= all))
+      throw Error::bad_input("stage " + task.kind, (member ? "member " : "light ") + std::to_string(row),
+                             member ? "one of a light above it" : "members that follow the lights", "others");
+  }
+  return batch.put(queue, "vpl.shade.lights", rows.data(), rows.size());
+}
+
 ShadeTables make_shade_tables(Batch& batch, const VplPointParameters& p) {
   const StageTask& task = batch.task;
   const scene::Bytes& lights = read_table(task, "lights", p.clusters, VPL_WORDS);
-  check_triangles(task, "lights", lights, VPL_WORDS, VPL_TRIANGLE, batch.scene.triangles());
   ShadeTables tables;
   cl::CommandQueue queue = batch.device.make_queue();
   tables.width = p.clusters / p.samples;
-  tables.lights = batch.put(queue, "vpl.shade.lights", lights.data(), lights.size());
+  tables.lights = put_lights(batch, queue, lights, p.clusters);
   const std::vector<float> boxes = light_boxes(lights);
   tables.boxes = batch.put(queue, "vpl.shade.boxes", boxes.data(), boxes.size() * 4);
   std::vector<float> points;
@@ -656,12 +682,13 @@ class ShadeLane : public PointLane {
     settle_.setArg(5, doubt_terms_);
     settle_.setArg(6, doubt_answers_);
     settle_.setArg(7, tables_.lights);
-    settle_.setArg(8, tables_.bits);
-    settle_.setArg(9, tables_.row_words);
-    settle_.setArg(10, rows_);
-    settle_.setArg(11, weights_);
-    settle_.setArg(12, radiance_);
-    settle_.setArg(13, sampled_);
+    settle_.setArg(8, p_.clusters);
+    settle_.setArg(9, tables_.bits);
+    settle_.setArg(10, tables_.row_words);
+    settle_.setArg(11, rows_);
+    settle_.setArg(12, weights_);
+    settle_.setArg(13, radiance_);
+    settle_.setArg(14, sampled_);
   }
 
   // Points ask for some lights themselves, and are put right by the answers.
