@@ -148,11 +148,13 @@ typedef struct {
 GLEANER_SIZE(ClusterParameters, 32);
 
 // Stage kind "vpl_visibility" (inputs "lights", "points"). An item is a point cluster; its record is a bit a light, 32
-// to a word, then one word: how many were not asked because they face away.
+// to a word, then how many were not asked because they face away, and how many because they bring next to nothing.
+#define VISIBILITY_COUNTS 2u
 typedef struct {
   gl_uint clusters;        // rows of "lights", a multiple of 32
   gl_uint point_clusters;  // rows of "points"
-  gl_uint reserved[2];
+  gl_float clamp;          // bound of the geometry term, 1/m^2
+  gl_float least;  // of what a light would bring in the mean if nothing stood between: what can bring less is not asked
 } VisibilityParameters;
 GLEANER_SIZE(VisibilityParameters, 16);
 

@@ -3,7 +3,7 @@
 //
 //   vpl_emit, vpl_walk_light    light paths; every diffuse layer they meet becomes a VPL
 //   vpl_generate, vpl_walk      camera paths through mirrors and glass to the points that are shaded
-//   visibility_rays, _pack      bits: which light does a point (cluster) see
+//   visibility_least, _rays, _pack   bits: which light does a point (cluster) see
 //   vpl_members                 the point clusters a point belongs to, with weights (eq. 9-10)
 //   vpl_gather                  eq. 6
 //   vpl_doubt, _rays, vpl_settle, vpl_resolve   how far the clusters are off, by lights that points ask themselves
@@ -510,13 +510,63 @@ FN void set_visibility_ray(global float* rays, uint block, v3 start, v3 directio
   set_ray(rays, VISIBILITY_ROWS, block, start, direction, pick((vf)-1.0f, (vf)SHADOW_FAR, active), source);
 }
 
+// The bounded geometry term (eq. 4) between a point and a light, 1/m^2. `side`: the cosine at the light, by its normal
+// for shading, times the distance; `at_point` as well; `inverse`: one over the squared distance.
+FN vf bounded_geometry(v3 p, v3 n, v3 q, v3 light_normal, v3 light_geometric, vf clamp_to, vf* at_point, vf* side,
+                       vf* inverse) {
+  v3 d = sub3(q, p);
+  vf d2 = dot3(d, d);
+  *at_point = dot3(n, d);
+  *side = -dot3(light_normal, d);
+  *inverse = one_f() / d2;
+  vf g = min_f(*at_point * fabs(dot3(light_geometric, d)) * *inverse * *inverse, clamp_to);
+  return pick(zero_f(), g, (*at_point > zero_f()) & (*side > zero_f()) & (d2 > zero_f()));
+}
+
+FN vf plain_geometry(global const float* light, v3 p, v3 n, vf clamp_to, vf* at_point, vf* side, vf* inverse) {
+  return bounded_geometry(p, n, uniform3(light[VPL_POSITION], light[VPL_POSITION + 1], light[VPL_POSITION + 2]),
+                          uniform3(light[VPL_NORMAL], light[VPL_NORMAL + 1], light[VPL_NORMAL + 2]),
+                          uniform3(light[VPL_GEOMETRIC], light[VPL_GEOMETRIC + 1], light[VPL_GEOMETRIC + 2]), clamp_to,
+                          at_point, side, inverse);
+}
+
+FN float light_brightness(global const float* light) {
+  return brightness_of(light[VPL_FLUX], light[VPL_FLUX + 1], light[VPL_FLUX + 2]);
+}
+
+// What lights bring to points if nothing stands between, times `share`: what less than that brings is not worth a
+// ray (see visibility_rays). Of `count` points from point_base on; a multiple of 32 lights.
+kernel WIDE void visibility_least(global const float* restrict points, uint point_base, uint count,
+                                  global const float* restrict lights, uint width, float clamp_to, float share,
+                                  global float* restrict least) {
+  uint block = (uint)get_global_id(0);
+  uint first_lane = block * LANES;
+  if (first_lane >= count) return;
+  vu lane = (vu)first_lane + lane_index();
+  vf w[16];
+  load_words(points, ((vu)point_base + min(lane, (vu)(count - 1u))) * POINT_WORDS, w);
+  v3 p = words3(w, POINT_POSITION), n = words3(w, POINT_NORMAL);
+  vf sum = zero_f();
+  for (uint k = 0; k < width; ++k) {
+    global const float* light = lights + VPL_WORDS * k;
+    vf at_point, side, inverse;
+    vf g = plain_geometry(light, p, n, (vf)clamp_to, &at_point, &side, &inverse);
+    sum += g * light_brightness(light);
+  }
+  // A point on a light without a bound asks for all.
+  store_f(least + first_lane, 0, pick(zero_f(), sum * (share / (float)width), sum < (vf)INFINITY));
+}
+
 // Rays from points to lights: `rows` points, each asked for `width` lights (a multiple of 32) from its own first one
 // on; ray r is point r / width, light r % width of it. Pairs that face away from each other are not asked: neither ray
-// nor answer (a point's and a light's clusters are told by the cones and spheres that hold their members).
+// nor answer (a point's and a light's clusters are told by the cones and spheres that hold their members). Nor are
+// those that cannot bring a point more than `least` of row r / width. `left_out`: for each row, how many faced away,
+// then how many brought too little.
 kernel WIDE void visibility_rays(SCENE_PARAMETERS, global const float* restrict points,
                                  global const uint* restrict chosen, uint listed, global const float* restrict lights,
                                  uint width, uint slices, uint point_base, uint ray_base, uint count,
-                                 global float* restrict rays, global uint* counters, global uint* away_of_row) {
+                                 global float* restrict rays, global uint* counters, global uint* left_out,
+                                 global const float* restrict least, float clamp_to) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
   if (first_lane >= count) return;
@@ -552,13 +602,23 @@ kernel WIDE void visibility_rays(SCENE_PARAMETERS, global const float* restrict 
   // The cosine a member could have at best: the cone's sine more, and the members' sphere seen from the other end.
   vf cone_p = (vf)p_words[POINT_COS], cone_q = second[VPL_COS - 8u];
   vf reach = second[VPL_RADIUS - 8u] * inverse;
-  vi facing = (dot3(n, w) > -(safe_sqrt(one_f() - cone_p * cone_p) + reach)) &
-              (-dot3(words3(l, VPL_NORMAL), w) > -(safe_sqrt(one_f() - cone_q * cone_q) + reach)) & (d2 > zero_f());
-  uint away, asked;
+  vf at_point = dot3(n, w) + safe_sqrt(one_f() - cone_p * cone_p) + reach;
+  vf at_light = -dot3(words3(l, VPL_NORMAL), w) + safe_sqrt(one_f() - cone_q * cone_q) + reach;
+  vi facing = (at_point > zero_f()) & (at_light > zero_f()) & (d2 > zero_f());
+  // The most that a member could bring: as near as the members' sphere comes.
+  vf nearest = max_f(one_f() - reach, zero_f());
+  vf most = min_f(min_f(at_point, one_f()) * min_f(at_light, one_f()) * inverse * inverse / (nearest * nearest),
+                  (vf)clamp_to) *
+            brightness(words3(l, VPL_FLUX));
+  vi much = most > (vf)least[row];
+  uint away, little, asked;
   rank_lanes(active & none(facing), &away);
   active = active & facing;
+  rank_lanes(active & none(much), &little);
+  active = active & much;
   rank_lanes(active, &asked);
-  if (away) atomic_add(away_of_row + row, away);
+  if (away) atomic_add(left_out + 2u * row, away);
+  if (little) atomic_add(left_out + 2u * row + 1u, little);
   if (asked) atomic_add(counters, asked);
   uint t_row = triangle == GLEANER_NONE ? 0u : triangle;
   global const float* t = scene->triangles + (ulong)TRIANGLE_WORDS * t_row;
@@ -622,26 +682,6 @@ kernel WIDE void vpl_members(global const VplPointParameters* restrict parameter
   store_u(lonely + first_lane, 0, pick_u((vu)0u, (vu)1u, active & (who[0] == GLEANER_NONE)));
 }
 
-// The bounded geometry term (eq. 4) between a point and a light, 1/m^2. `side`: the cosine at the light, by its normal
-// for shading, times the distance; `at_point` as well; `inverse`: one over the squared distance.
-FN vf bounded_geometry(v3 p, v3 n, v3 q, v3 light_normal, v3 light_geometric, vf clamp_to, vf* at_point, vf* side,
-                       vf* inverse) {
-  v3 d = sub3(q, p);
-  vf d2 = dot3(d, d);
-  *at_point = dot3(n, d);
-  *side = -dot3(light_normal, d);
-  *inverse = one_f() / d2;
-  vf g = min_f(*at_point * fabs(dot3(light_geometric, d)) * *inverse * *inverse, clamp_to);
-  return pick(zero_f(), g, (*at_point > zero_f()) & (*side > zero_f()) & (d2 > zero_f()));
-}
-
-FN vf plain_geometry(global const float* light, v3 p, v3 n, vf clamp_to, vf* at_point, vf* side, vf* inverse) {
-  return bounded_geometry(p, n, uniform3(light[VPL_POSITION], light[VPL_POSITION + 1], light[VPL_POSITION + 2]),
-                          uniform3(light[VPL_NORMAL], light[VPL_NORMAL + 1], light[VPL_NORMAL + 2]),
-                          uniform3(light[VPL_GEOMETRIC], light[VPL_GEOMETRIC + 1], light[VPL_GEOMETRIC + 2]), clamp_to,
-                          at_point, side, inverse);
-}
-
 #ifdef NEED_LOBE
 FN vf left_at(const Scene* scene, vu table, vf table_row, vf cosine) {
   Surface m;
@@ -667,10 +707,6 @@ FN vf light_geometry(const Scene* scene, global const float* light, v3 p, v3 n, 
   if (light_table != GLEANER_NONE) g *= left_at(scene, (vu)light_table, (vf)light[VPL_ROW], side * r);
 #endif
   return g;
-}
-
-FN float light_brightness(global const float* light) {
-  return brightness_of(light[VPL_FLUX], light[VPL_FLUX + 1], light[VPL_FLUX + 2]);
 }
 
 FN v3 light_flux(global const float* light) {

@@ -14,9 +14,10 @@ namespace {
 // --set names of all methods: a name that belongs to another method is not an error, so that one command line serves
 // all.
 const std::set<std::string>& known_settings() {
-  static const std::set<std::string> names = {
-      "depth",    "vpl.clamp",         "vpl.clusters",  "vpl.compensate",     "vpl.count",   "vpl.doubt",
-      "vpl.draw", "vpl.equal_weights", "vpl.fuzziness", "vpl.point_clusters", "vpl.samples", "vpl.sets"};
+  static const std::set<std::string> names = {"depth",         "vpl.clamp", "vpl.clusters",       "vpl.compensate",
+                                              "vpl.count",     "vpl.doubt", "vpl.draw",           "vpl.equal_weights",
+                                              "vpl.fuzziness", "vpl.least", "vpl.point_clusters", "vpl.samples",
+                                              "vpl.sets"};
   return names;
 }
 

@@ -376,6 +376,8 @@ void VplPlan::ask_visibility(std::uint32_t set, Step& step) {
   VisibilityParameters p{};
   p.clusters = s.rows;
   p.point_clusters = point_rows_;
+  p.clamp = clamp_;
+  p.least = static_cast<float>(vpl_.least);
   StageSpec spec;
   spec.name = "vpl.visibility." + std::to_string(set);
   spec.kind = "vpl_visibility";
@@ -383,7 +385,7 @@ void VplPlan::ask_visibility(std::uint32_t set, Step& step) {
   spec.items = point_rows_;
   spec.parameters = bytes_of(p);
   spec.inputs = {{"lights", s.lights.id}, {"points", points_.id}};
-  spec.record_bytes = (s.rows / 32 + 1) * 4;
+  spec.record_bytes = (s.rows / 32 + VISIBILITY_COUNTS) * 4;
   put(step, s.lights);
   put(step, points_);
   step.stages.push_back(std::move(spec));
@@ -463,11 +465,12 @@ Step VplPlan::next(const FinishedStage* finished) {
     absorb_point_clusters(*finished->records, step);
   } else if (is("vpl.visibility.")) {
     Set& s = sets_[set_of(name)];
-    const std::size_t row = (s.rows / 32 + 1) * 4;
-    for (std::size_t at = row - 4; at < finished->records->size(); at += row) {
-      std::uint32_t away = 0;
-      std::memcpy(&away, finished->records->data() + at, 4);
-      faced_away_ += away;
+    const std::size_t row = (s.rows / 32 + VISIBILITY_COUNTS) * 4;
+    for (std::size_t at = s.rows / 32 * 4; at < finished->records->size(); at += row) {
+      std::uint32_t left_out[VISIBILITY_COUNTS];
+      std::memcpy(left_out, finished->records->data() + at, sizeof left_out);
+      faced_away_ += left_out[0];
+      brought_little_ += left_out[1];
     }
     asked_ += std::uint64_t{point_rows_} * s.clusters;
     s.visibility = table_of(finished->records);
@@ -531,6 +534,8 @@ std::vector<Skip> VplPlan::skips() const {
   std::vector<Skip> skips = paths_ ? paths_->skips() : std::vector<Skip>{};
   skips.insert(skips.end(), skips_.begin(), skips_.end());
   if (faced_away_) skips.push_back({"visibility queries", "the clusters face away from each other", faced_away_});
+  if (brought_little_)
+    skips.push_back({"visibility queries", "the light could bring next to nothing", brought_little_});
   if (!indirect()) skips.push_back({"virtual point lights", "a depth of 1 is direct light alone", 1});
   if (indirect() && !vpl_.point_clusters)
     skips.push_back({"point clusters", "vpl.point_clusters is 0: every point asks for itself", 1});
@@ -548,6 +553,7 @@ std::string VplPlan::parameters_json() const {
                         {"equal_weights", vpl_.equal_weights},
                         {"compensate", vpl_.compensate},
                         {"doubt", vpl_.doubt},
+                        {"least", vpl_.least},
                         {"samples", vpl_.samples},
                         {"sets", vpl_.sets},
                         {"visibility_pairs", asked_}};

@@ -80,7 +80,7 @@ class VplPlan final : public Plan {
   std::uint32_t point_rows_ = 0;
   bool points_ready_ = false;
   std::vector<Skip> skips_;
-  std::uint64_t faced_away_ = 0, asked_ = 0;
+  std::uint64_t faced_away_ = 0, brought_little_ = 0, asked_ = 0;
   std::uint32_t shaded_sets_ = 0;
   std::vector<float> sum_, square_;  // a pixel's RGB over the shaded sets
   std::vector<float> preview_;       // of the set that is being shaded

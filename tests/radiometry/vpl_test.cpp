@@ -6,6 +6,7 @@
 
 #include "cli/local_frame.h"
 #include "coordinator/plan/plan.h"
+#include "kernels/stage_records.h"
 #include "scene/library/library.h"
 #include "tests/radiometry/shot.h"
 
@@ -14,6 +15,7 @@ namespace {
 
 using coordinator::Film;
 using coordinator::FrameSettings;
+using kernels::VisibilityParameters;
 using Settings = std::map<std::string, std::string>;
 
 constexpr double kFamily = 1e-3;  // chance of a false alarm of one test
@@ -160,7 +162,8 @@ TEST(Vpl, DarkRoomsStayDark) {
 
 TEST(Vpl, AsManyClustersAsPointsAreAllPairs) {
   const Settings pairs = {{"vpl.count", "200"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}};
-  const Settings clusters = {{"vpl.count", "200"}, {"vpl.clusters", "200"}, {"vpl.point_clusters", "1024"}};
+  const Settings clusters = {
+      {"vpl.count", "200"}, {"vpl.clusters", "200"}, {"vpl.point_clusters", "1024"}, {"vpl.least", "0"}};
   for (const char* scene : {"cornell-box", "cornell-glossy", "cornell-glass"}) {
     const Rendered a = render(frame_of(scene, {}, {}, 32, 1, pairs)),
                    b = render(frame_of(scene, {}, {}, 32, 1, clusters));
@@ -210,6 +213,42 @@ TEST(Vpl, DoubtsAreSettled) {
   }
   EXPECT_LT(errors[1], errors[0]);
   EXPECT_LT(errors[2], errors[1] / 2);
+}
+
+// Lights that could bring a point cluster next to nothing are not asked for, each is counted, and none is missed.
+TEST(Vpl, PairsThatCarryNextToNothingAreNotAsked) {
+  const auto shade = [](const char* least, std::uint64_t& little) {
+    const Rendered made = render(frame_of("cornell-box", {}, {}, 32, 1,
+                                          {{"vpl.count", "960"},
+                                           {"vpl.clusters", "0"},
+                                           {"vpl.point_clusters", "60"},
+                                           {"vpl.doubt", "0"},
+                                           {"vpl.least", least}}));
+    VisibilityParameters p;
+    const worker::StageTask& task = made.tasks.at("vpl.visibility.0");
+    std::memcpy(&p, task.parameters.data(), sizeof p);
+    const std::size_t words = p.clusters / 32 + VISIBILITY_COUNTS;
+    const auto& records = made.records.at("vpl.visibility.0");
+    little = 0;
+    for (std::size_t at = 0; at < records.size(); at += words) {
+      std::uint32_t left_out[VISIBILITY_COUNTS];
+      std::memcpy(left_out, &records[at + p.clusters / 32], sizeof left_out);
+      little += left_out[1];
+    }
+    return made.records.at("vpl.shade.0");
+  };
+  std::uint64_t none = 0, some = 0;
+  const auto all = shade("0", none), fewer = shade("0.1", some);
+  EXPECT_EQ(none, 0u);
+  EXPECT_GT(some, 960u * 60 / 100);
+  double change = 0, sum = 0;
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    change += std::abs(fewer[i] - all[i]);
+    sum += all[i];
+  }
+  std::printf("  %llu of %u pairs, %.5f of the light\n", static_cast<unsigned long long>(some), 960u * 60,
+              change / sum);
+  EXPECT_LT(change / sum, 0.01);
 }
 
 // What is near a cluster is lit by all its members: clusters are no spots. Lit by their representatives alone, points

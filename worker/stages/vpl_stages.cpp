@@ -341,11 +341,13 @@ class Asker {
     pack_.setArg(0, rays_);
   }
 
-  // Bits of `rows` points' slices (width / 32 words each) into `bits`; how many pairs of each row were left out for
-  // facing away into `away`, a word a row. chosen: a list of points, `listed`, or unused.
+  // Bits of `rows` points' slices (width / 32 words each) into `bits`; how many pairs of each row were left out into
+  // `left_out` (VISIBILITY_COUNTS words a row). chosen: a list of points, `listed`, or unused. least: what a light must
+  // be able to bring to each row's point.
   void ask(const cl::Buffer& points, const cl::Buffer& chosen, bool listed, std::uint32_t point_base,
-           std::uint32_t rows, cl::Buffer& bits, cl::Buffer& away, LaneCounters& counters) {
-    queue_.enqueueFillBuffer(away, cl_uint{0}, 0, std::size_t{rows} * 4);
+           std::uint32_t rows, cl::Buffer& bits, cl::Buffer& left_out, const cl::Buffer& least, float clamp,
+           LaneCounters& counters) {
+    queue_.enqueueFillBuffer(left_out, cl_uint{0}, 0, std::size_t{rows} * VISIBILITY_COUNTS * 4);
     static constexpr cl_uint zero = 0;  // read after the call, also where a later one throws
     queue_.enqueueWriteBuffer(counters_, CL_FALSE, 0, sizeof zero, &zero);
     const std::uint64_t all = std::uint64_t{rows} * width_;
@@ -354,7 +356,9 @@ class Asker {
     ask_.setArg(first_ + 1, chosen);
     ask_.setArg(first_ + 2, static_cast<cl_uint>(listed));
     ask_.setArg(first_ + 6, point_base);
-    ask_.setArg(first_ + 11, away);
+    ask_.setArg(first_ + 11, left_out);
+    ask_.setArg(first_ + 12, least);
+    ask_.setArg(first_ + 13, clamp);
     for (std::uint64_t base = 0; base < all; base += capacity) {
       const auto count = static_cast<std::uint32_t>(std::min<std::uint64_t>(capacity, all - base));
       ask_.setArg(first_ + 7, static_cast<cl_uint>(base));
@@ -403,38 +407,55 @@ class VisibilityLane : public Lane {
  public:
   VisibilityLane(Batch& batch, unsigned index, const VisibilityTables& tables, const VisibilityParameters& parameters)
       : Lane(batch, index),
+        p_(parameters),
         points_(tables.points),
-        clusters_(parameters.clusters),
         asker_(batch, queue_, take("rays", std::size_t{ray_capacity(batch.device)} * VISIBILITY_ROWS * 4),
-               counters_buffer_, tables.lights, parameters.clusters, 1) {
-    rows_ = std::max<std::uint32_t>(1, 4 * ray_capacity(batch.device) / clusters_);
-    bits_ = take("bits", std::size_t{rows_} * clusters_ / 8);
-    away_ = take("away", std::size_t{rows_} * 4);
+               counters_buffer_, tables.lights, parameters.clusters, 1),
+        least_of_(kernel("visibility_least")) {
+    rows_ = std::max<std::uint32_t>(1, 4 * ray_capacity(batch.device) / p_.clusters);
+    bits_ = take("bits", std::size_t{rows_} * p_.clusters / 8);
+    left_out_ = take("left_out", std::size_t{rows_} * VISIBILITY_COUNTS * 4);
+    least_ = take("least", (std::size_t{rows_} + RAY_BLOCK) * 4);
+    least_of_.setArg(0, points_);
+    least_of_.setArg(3, tables.lights);
+    least_of_.setArg(4, p_.clusters);
+    least_of_.setArg(5, p_.clamp);
+    least_of_.setArg(6, p_.least);
+    least_of_.setArg(7, least_);
   }
 
   void run(BatchResult& result) {
     std::uint64_t begin = 0, part = 0;
-    const std::size_t words = clusters_ / 32;
-    std::vector<std::uint32_t> bits(rows_ * words), away(rows_);
+    const std::size_t words = p_.clusters / 32, stride = (words + VISIBILITY_COUNTS) * 4;
+    std::vector<std::uint32_t> bits(rows_ * words), left_out(rows_ * VISIBILITY_COUNTS);
     while (batch_.claim(rows_, begin, part)) {
       const auto rows = static_cast<std::uint32_t>(part);
-      asker_.ask(points_, points_, false, static_cast<std::uint32_t>(batch_.first + begin), rows, bits_, away_,
-                 counters);
+      const auto base = static_cast<std::uint32_t>(batch_.first + begin);
+      if (p_.least > 0) {
+        least_of_.setArg(1, base);
+        least_of_.setArg(2, rows);
+        launch(least_of_, rows, (rows_ + RAY_BLOCK - 1) / RAY_BLOCK * RAY_BLOCK, batch_.device.lanes());
+      } else {
+        queue_.enqueueFillBuffer(least_, cl_float{0}, 0, std::size_t{rows} * 4);
+      }
+      asker_.ask(points_, points_, false, base, rows, bits_, left_out_, least_, p_.clamp, counters);
       queue_.enqueueReadBuffer(bits_, CL_TRUE, 0, rows * words * 4, bits.data());
-      queue_.enqueueReadBuffer(away_, CL_TRUE, 0, std::size_t{rows} * 4, away.data());
-      std::byte* out = result.records.data() + begin * (words + 1) * 4;
-      for (std::uint32_t r = 0; r < rows; ++r, out += (words + 1) * 4) {
+      queue_.enqueueReadBuffer(left_out_, CL_TRUE, 0, std::size_t{rows} * VISIBILITY_COUNTS * 4, left_out.data());
+      std::byte* out = result.records.data() + begin * stride;
+      for (std::uint32_t r = 0; r < rows; ++r, out += stride) {
         std::memcpy(out, &bits[r * words], words * 4);
-        std::memcpy(out + words * 4, &away[r], 4);
+        std::memcpy(out + words * 4, &left_out[r * VISIBILITY_COUNTS], VISIBILITY_COUNTS * 4);
       }
     }
   }
 
  private:
+  VisibilityParameters p_;
   cl::Buffer points_;
-  std::uint32_t clusters_, rows_ = 0;
+  std::uint32_t rows_ = 0;
   Asker asker_;
-  cl::Buffer bits_, away_;
+  cl::Kernel least_of_;
+  cl::Buffer bits_, left_out_, least_;
 };
 
 // --- Shading ---
@@ -517,7 +538,7 @@ ShadeTables make_shade_tables(Batch& batch, const VplPointParameters& p) {
   ClusterGrid grid;
   if (p.point_clusters) {
     const scene::Bytes& table = read_table(task, "points", p.point_clusters, POINT_WORDS);
-    tables.row_words = p.clusters / 32 + 1;
+    tables.row_words = p.clusters / 32 + VISIBILITY_COUNTS;
     const scene::Bytes& bits = read_table(task, "visibility", p.point_clusters, tables.row_words);
     points.resize(table.size() / 4);
     std::memcpy(points.data(), table.data(), table.size());
@@ -567,7 +588,9 @@ class ShadeLane : public PointLane {
     own_rows_ = std::clamp<std::uint32_t>(ray_capacity(batch.device) / tables.width, 1, 4096) + 15;
     own_rows_ -= own_rows_ % 16;
     own_bits_ = take("own_bits", std::size_t{own_rows_} * tables.width / 8);
-    away_ = take("away", std::size_t{own_rows_} * 4);
+    left_out_ = take("left_out", std::size_t{own_rows_} * VISIBILITY_COUNTS * 4);
+    least_ = take("least", std::size_t{own_rows_} * 4);
+    queue_.enqueueFillBuffer(least_, cl_float{0}, 0, std::size_t{own_rows_} * 4);
     chosen_ = take("chosen", (std::size_t{own_rows_} + 16) * 4);
     members_.setArg(0, batch.parameters);
     members_.setArg(1, points_);
@@ -733,7 +756,7 @@ class ShadeLane : public PointLane {
     for (std::size_t at = 0; at < list.size(); at += own_rows_) {
       const auto rows = static_cast<std::uint32_t>(std::min<std::size_t>(own_rows_, list.size() - at));
       queue_.enqueueWriteBuffer(chosen_, CL_TRUE, 0, std::size_t{rows} * 4, &list[at]);
-      asker_.ask(points_, chosen_, true, 0, rows, own_bits_, away_, counters);
+      asker_.ask(points_, chosen_, true, 0, rows, own_bits_, left_out_, least_, p_.clamp, counters);
       gather_.setArg(gather_first_ + 2, cl_uint{1});
       gather_.setArg(gather_first_ + 3, rows);
       gather_.setArg(gather_first_ + 7, own_bits_);
@@ -750,7 +773,7 @@ class ShadeLane : public PointLane {
   cl::Buffer level_, doubt_lights_, doubt_terms_, doubt_spacings_, doubt_counts_, doubt_firsts_, doubt_places_,
       doubt_answers_;
   unsigned doubt_rays_first_ = 0;
-  cl::Buffer rows_, weights_, lonely_, radiance_, sampled_, records_, report_, own_bits_, away_, chosen_;
+  cl::Buffer rows_, weights_, lonely_, radiance_, sampled_, records_, report_, own_bits_, left_out_, least_, chosen_;
   std::uint32_t own_rows_ = 0;
   unsigned gather_first_ = 0;
 };
@@ -790,10 +813,13 @@ BatchResult run_vpl_visibility_stage(const Device& device, Workspace& workspace,
   if (p.clusters == 0 || p.clusters % 32 != 0 || p.clusters > (1u << 24))
     throw Error::bad_input("stage vpl_visibility", "clusters", "a multiple of 32 up to 2^24",
                            std::to_string(p.clusters));
+  if (!(p.clamp > 0) || !(p.least >= 0))
+    throw Error::bad_input("stage vpl_visibility", "clamp, least", "a number above 0, and one that is not below",
+                           "others");
   check_range(task, p.point_clusters, first, count);
   const double start = seconds_now();
   BatchResult result;
-  result.records.resize(count * (p.clusters / 32 + 1) * 4);
+  result.records.resize(count * (p.clusters / 32 + VISIBILITY_COUNTS) * 4);
   Batch batch(device, workspace, scene, task, first, count, 1);
   const auto& tables = kept_tables<VisibilityTables>(batch, "vpl.visibility", [&] {
     const scene::Bytes& lights = read_table(task, "lights", p.clusters, VPL_WORDS);
