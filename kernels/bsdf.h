@@ -98,6 +98,42 @@ FN v3 lobe_fresnel(const Surface* m, vf vh) {
   return mad3(fm, m->metallic, scale3(fd, dielectric));
 }
 
+// --- Rough lobes: those that virtual point lights may stand in for ---
+
+// Below this alpha (glTF's roughness, squared) a lobe shows single lights, and is left to paths.
+#define ROUGH_LOBE_ALPHA 0.2f
+
+// The lobe's colours: f0 at normal incidence, f90 at grazing incidence (lobe_fresnel()).
+FN v3 lobe_f0(const Surface* m) {
+  return mad3(m->base, m->metallic, scale3(m->f0, m->specular * (one_f() - m->metallic)));
+}
+FN vf lobe_f90(const Surface* m) { return m->metallic + m->specular * (one_f() - m->metallic); }
+
+FN v3 schlick(v3 f0, vf f90, vf cosine) {
+  vf s = pow5(max_f(one_f() - fabs(cosine), zero_f()));
+  return make3(fma(f90 - f0.x, s, f0.x), fma(f90 - f0.y, s, f0.y), fma(f90 - f0.z, s, f0.z));
+}
+
+// The lobe as in eval_bsdf(), without the cosine; in any frame, of unit vectors on the normal's side.
+FN v3 rough_lobe(v3 f0, vf f90, vf alpha, v3 n, v3 v, v3 l) {
+  v3 h = normalize3(add3(v, l));
+  vf a2 = alpha * alpha, nh = dot3(n, h), nv = dot3(n, v), nl = dot3(n, l);
+  vf t = (one_f() - nh * nh) / a2 + nh * nh;
+  vf d = INV_PI / (a2 * t * t);
+  vf gv = nv + sqrt(fma(one_f() - a2, nv * nv, a2));
+  vf gl = nl + sqrt(fma(one_f() - a2, nl * nl, a2));
+  return scale3(schlick(f0, f90, dot3(v, h)), d / (gv * gl));
+}
+
+// What a lobe sends in the mean over the hemisphere, roughly: its share of a light's flux is reckoned by this.
+FN v3 mean_lobe(v3 f0, vf f90, vf nv) { return scale3(schlick(f0, f90, nv), (vf)INV_PI); }
+
+// How many times as bright as a white diffuse surface a lobe may make a light: the geometry term's bound is on the
+// product with it, of both ends.
+FN vf lobe_gain(v3 lobe) {
+  return one_f() + (lobe.x * 0.2126f + lobe.y * 0.7152f + lobe.z * 0.0722f) * (vf)3.14159265358979324f;
+}
+
 // What does not depend on the outgoing direction; nv > 0.
 FN void prepare_lobe(const Scene* scene, Surface* m, vf nv) {
   m->left_view = left_to_layer(scene, m, nv);
@@ -111,6 +147,9 @@ FN void prepare_lobe(const Scene* scene, Surface* m, vf nv) {
   // Of a roughness below 1e-5 the densities soon leave the range of float, and no picture shows it.
   m->mirror = has & (m->alpha2 < (vf)1e-20f);
 }
+
+// After prepare_lobe().
+FN vi has_rough_lobe(const Surface* m) { return (m->lobe_share > zero_f()) & (m->alpha >= (vf)ROUGH_LOBE_ALPHA); }
 
 #endif
 

@@ -33,6 +33,11 @@ FN void add_to_slots(global float* slots, uint slot_count, vu slot, vi indirect,
 }
 
 #ifdef COVERED
+// What bounding the geometry term takes of it, in lanes whose light comes from a virtual point light's place.
+FN vf clamped_share(float clamp_to, vf geometry, vi straight) {
+  return pick(one_f(), clamp_f(one_f() - clamp_to / geometry, zero_f(), one_f()), straight);
+}
+
 FN void add_clamped(global float* slots, uint slot_count, vu slot, v3 value, vi active) {
   if (any_lane(active)) add_to_slots(slots + (SLOT_CLAMPED - SLOT_INDIRECT), slot_count, slot, active, value, active);
 }
@@ -237,7 +242,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   vi straight = active & none(passes) & (cover > zero_f());
   v3 segment = sub3(p, origin);
   vf geometry = cover * fabs(dot3(h.geometric, direction)) / dot3(segment, segment);
-  vf layer_share = pick(one_f(), clamp_f(one_f() - parameters->clamp / geometry, zero_f(), one_f()), straight);
+  vf layer_share = clamped_share(parameters->clamp, geometry, straight);
 #if !defined(NEED_LOBE) && !defined(NEED_TRANSMISSIVE)
   active = active & (passes | (layer_share > zero_f()));
   clamped = clamped | straight;
@@ -250,6 +255,10 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   active = active & ((frame.view.z > (vf)1e-6f) | passes);
 #ifdef NEED_LOBE
   prepare_lobe(scene, &m, max_f(frame.view.z, (vf)1e-6f));
+#ifdef COVERED
+  // Virtual point lights stand for the diffuse layer and, where it is rough, the lobe.
+  vi rough = has_rough_lobe(&m);
+#endif
 #endif
 
   // One light sample. Perfect mirrors and glass cannot see it.
@@ -283,7 +292,14 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       v3 f = eval_bsdf(scene, &m, frame.view, make3(toward.x, toward.y, max_f(toward.z, (vf)1e-6f)), &pdf);
 #ifdef COVERED
       v3 layer = eval_layer(scene, &m, max_f(toward.z, (vf)1e-6f));
-      f = sub3(f, scale3(layer, one_f() - layer_share));
+      vf share = layer_share;
+#ifdef NEED_LOBE
+      // Of a rough surface the bound is on the product with the lobe, which this direction decides.
+      vf gain = lobe_gain(scale3(sub3(f, layer), one_f() / max_f(toward.z, (vf)1e-6f)));
+      share = pick(share, clamped_share(parameters->clamp, geometry * gain, straight), rough);
+      layer = pick3(layer, f, rough);
+#endif
+      f = sub3(f, scale3(layer, one_f() - share));
       f = make3(max_f(f.x, zero_f()), max_f(f.y, zero_f()), max_f(f.z, zero_f()));
 #endif
 #ifdef NEED_TRANSMISSIVE
@@ -320,8 +336,10 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   vi specular = scattered.pdf <= zero_f();
   vf eta = row_f(paths, PATH_ROWS, block, ROW_ETA) * scattered.eta;
 #ifdef COVERED
-  // Whether the diffuse layer scattered it or the lobe: by lot, in proportion to what each sends this way.
+  // Whether the diffuse layer scattered it or the lobe: by lot, in proportion to what each sends this way. A rough lobe
+  // is one with the layer.
   vi by_layer = none(specular);
+  vf gain = one_f();
   vi through = no_lanes();
 #ifdef NEED_LOBE
   {
@@ -330,6 +348,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
     vf z = max_f(scattered.direction.z, (vf)1e-6f);
     v3 both = eval_bsdf(scene, &m, frame.view, make3(scattered.direction.x, scattered.direction.y, z), &unused_pdf);
     v3 layer = eval_layer(scene, &m, z);
+    gain = pick(gain, lobe_gain(scale3(sub3(both, layer), one_f() / z)), rough & by_layer);
+    layer = pick3(layer, both, rough);
     vf chance = clamp_f((layer.x + layer.y + layer.z) / (both.x + both.y + both.z), zero_f(), one_f());
     by_layer = by_layer & (u_class < chance);
     v3 part = pick3(sub3(both, layer), layer, by_layer);
@@ -338,7 +358,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
                       pick(zero_f(), max_f(part.y, zero_f()) / both.y * odds, both.y > zero_f()),
                       pick(zero_f(), max_f(part.z, zero_f()) / both.z * odds, both.z > zero_f()));
     next_throughput = pick3(mul3(next_throughput, factor), next_throughput, specular);
-    through = m.lobe_share >= one_f();
+    through = (m.lobe_share >= one_f()) & none(rough);
+    layer_share = pick(layer_share, clamped_share(parameters->clamp, geometry * gain, straight), rough);
   }
 #endif
 #ifdef NEED_TRANSMISSIVE
@@ -349,7 +370,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   vf next_cover = pick(cover, (vf)COVER_FREE, straight);
   next_cover = pick(next_cover, (vf)COVER_CLAMPED, straight & by_layer);
   next_cover = pick(next_cover, (vf)COVER_FREE, first_surface & none(through));
-  next_cover = pick(next_cover, max_f(scattered.direction.z, (vf)1e-6f), first_surface & by_layer & none(through));
+  next_cover =
+      pick(next_cover, max_f(scattered.direction.z, (vf)1e-6f) * gain, first_surface & by_layer & none(through));
   // Through a veil no virtual point light is seen: what stands behind it is found by paths.
   next_cover = pick(next_cover, pick(cover, (vf)COVER_FREE, cover > zero_f()), passes);
 #endif

@@ -30,7 +30,8 @@ typedef struct {
   gl_uint features;               // 1: records are PathFeatureRecord, else PathRecord
   gl_uint items_low, items_high;  // items of the whole stage
   // 1: light that reaches the first non-specular surface straight from another one is left to virtual point lights
-  // (kernels/vpl.cl), but for what they clamp; records then end with three words more, the sums of what was clamped.
+  // (kernels/vpl.cl), but for what they clamp and for lobes that are not rough; records then end with three words more,
+  // the sums of what was clamped.
   gl_uint covered;
   gl_float clamp;  // covered: the geometry term's bound, 1/m^2; infinity: none
   gl_uint reserved[3];
@@ -62,26 +63,29 @@ typedef struct {
 } PathFeatureRecord;
 GLEANER_SIZE(PathFeatureRecord, 56);
 
-// Virtual point lights (VPLs), and clusters of them: rows of VPL_WORDS words. The first line is all that shading and
-// visibility read.
-#define VPL_WORDS 24u
+// Virtual point lights (VPLs), and clusters of them: rows of VPL_WORDS words. The first line is all that diffuse
+// surfaces read of each other.
+#define VPL_WORDS 32u
 #define VPL_POSITION 0u
 #define VPL_NORMAL 3u     // for shading, on the side that the light came from
 #define VPL_GEOMETRIC 6u  // of the triangle, on that side
-#define VPL_FLUX 9u       // W/sr at a cosine of 1, RGB: what the diffuse layer sends on; 0: no VPL
-#define VPL_TRIANGLE 12u  // uint
-#define VPL_B1 13u
-#define VPL_B2 14u
-#define VPL_TABLE 15u   // uint: the albedo table of the layer above the diffuse one, or GLEANER_NONE
-#define VPL_ROW 16u     // its fractional row
-#define VPL_ERROR 17u   // bound of the position's rounding
-#define VPL_RADIUS 20u  // clusters: of the sphere about the position that holds every member
-#define VPL_COS 21u     // clusters: least cosine between the normal and a member's
-#define VPL_COUNT 22u   // clusters: members (float)
-#define VPL_DEPTH 23u   // VPLs: scatterings on the light's way, this one included (float)
+#define VPL_FLUX 9u       // W/sr at a cosine of 1, RGB: what the surface sends on, in the mean; 0: no VPL
+#define VPL_TABLE 12u     // uint: the albedo table of the lobe above the diffuse layer, or GLEANER_NONE
+#define VPL_ROW 13u       // its fractional row
+#define VPL_RADIUS 14u    // clusters: of the sphere about the position that holds every member
+#define VPL_DEPTH 15u     // VPLs: scatterings on the light's way, this one included (float)
 #define VPL_FIRST \
-  23u  // clusters: row of the first of their members, which follow each other; members: their cluster's
-       // row (uint)
+  15u                  // clusters: row of the first of their members, which follow each other; members: their
+                       // cluster's row (uint)
+#define VPL_COUNT 16u  // clusters: members (float)
+#define VPL_ERROR 17u  // bound of the position's rounding
+#define VPL_COS 20u    // clusters: least cosine between the normal and a member's
+// A rough lobe (bsdf.h): of VPL_FLUX, sent * mean_lobe() is its part.
+#define VPL_SENT 21u      // RGB: W that the surface scatters, or 0
+#define VPL_F0 24u        // RGB: colour of the lobe at normal incidence
+#define VPL_F90 27u       // and at grazing incidence
+#define VPL_ALPHA 28u     // 0: no rough lobe
+#define VPL_INCOMING 29u  // unit vector towards where the light came from
 
 // Most VPLs of a light path: where it would leave more, it leaves half as many of twice the flux.
 #define VPL_PATH_SLOTS 8u
@@ -109,6 +113,14 @@ GLEANER_SIZE(VplTraceParameters, 32);
 #define POINT_B1 13u
 #define POINT_B2 14u
 #define POINT_COS 15u  // clusters: least cosine between the normal and a member's
+
+// A point's rough lobe: rows of LOBE_WORDS words beside those of the points.
+#define LOBE_WORDS 16u
+#define LOBE_VIEW 0u        // unit vector towards the viewer
+#define LOBE_THROUGHPUT 3u  // RGB
+#define LOBE_F0 6u          // RGB: colour at normal incidence
+#define LOBE_F90 9u         // and at grazing incidence
+#define LOBE_ALPHA 10u      // 0: no rough lobe
 
 // Camera paths that end at the first surface with a diffuse layer. Stage kinds "vpl_points" and "vpl_shade".
 typedef struct {

@@ -8,8 +8,9 @@
 //   vpl_gather                  eq. 6
 //   vpl_doubt, _rays, vpl_settle, vpl_resolve   how far the clusters are off, by lights that points ask themselves
 //
-// A surface's specular lobe, if any, is not lit by VPLs and makes none: what it carries is left to the path tracer
-// (COVERED in kernels/path.cl), whose paths end where a VPL has been. The two add up to everything.
+// A surface's diffuse layer is lit by VPLs and makes them, and so does a rough specular lobe (bsdf.h). What other lobes
+// carry is left to the path tracer (COVERED in kernels/path.cl), whose paths end where a VPL has been. The two add up
+// to everything.
 
 // How steeply a cluster's place may rise above a point's plane (as a sine) for the two to be of one surface.
 #define SAME_SURFACE 0.25f
@@ -63,7 +64,8 @@ FN void halve_lights(global float* records, vu slot, vu odd) {
     vu from = (first + 2u * k + odd) * VPL_WORDS, to = (first + k) * VPL_WORDS;
     for (uint word = 0; word < VPL_WORDS; ++word) {
       vf value = gather_f(records, from + word);
-      scatter_f(records, to + word, word >= VPL_FLUX && word < VPL_FLUX + 3u ? value * 2.0f : value);
+      uint twice = (word >= VPL_FLUX && word < VPL_FLUX + 3u) || (word >= VPL_SENT && word < VPL_SENT + 3u);
+      scatter_f(records, to + word, twice ? value * 2.0f : value);
     }
   }
   for (uint k = VPL_PATH_SLOTS / 2u; k < VPL_PATH_SLOTS; ++k)
@@ -250,6 +252,12 @@ kernel WIDE void vpl_walk_light(global const VplTraceParameters* restrict parame
   table = m.table;
   table_row = m.table_row;
 #endif
+#ifdef NEED_LOBE
+  vi rough = has_rough_lobe(&m);
+  v3 f0 = lobe_f0(&m);
+  vf f90 = lobe_f90(&m);
+  layer = pick3(layer, add3(layer, mean_lobe(f0, f90, f.view.z)), rough);
+#endif
   v3 sent = scale3(mul3(flux, layer), bend);
   layered = layered & (max_component(sent) > zero_f()) & finite3(sent);
   vf passed = row_f(paths, PATH_ROWS, block, ROW_PASSED), spacing = row_f(paths, PATH_ROWS, block, ROW_SPACING);
@@ -293,9 +301,6 @@ kernel WIDE void vpl_walk_light(global const VplTraceParameters* restrict parame
       scatter_f(records + VPL_FLUX + 1u, at, share.y * carried);
       scatter_f(records + VPL_FLUX + 2u, at, share.z * carried);
       global uint* words = (global uint*)records;
-      scatter_u(words + VPL_TRIANGLE, at, primitive);
-      scatter_f(records + VPL_B1, at, h.b1);
-      scatter_f(records + VPL_B2, at, h.b2);
       scatter_u(words + VPL_TABLE, at, table);
       scatter_f(records + VPL_ROW, at, table_row);
       scatter_f(records + VPL_ERROR, at, h.error.x);
@@ -305,6 +310,21 @@ kernel WIDE void vpl_walk_light(global const VplTraceParameters* restrict parame
       scatter_f(records + VPL_COS, at, one_f());
       scatter_f(records + VPL_COUNT, at, one_f());
       scatter_f(records + VPL_DEPTH, at, to_f(depth) + 1.0f);
+#ifdef NEED_LOBE
+      // Slots may hold what halve_lights() left there.
+      v3 scattered_flux = pick3(splat3(zero_f()), scale3(flux, bend * carried / weight), rough);
+      scatter_f(records + VPL_SENT, at, scattered_flux.x);
+      scatter_f(records + VPL_SENT + 1u, at, scattered_flux.y);
+      scatter_f(records + VPL_SENT + 2u, at, scattered_flux.z);
+      scatter_f(records + VPL_F0, at, f0.x);
+      scatter_f(records + VPL_F0 + 1u, at, f0.y);
+      scatter_f(records + VPL_F0 + 2u, at, f0.z);
+      scatter_f(records + VPL_F90, at, f90);
+      scatter_f(records + VPL_ALPHA, at, pick(zero_f(), m.alpha, rough));
+      scatter_f(records + VPL_INCOMING, at, -direction.x);
+      scatter_f(records + VPL_INCOMING + 1u, at, -direction.y);
+      scatter_f(records + VPL_INCOMING + 2u, at, -direction.z);
+#endif
       made += pick_u((vu)0u, (vu)1u, passes_mark);
     }
   }
@@ -384,8 +404,10 @@ kernel WIDE void vpl_generate(global const VplPointParameters* restrict paramete
 
 // One step of the camera paths: those that met a diffuse layer have their point, those that met a mirror or glass go
 // on.
+// `lobed`: the points' rough lobes are kept too.
 kernel WIDE void vpl_walk(global const VplPointParameters* restrict parameters, SCENE_PARAMETERS, uint count,
-                          global float* paths, global float* points, global uint* counters) {
+                          global float* paths, global float* points, global uint* counters, uint lobed,
+                          global float* restrict lobes) {
   uint block = (uint)get_global_id(0);
   if (block * LANES >= count) return;
   Scene scene_value = SCENE_FROM_PARAMETERS;
@@ -432,13 +454,14 @@ kernel WIDE void vpl_walk(global const VplPointParameters* restrict parameters, 
   vf table_row = zero_f();
   v3 albedo = m.base;
 #ifdef NEED_LOBE
-  // A bare metal has no layer below its lobe, and is walked through as a mirror is.
-  vi bare = m.lobe_share >= one_f();
+  // A bare metal has no layer below its lobe; unless it is rough, it is walked through as a mirror is.
+  vi rough = has_rough_lobe(&m);
+  vi bare = (m.lobe_share >= one_f()) & none(rough);
   albedo = scale3(albedo, m.left_view * (one_f() - m.metallic) / m.left_mean);
   table = m.table;
   table_row = m.table_row;
 #else
-  vi bare = no_lanes();
+  vi bare = no_lanes(), rough = no_lanes();
 #endif
 #ifdef NEED_TRANSMISSIVE
   vi glass = u_glass < m.transmission;
@@ -446,7 +469,7 @@ kernel WIDE void vpl_walk(global const VplPointParameters* restrict parameters, 
   vi glass = no_lanes();
 #endif
   on = on & (bare | glass);
-  stops = stops & none(on) & (max_component(albedo) > zero_f());
+  stops = stops & none(on) & ((max_component(albedo) > zero_f()) | rough);
   if (any_lane(stops)) {
     vu at = pick_u((vu)count, slot, stops) * POINT_WORDS;
     global uint* words = (global uint*)points;
@@ -467,6 +490,23 @@ kernel WIDE void vpl_walk(global const VplPointParameters* restrict parameters, 
     scatter_f(points + POINT_B1, at, h.b1);
     scatter_f(points + POINT_B2, at, h.b2);
     scatter_f(points + POINT_COS, at, one_f());
+#ifdef NEED_LOBE
+    if (lobed) {
+      vu lobe_at = pick_u((vu)count, slot, stops) * LOBE_WORDS;
+      v3 f0 = lobe_f0(&m);
+      scatter_f(lobes + LOBE_VIEW, lobe_at, -direction.x);
+      scatter_f(lobes + LOBE_VIEW + 1u, lobe_at, -direction.y);
+      scatter_f(lobes + LOBE_VIEW + 2u, lobe_at, -direction.z);
+      scatter_f(lobes + LOBE_THROUGHPUT, lobe_at, throughput.x);
+      scatter_f(lobes + LOBE_THROUGHPUT + 1u, lobe_at, throughput.y);
+      scatter_f(lobes + LOBE_THROUGHPUT + 2u, lobe_at, throughput.z);
+      scatter_f(lobes + LOBE_F0, lobe_at, f0.x);
+      scatter_f(lobes + LOBE_F0 + 1u, lobe_at, f0.y);
+      scatter_f(lobes + LOBE_F0 + 2u, lobe_at, f0.z);
+      scatter_f(lobes + LOBE_F90, lobe_at, lobe_f90(&m));
+      scatter_f(lobes + LOBE_ALPHA, lobe_at, pick(zero_f(), m.alpha, rough));
+    }
+#endif
   }
   BsdfSample scattered = sample_bsdf(scene, &m, f.view, f.from_back, u_lobe, u_glass, d0, d1);
   v3 out = from_frame(&f, scattered.direction);
@@ -691,26 +731,101 @@ FN vf left_at(const Scene* scene, vu table, vf table_row, vf cosine) {
 }
 #endif
 
-// What of a light's flux a point would get if nothing stood between: the bounded geometry term, and what the lobes
-// over both diffuse layers leave to them. `lobed`: any lane's point has a lobe. `inverse`: one over the squared
-// distance.
-FN vf light_geometry(const Scene* scene, global const float* light, v3 p, v3 n, uint lobed, vu table, vf table_row,
-                     vf clamp_to, vf* inverse_out) {
-  vf at_point, side, inverse;
-  vf g = plain_geometry(light, p, n, clamp_to, &at_point, &side, &inverse);
-  *inverse_out = inverse;
+// What a point is lit by beside its row: lobes.
+typedef struct {
 #ifdef NEED_LOBE
-  uint light_table = ((global const uint*)light)[VPL_TABLE];
-  if (!lobed && light_table == GLEANER_NONE) return g;
-  vf r = sqrt(inverse);
-  if (lobed) g *= left_at(scene, table, table_row, at_point * r);
-  if (light_table != GLEANER_NONE) g *= left_at(scene, (vu)light_table, (vf)light[VPL_ROW], side * r);
+  vu table;
+  vf table_row;
+  v3 view, throughput, f0;
+  vf f90, alpha;
+  vi rough;
+  uint tables, lobes;  // any lane has one
+#else
+  uint none;
 #endif
-  return g;
+} PointLobe;
+
+// `row`: of the point in `lobes`.
+FN PointLobe load_point_lobe(const vf* point, global const float* lobes, vu row, vi active) {
+  PointLobe lobe;
+#ifdef NEED_LOBE
+  lobe.table = pick_u((vu)GLEANER_NONE, as_vu(point[POINT_TABLE]), active);
+  lobe.table_row = pick(zero_f(), point[POINT_ROW], active);
+  lobe.tables = any_lane(lobe.table != GLEANER_NONE) ? 1u : 0u;
+  vf w[16];
+  load_words(lobes, row * LOBE_WORDS, w);
+  lobe.alpha = w[LOBE_ALPHA];
+  lobe.rough = active & (lobe.alpha > zero_f());
+  lobe.lobes = any_lane(lobe.rough) ? 1u : 0u;
+  lobe.view = words3(w, LOBE_VIEW);
+  lobe.throughput = words3(w, LOBE_THROUGHPUT);
+  lobe.f0 = words3(w, LOBE_F0);
+  lobe.f90 = w[LOBE_F90];
+#else
+  lobe.none = 0u;
+#endif
+  return lobe;
 }
 
-FN v3 light_flux(global const float* light) {
-  return uniform3(light[VPL_FLUX], light[VPL_FLUX + 1], light[VPL_FLUX + 2]);
+// What a light would bring to a point if nothing stood between: to the diffuse layer, and to `glossy` what the point's
+// rough lobe makes of it. The geometry term g is bounded (eq. 4), together with the lobes' gain at both ends; lobes
+// take their part from the layers below them.
+FN v3 light_brings(const Scene* scene, global const float* light, v3 p, v3 n, const PointLobe* lobe, vf clamp_to,
+                   vf* inverse_out, v3* glossy) {
+  v3 flux = uniform3(light[VPL_FLUX], light[VPL_FLUX + 1], light[VPL_FLUX + 2]);
+  *glossy = splat3(zero_f());
+  vf at_point, side, inverse;
+#ifdef NEED_LOBE
+  uint light_table = ((global const uint*)light)[VPL_TABLE];
+  uint rough_light = light[VPL_ALPHA] > 0.0f;
+  if (!lobe->lobes && !rough_light) {
+    vf g = plain_geometry(light, p, n, clamp_to, &at_point, &side, &inverse);
+    *inverse_out = inverse;
+    vf r = sqrt(inverse);
+    if (lobe->tables) g *= left_at(scene, lobe->table, lobe->table_row, at_point * r);
+    if (light_table != GLEANER_NONE) g *= left_at(scene, (vu)light_table, (vf)light[VPL_ROW], side * r);
+    return scale3(flux, g);
+  }
+  vf g = plain_geometry(light, p, n, (vf)INFINITY, &at_point, &side, &inverse);
+  *inverse_out = inverse;
+  vi facing = g > zero_f();
+  vf r = sqrt(inverse), gain = one_f(), cosine = pick(one_f(), side * r, facing);
+  vf left = light_table != GLEANER_NONE ? left_at(scene, (vu)light_table, (vf)light[VPL_ROW], cosine) : one_f();
+  v3 q = uniform3(light[VPL_POSITION], light[VPL_POSITION + 1], light[VPL_POSITION + 2]);
+  v3 toward = scale3(sub3(q, p), r);
+  if (rough_light) {
+    v3 normal = uniform3(light[VPL_NORMAL], light[VPL_NORMAL + 1], light[VPL_NORMAL + 2]);
+    v3 incoming = uniform3(light[VPL_INCOMING], light[VPL_INCOMING + 1], light[VPL_INCOMING + 2]);
+    v3 sent = uniform3(light[VPL_SENT], light[VPL_SENT + 1], light[VPL_SENT + 2]);
+    v3 f0 = uniform3(light[VPL_F0], light[VPL_F0 + 1], light[VPL_F0 + 2]);
+    vf f90 = (vf)light[VPL_F90];
+    v3 value = rough_lobe(f0, f90, (vf)light[VPL_ALPHA], normal, incoming, negate3(toward));
+    v3 mean = mul3(sent, mean_lobe(f0, f90, dot3(normal, incoming)));
+    // A cluster's members may be of other materials.
+    v3 layer =
+        make3(max_f(flux.x - mean.x, zero_f()), max_f(flux.y - mean.y, zero_f()), max_f(flux.z - mean.z, zero_f()));
+    flux = add3(scale3(layer, left), mul3(sent, value));
+    gain = lobe_gain(value);
+  } else {
+    flux = scale3(flux, left);
+  }
+  v3 own = splat3(zero_f());
+  if (lobe->lobes) {
+    own = rough_lobe(lobe->f0, lobe->f90, pick(one_f(), lobe->alpha, lobe->rough), n, lobe->view, toward);
+    own = pick3(splat3(zero_f()), own, lobe->rough & facing);
+    gain *= lobe_gain(own);
+  }
+  g = pick(zero_f(), min_f(g, clamp_to / gain), facing);
+  flux = pick3(splat3(zero_f()), scale3(flux, g), facing);
+  if (lobe->lobes) *glossy = mul3(flux, mul3(own, lobe->throughput));
+  if (lobe->tables)
+    flux = scale3(flux, left_at(scene, lobe->table, lobe->table_row, pick(one_f(), at_point * r, facing)));
+  return flux;
+#else
+  vf g = plain_geometry(light, p, n, clamp_to, &at_point, &side, &inverse);
+  *inverse_out = inverse;
+  return scale3(flux, g);
+#endif
 }
 
 // A cluster nearer than so many times its radius shines from its members' places, not from its representative's. On
@@ -748,7 +863,7 @@ kernel WIDE void vpl_gather(global const VplPointParameters* restrict parameters
                             uint count, global const float* restrict lights, uint width, uint slices,
                             global const uint* restrict bits, uint row_words, global const uint* restrict rows,
                             global const float* restrict weights, uint behind, global float* restrict radiance,
-                            global float* restrict level) {
+                            global float* restrict level, global const float* restrict lobes) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
   if (first_lane >= count) return;
@@ -762,13 +877,11 @@ kernel WIDE void vpl_gather(global const VplPointParameters* restrict parameters
   vf w[16];
   load_words(points, point * POINT_WORDS, w);
   active = active & (as_vu(w[POINT_TRIANGLE]) != GLEANER_NONE);
-  v3 sum = splat3(zero_f());
+  v3 sum = splat3(zero_f()), glossy = sum;
   vf unshadowed = zero_f();
   if (any_lane(active)) {
     v3 p = words3(w, POINT_POSITION), n = words3(w, POINT_NORMAL);
-    vu table = pick_u((vu)GLEANER_NONE, as_vu(w[POINT_TABLE]), active);
-    vf table_row = pick(zero_f(), w[POINT_ROW], active);
-    uint lobed = any_lane(table != GLEANER_NONE) ? 1u : 0u;
+    PointLobe lobe = load_point_lobe(w, lobes, point, active);
     uint words = width / 32u;
     uint slice = (leader >> 4) & (slices - 1u);
     vf clamp_to = (vf)parameters->clamp;
@@ -797,23 +910,27 @@ kernel WIDE void vpl_gather(global const VplPointParameters* restrict parameters
         vf visible = zero_f();
         for (uint f = 0; f < FUZZINESS; ++f) visible += pick(zero_f(), weight[f], (seen[f] & (1u << k)) != 0u);
         vf inverse;
-        vf whole = light_geometry(scene, light, p, n, lobed, table, table_row, clamp_to, &inverse);
-        v3 brought = scale3(light_flux(light), whole);
+        v3 gloss;
+        v3 brought = light_brings(scene, light, p, n, &lobe, clamp_to, &inverse, &gloss);
         vi near = active & is_near(light, inverse);
         if (any_lane(near)) {
-          v3 all = splat3(zero_f());
+          v3 all = splat3(zero_f()), all_gloss = all;
           global const float* member = lights + (ulong)VPL_WORDS * first_member(light);
-          for (uint left = light_members(light); left; --left, member += VPL_WORDS)
-            all = mad3(light_flux(member),
-                       light_geometry(scene, member, p, n, lobed, table, table_row, clamp_to, &inverse), all);
+          for (uint left = light_members(light); left; --left, member += VPL_WORDS) {
+            v3 its_gloss;
+            all = add3(all, light_brings(scene, member, p, n, &lobe, clamp_to, &inverse, &its_gloss));
+            all_gloss = add3(all_gloss, its_gloss);
+          }
           brought = pick3(brought, all, near);
+          gloss = pick3(gloss, all_gloss, near);
         }
         sum = mad3(brought, visible, sum);
+        glossy = mad3(gloss, visible, glossy);
         unshadowed += brought.y;
       }
     }
     if (!own) store_f(level + first_lane, 0, pick(zero_f(), max_f(brightness(sum), LEAST_LIT * unshadowed), active));
-    sum = pick3(splat3(zero_f()), mul3(sum, words3(w, POINT_ALBEDO)), active);
+    sum = pick3(splat3(zero_f()), add3(mul3(sum, words3(w, POINT_ALBEDO)), glossy), active);
   } else if (!own) {
     store_f(level + first_lane, 0, zero_f());
   }
@@ -951,12 +1068,13 @@ kernel WIDE void vpl_doubt(global const VplPointParameters* restrict parameters,
   store_f(spacings + first_lane, 0, spacing);
 }
 
-// The rays for `count` doubts, by their places; and their terms: what flux the answer of each is worth.
+// The rays for `count` doubts, by their places; and their terms: what radiance the answer of each is worth, RGB.
 kernel WIDE void vpl_doubt_rays(global const VplPointParameters* restrict parameters, SCENE_PARAMETERS,
                                 global const float* restrict points, global const float* restrict lights,
                                 global const uint* restrict places, uint base, uint count,
                                 global const uint* restrict doubt_light, global const float* restrict spacings,
-                                global float* restrict rays, global float* restrict doubt_terms) {
+                                global float* restrict rays, global float* restrict doubt_terms,
+                                global const float* restrict lobes) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
   if (first_lane >= count) return;
@@ -970,29 +1088,57 @@ kernel WIDE void vpl_doubt_rays(global const VplPointParameters* restrict parame
   vu doubt = gather_u(doubt_light, place);
   vu at = (doubt & (vu)DOUBT_LIGHT) * VPL_WORDS;
   load_words(lights, at, l);
-  load_words(lights + 8u, at, second);  // words 8 to 23
+  load_words(lights + 16u, at, second);
   vu triangle = as_vu(w[POINT_TRIANGLE]);
   load_words(scene->triangles, triangle * TRIANGLE_WORDS, t);
   v3 p0 = words3(t, TRIANGLE_P0);
   v3 e1 = sub3(words3(t, TRIANGLE_P1), p0), e2 = sub3(words3(t, TRIANGLE_P2), p0), error;
-  v3 p = words3(w, POINT_POSITION), q = words3(l, VPL_POSITION);
+  v3 p = words3(w, POINT_POSITION), n = words3(w, POINT_NORMAL), q = words3(l, VPL_POSITION);
+  v3 light_normal = words3(l, VPL_NORMAL), flux = words3(l, VPL_FLUX);
+  vf clamp_to = (vf)parameters->clamp;
   vf at_point, side, inverse;
-  vf g = bounded_geometry(p, words3(w, POINT_NORMAL), q, words3(l, VPL_NORMAL), words3(l, VPL_GEOMETRIC),
-                          (vf)parameters->clamp, &at_point, &side, &inverse);
-  vf bright = brightness(words3(l, VPL_FLUX)) * pick(one_f(), (vf)AGREED, (doubt & DOUBT_AGREED) != 0u);
+  vf g = bounded_geometry(p, n, q, light_normal, words3(l, VPL_GEOMETRIC), clamp_to, &at_point, &side, &inverse);
+  vf stake = g * brightness(flux) * pick(one_f(), (vf)AGREED, (doubt & DOUBT_AGREED) != 0u);
   // One that came by lot stands for as much as lies between two marks.
-  vf term = pick(gather_f(spacings, point) / bright, g * pick(one_f(), (vf)(float)THINNED, (doubt & DOUBT_THIN) != 0u),
-                 (doubt & DOUBT_CERTAIN) != 0u);
+  vf times = pick(gather_f(spacings, point) / stake, pick(one_f(), (vf)(float)THINNED, (doubt & DOUBT_THIN) != 0u),
+                  (doubt & DOUBT_CERTAIN) != 0u);
+  v3 glossy = splat3(zero_f());
 #ifdef NEED_LOBE
-  vf r = sqrt(inverse);
-  term *= left_at(scene, as_vu(w[POINT_TABLE]), w[POINT_ROW], at_point * r) *
-          left_at(scene, as_vu(l[VPL_TABLE]), second[VPL_ROW - 8u], side * r);
+  // As light_brings(), of a light a lane.
+  PointLobe lobe = load_point_lobe(w, lobes, point, active);
+  vf r = sqrt(inverse), gain = one_f(), alpha = second[VPL_ALPHA - 16u];
+  vi rough_light = alpha > zero_f();
+  v3 toward = scale3(sub3(q, p), r);
+  v3 layer = flux, sent = splat3(zero_f());
+  if (any_lane(rough_light)) {
+    v3 incoming = words3(second, VPL_INCOMING - 16u), f0 = words3(second, VPL_F0 - 16u);
+    vf f90 = second[VPL_F90 - 16u];
+    v3 value = rough_lobe(f0, f90, pick(one_f(), alpha, rough_light), light_normal, incoming, negate3(toward));
+    v3 mean = mul3(words3(second, VPL_SENT - 16u), mean_lobe(f0, f90, dot3(light_normal, incoming)));
+    mean = pick3(splat3(zero_f()), mean, rough_light);
+    layer = make3(max_f(flux.x - mean.x, zero_f()), max_f(flux.y - mean.y, zero_f()), max_f(flux.z - mean.z, zero_f()));
+    sent = pick3(sent, mul3(words3(second, VPL_SENT - 16u), value), rough_light);
+    gain = pick(gain, lobe_gain(value), rough_light);
+  }
+  flux = mad3(layer, left_at(scene, as_vu(l[VPL_TABLE]), l[VPL_ROW], side * r), sent);
+  v3 own = splat3(zero_f());
+  if (lobe.lobes) {
+    own = rough_lobe(lobe.f0, lobe.f90, pick(one_f(), lobe.alpha, lobe.rough), n, lobe.view, toward);
+    own = pick3(splat3(zero_f()), own, lobe.rough);
+    gain *= lobe_gain(own);
+  }
+  g = bounded_geometry(p, n, q, light_normal, words3(l, VPL_GEOMETRIC), clamp_to / gain, &at_point, &side, &inverse);
+  glossy = mul3(mul3(flux, own), lobe.throughput);
+  flux = scale3(flux, left_at(scene, lobe.table, lobe.table_row, at_point * r));
 #endif
+  v3 term = scale3(add3(mul3(flux, words3(w, POINT_ALBEDO)), glossy), g * times);
   // Of lanes without a doubt the last one's is written once more, and the same.
-  scatter_f(doubt_terms, place, term);
+  scatter_f(doubt_terms, place * 3u, term.x);
+  scatter_f(doubt_terms, place * 3u + 1u, term.y);
+  scatter_f(doubt_terms, place * 3u + 2u, term.z);
   surface_point(p0, e1, e2, w[POINT_B1], w[POINT_B2], &error);
   v3 start, direction;
-  connect_light(p, error, normalize3(cross3(e1, e2)), q, words3(second, VPL_ERROR - 8u), words3(l, VPL_GEOMETRIC),
+  connect_light(p, error, normalize3(cross3(e1, e2)), q, words3(second, VPL_ERROR - 16u), words3(l, VPL_GEOMETRIC),
                 &start, &direction);
   active = active & finite3(start) & finite3(direction);
   set_visibility_ray(rays, block, start, direction, active, triangle);
@@ -1000,23 +1146,21 @@ kernel WIDE void vpl_doubt_rays(global const VplPointParameters* restrict parame
 
 // What the answers change, point by point, doubt by doubt: at once where the light was asked for certain. What was
 // asked by lot goes to `sampled`, its sum and the sum of its squared luminance.
-kernel void vpl_settle(global const float* restrict points, uint count, global const uint* restrict firsts,
-                       global const uint* restrict counts, global const uint* restrict doubt_light,
-                       global const float* restrict doubt_terms, global const uint* restrict answers,
-                       global const float* restrict lights, uint clusters, global const uint* restrict bits,
-                       uint row_words, global const uint* restrict rows, global const float* restrict weights,
-                       global float* restrict radiance, global float* restrict sampled) {
+kernel void vpl_settle(uint count, global const uint* restrict firsts, global const uint* restrict counts,
+                       global const uint* restrict doubt_light, global const float* restrict doubt_terms,
+                       global const uint* restrict answers, global const float* restrict lights, uint clusters,
+                       global const uint* restrict bits, uint row_words, global const uint* restrict rows,
+                       global const float* restrict weights, global float* restrict radiance,
+                       global float* restrict sampled) {
   uint point = (uint)get_global_id(0);
   if (point >= count) return;
   float certain[3] = {0, 0, 0}, by_lot[3] = {0, 0, 0}, square = 0;
-  global const float* albedo = points + (ulong)POINT_WORDS * point + POINT_ALBEDO;
   ulong member = (ulong)FUZZINESS * (point / LANES * LANES) + point % LANES;
   for (uint k = 0; k < counts[point]; ++k) {
     uint place = point * MOST_DOUBTS + k;
     uint doubt = doubt_light[place], row = doubt & DOUBT_LIGHT;
-    global const float* light = lights + (ulong)VPL_WORDS * row + VPL_FLUX;
     // Of a member the clusters told what they told of its cluster.
-    if (row >= clusters) row = ((global const uint*)light)[VPL_FIRST - VPL_FLUX];
+    if (row >= clusters) row = ((global const uint*)lights)[(ulong)VPL_WORDS * row + VPL_FIRST];
     float told = 0;
     for (uint f = 0; f < FUZZINESS; ++f) {
       float weight = weights[member + f * LANES];
@@ -1025,9 +1169,8 @@ kernel void vpl_settle(global const float* restrict points, uint count, global c
     }
     uint ray = firsts[point] + k;
     float seen = (answers[ray >> 5] >> (ray & 31u)) & 1u ? 1.0f : 0.0f;
-    float change = doubt_terms[place] * (seen - told);
     float brought[3];
-    for (uint c = 0; c < 3; ++c) brought[c] = light[c] * albedo[c] * change;
+    for (uint c = 0; c < 3; ++c) brought[c] = doubt_terms[3 * place + c] * (seen - told);
     if (doubt & DOUBT_BY_LOT) {
       float much = brightness_of(brought[0], brought[1], brought[2]);
       square += much * much;

@@ -46,6 +46,14 @@ std::shared_ptr<const Bytes> bytes_of(const std::vector<float>& values) {
   return bytes;
 }
 
+// All that a light's row says of how bright it is.
+void scale_flux(float* row, double by) {
+  for (unsigned k = 0; k < 3; ++k) {
+    row[VPL_FLUX + k] = static_cast<float>(row[VPL_FLUX + k] * by);
+    row[VPL_SENT + k] = static_cast<float>(row[VPL_SENT + k] * by);
+  }
+}
+
 double luminance(const float* c) { return 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2]; }
 
 // In [0, 1): the systematic resampling's offset, another one for each set.
@@ -175,7 +183,7 @@ void VplPlan::absorb_lights(std::uint32_t set, const Bytes& records, Step& step)
   for (std::size_t at = 0; at < records.size(); at += stride) {
     std::array<float, VPL_WORDS> row;
     std::memcpy(row.data(), records.data() + at, stride);
-    for (unsigned k = 0; k < 3; ++k) row[VPL_FLUX + k] = static_cast<float>(row[VPL_FLUX + k] / paths);
+    scale_flux(row.data(), 1 / paths);
     const double sum = double{row[VPL_FLUX]} + row[VPL_FLUX + 1] + row[VPL_FLUX + 2];
     if (!(sum > 0)) continue;
     weight.push_back(std::max(luminance(&row[VPL_FLUX]), 1e-3 * sum));
@@ -202,7 +210,7 @@ void VplPlan::absorb_lights(std::uint32_t set, const Bytes& records, Step& step)
       rows.insert(rows.end(), all.begin() + static_cast<std::ptrdiff_t>(i * VPL_WORDS),
                   all.begin() + static_cast<std::ptrdiff_t>((i + 1) * VPL_WORDS));
       const double scale = times * part / weight[i];
-      for (unsigned k = 0; k < 3; ++k) rows[at + VPL_FLUX + k] = static_cast<float>(rows[at + VPL_FLUX + k] * scale);
+      scale_flux(&rows[at], scale);
     }
   }
   s.kept = static_cast<std::uint32_t>(rows.size() / VPL_WORDS);
@@ -286,7 +294,6 @@ void VplPlan::settle_lights(std::uint32_t set, std::vector<float> rows,
       static_cast<std::uint32_t>(std::max<std::size_t>(1, ((count + slices - 1) / slices + 31) / 32) * 32);
   s.rows = width * slices;
   std::vector<float> table(std::size_t{s.rows} * VPL_WORDS, 0.0f);
-  for (std::uint32_t i = 0; i < s.rows; ++i) std::memset(&table[std::size_t{i} * VPL_WORDS + VPL_TRIANGLE], 0xff, 4);
   std::vector<float> held;
   for (std::size_t i = 0; i < count; ++i) {
     const auto row = static_cast<std::uint32_t>((i % slices) * width + i / slices);

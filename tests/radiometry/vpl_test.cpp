@@ -146,6 +146,89 @@ INSTANTIATE_TEST_SUITE_P(Scenes, VplMeetsPath,
                            return name;
                          });
 
+// The boxes of cornell-glossy, so rough that VPLs light their lobes and are made by them; one is bare metal.
+std::shared_ptr<const Scene> rough_boxes() {
+  Scene scene = scene::make_scene("cornell-glossy", {});
+  for (auto& material : scene.materials)
+    if (material.roughness < 1) material.roughness = material.metallic > 0 ? 0.5f : 0.6f;
+  scene::finish_materials(scene);
+  return std::make_shared<const Scene>(scene);
+}
+
+TEST(Vpl, RoughLobesMeetThePathTracer) {
+  Frame vpl = frame_of("cornell-glossy", {}, {}, 24, 16,
+                       {{"vpl.count", "400"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}, {"vpl.sets", "2"}});
+  vpl.scene = rough_boxes();
+  Frame path = vpl;
+  path.settings.method = "path";
+  path.settings.spp = 256;
+  const Rendered made = render(vpl);
+  // Carriers and receivers are there.
+  const auto& traced = made.records.at("vpl.trace.0");
+  double sent = 0;
+  for (std::size_t at = 0; at < traced.size(); at += VPL_WORDS) {
+    const float* row = &traced[at];
+    sent += row[VPL_SENT];
+    // Of the metal's flux the lobe's part (mean_lobe() in kernels/bsdf.h) is all.
+    if (!(row[VPL_FLUX] > 0) || std::abs(row[VPL_ALPHA] - 0.25f) > 1e-6) continue;
+    double cosine = 0;
+    for (std::size_t k = 0; k < 3; ++k) cosine += row[VPL_NORMAL + k] * row[VPL_INCOMING + k];
+    const double grazing = std::pow(std::max(1 - cosine, 0.0), 5);
+    const double mean = (row[VPL_F0] + (row[VPL_F90] - row[VPL_F0]) * grazing) / 3.14159265358979;
+    ASSERT_NEAR(row[VPL_SENT] * mean / row[VPL_FLUX], 1, 1e-3) << "light " << at / VPL_WORDS;
+  }
+  EXPECT_GT(sent, 0);
+  const Sample truth = means_of(path, "G", 6);
+  expect_mean(means_of(vpl, "G", 10), truth.mean, "without clusters", kFamily / 2, 0.05, 3 * truth.standard_error());
+  // Not the mean alone: the metal box, which no diffuse layer lights.
+  const auto metal = [](const Film& film) {
+    double sum = 0;
+    for (std::uint32_t y = 10; y < 20; ++y)
+      for (std::uint32_t x = 6; x < 10; ++x) sum += film.find("indirect.R")->values[24 * y + x];
+    return sum / 40;
+  };
+  Sample boxes;
+  double box_truth = 0;
+  for (unsigned seed = 1; seed <= 40; ++seed) {
+    vpl.settings.seed = path.settings.seed = seed;
+    boxes.add(metal(render(vpl).film));
+    box_truth += metal(render(path).film) / 40;
+  }
+  expect_mean(boxes, box_truth, "on the metal box", kFamily / 2, 0.05, 0.01 * box_truth);
+}
+
+// Clusters, and what points ask themselves, light rough lobes as all pairs do.
+TEST(Vpl, ClustersLightRoughLobes) {
+  const Settings base = {{"vpl.count", "800"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}};
+  Frame frame = frame_of("cornell-glossy", {}, {}, 32, 1, base);
+  frame.scene = rough_boxes();
+  const auto exact = render(frame).records.at("vpl.shade.0");
+  frame.settings.set["vpl.point_clusters"] = "100";
+  frame.settings.set["vpl.doubt"] = "0.0001";
+  const auto asked = render(frame).records.at("vpl.shade.0");
+  frame.settings.set["vpl.clusters"] = "200";
+  frame.settings.set["vpl.clamp"] = "0.4";
+  const auto clustered = render(frame).records.at("vpl.shade.0");
+  // On the metal box, which no diffuse layer lights, and in all.
+  const auto error = [&](const std::vector<float>& shaded, bool box) {
+    double square = 0, mean = 0, n = 0;
+    for (std::uint32_t i = 0; i < exact.size(); ++i) {
+      const std::uint32_t x = i / 3 % 32, y = i / 96;
+      if (box && (x < 8 || x >= 13 || y < 14 || y >= 26)) continue;
+      square += std::pow(shaded[i] - exact[i], 2);
+      mean += exact[i];
+      ++n;
+    }
+    return std::sqrt(square / n) / (mean / n);
+  };
+  std::printf("  RMSE over the mean: %.4f (box %.4f) with point clusters, %.4f (%.4f) with both\n", error(asked, false),
+              error(asked, true), error(clustered, false), error(clustered, true));
+  EXPECT_LT(error(asked, false), 0.04);
+  EXPECT_LT(error(asked, true), 0.01);
+  EXPECT_LT(error(clustered, false), 0.12);
+  EXPECT_LT(error(clustered, true), 0.2);
+}
+
 TEST(Vpl, DarkRoomsStayDark) {
   // Both dark rooms lie behind a wall of 1 cm.
   for (const char* camera : {"behind the sheet", "behind the box"})

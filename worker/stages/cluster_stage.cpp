@@ -216,7 +216,7 @@ void write_clusters(const KMeans& means, const std::vector<std::uint32_t>& assig
   const std::size_t count = data.size() / stride;
   std::vector<double> nearest(clusters, std::numeric_limits<double>::infinity());
   std::vector<std::uint32_t> chosen(clusters, GLEANER_NONE), members(clusters, 0);
-  std::vector<double> flux(clusters * 3, 0.0);
+  std::vector<double> flux(clusters * 3, 0.0), sent(clusters * 3, 0.0);
   for (std::size_t i = 0; i < count; ++i) {
     const std::uint32_t k = assigned[i];
     const double d = distance2(means.centroid(k), &data[i * stride]);
@@ -225,8 +225,10 @@ void write_clusters(const KMeans& means, const std::vector<std::uint32_t>& assig
       chosen[k] = static_cast<std::uint32_t>(i);
     }
     ++members[k];
-    if (lights)
-      for (unsigned c = 0; c < 3; ++c) flux[3 * k + c] += data[i * stride + VPL_FLUX + c];
+    for (unsigned c = 0; lights && c < 3; ++c) {
+      flux[3 * k + c] += data[i * stride + VPL_FLUX + c];
+      sent[3 * k + c] += data[i * stride + VPL_SENT + c];
+    }
   }
   if (lights && draw) {
     std::vector<double> aim(clusters), sum(clusters, 0.0);
@@ -254,7 +256,10 @@ void write_clusters(const KMeans& means, const std::vector<std::uint32_t>& assig
     if (chosen[k] == GLEANER_NONE) continue;
     float* row = &rows[k * stride];
     if (lights) {
-      for (unsigned c = 0; c < 3; ++c) row[VPL_FLUX + c] = static_cast<float>(flux[3 * k + c]);
+      for (unsigned c = 0; c < 3; ++c) {
+        row[VPL_FLUX + c] = static_cast<float>(flux[3 * k + c]);
+        row[VPL_SENT + c] = static_cast<float>(sent[3 * k + c]);
+      }
       row[VPL_RADIUS] = static_cast<float>(std::sqrt(reach[k]));
       row[VPL_COS] = least[k];
       row[VPL_COUNT] = static_cast<float>(members[k]);
@@ -292,7 +297,7 @@ BatchResult run_cluster_stage(const Device& device, Workspace& workspace, Device
   for (std::size_t at = 0; at < input->second->size(); at += stride * 4) {
     std::memcpy(row.data(), input->second->data() + at, stride * 4);
     std::uint32_t triangle = GLEANER_NONE;
-    std::memcpy(&triangle, &row[lights ? VPL_TRIANGLE : POINT_TRIANGLE], 4);
+    if (!lights) std::memcpy(&triangle, &row[POINT_TRIANGLE], 4);
     const bool holds =
         lights ? row[VPL_FLUX] > 0 || row[VPL_FLUX + 1] > 0 || row[VPL_FLUX + 2] > 0 : triangle != GLEANER_NONE;
     if (!holds) continue;

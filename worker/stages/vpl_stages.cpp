@@ -288,6 +288,9 @@ class PointLane : public Lane {
     walk_.setArg(walk_first_ + 1, paths_);
     walk_.setArg(walk_first_ + 2, points_);
     walk_.setArg(walk_first_ + 3, counters_buffer_);
+    lobes_ = take("lobes", (by_point ? 1 : capacity_ + RAY_BLOCK) * LOBE_WORDS * 4);
+    walk_.setArg(walk_first_ + 4, static_cast<cl_uint>(!by_point));
+    walk_.setArg(walk_first_ + 5, lobes_);
   }
 
   void run(BatchResult& result) {
@@ -314,7 +317,7 @@ class PointLane : public Lane {
 
   std::uint32_t capacity_;
   cl::Kernel generate_, walk_;
-  cl::Buffer paths_, points_;
+  cl::Buffer paths_, points_, lobes_;
   unsigned walk_first_ = 0;
 };
 
@@ -509,7 +512,6 @@ cl::Buffer put_lights(Batch& batch, cl::CommandQueue& queue, const scene::Bytes&
   if (rows.size() % stride != 0 || all > DOUBT_LIGHT)
     throw Error::bad_input("stage " + task.kind, "input members", "rows of " + std::to_string(stride) + " bytes",
                            std::to_string(rows.size() - lights.size()) + " bytes");
-  check_triangles(task, "lights and members", rows, VPL_WORDS, VPL_TRIANGLE, batch.scene.triangles());
   for (std::size_t row = 0; row < all; ++row) {
     float radius = 0, count = 0;
     std::uint32_t first = 0;
@@ -615,6 +617,7 @@ class ShadeLane : public PointLane {
     gather_.setArg(at + 12, radiance_);
     level_ = take("level", room * 4);
     gather_.setArg(at + 13, level_);
+    gather_.setArg(at + 14, lobes_);
     sampled_ = take("sampled", room * 16);
     if (!asks_alone_) prepare_doubts(room);
     resolve_.setArg(0, batch.parameters);
@@ -668,7 +671,7 @@ class ShadeLane : public PointLane {
   void prepare_doubts(std::size_t room) {
     const std::size_t most = room * MOST_DOUBTS;
     doubt_lights_ = take("doubt.lights", (most + 1) * 4);
-    doubt_terms_ = take("doubt.terms", (most + 1) * 4);
+    doubt_terms_ = take("doubt.terms", (most + 1) * 12);
     doubt_spacings_ = take("doubt.spacings", room * 4);
     doubt_counts_ = take("doubt.counts", room * 4);
     doubt_firsts_ = take("doubt.firsts", room * 4);
@@ -698,20 +701,20 @@ class ShadeLane : public PointLane {
     doubt_rays_.setArg(at + 6, doubt_spacings_);
     doubt_rays_.setArg(at + 7, asker_.rays());
     doubt_rays_.setArg(at + 8, doubt_terms_);
-    settle_.setArg(0, points_);
-    settle_.setArg(2, doubt_firsts_);
-    settle_.setArg(3, doubt_counts_);
-    settle_.setArg(4, doubt_lights_);
-    settle_.setArg(5, doubt_terms_);
-    settle_.setArg(6, doubt_answers_);
-    settle_.setArg(7, tables_.lights);
-    settle_.setArg(8, p_.clusters);
-    settle_.setArg(9, tables_.bits);
-    settle_.setArg(10, tables_.row_words);
-    settle_.setArg(11, rows_);
-    settle_.setArg(12, weights_);
-    settle_.setArg(13, radiance_);
-    settle_.setArg(14, sampled_);
+    doubt_rays_.setArg(at + 9, lobes_);
+    settle_.setArg(1, doubt_firsts_);
+    settle_.setArg(2, doubt_counts_);
+    settle_.setArg(3, doubt_lights_);
+    settle_.setArg(4, doubt_terms_);
+    settle_.setArg(5, doubt_answers_);
+    settle_.setArg(6, tables_.lights);
+    settle_.setArg(7, p_.clusters);
+    settle_.setArg(8, tables_.bits);
+    settle_.setArg(9, tables_.row_words);
+    settle_.setArg(10, rows_);
+    settle_.setArg(11, weights_);
+    settle_.setArg(12, radiance_);
+    settle_.setArg(13, sampled_);
   }
 
   // Points ask for some lights themselves, and are put right by the answers.
@@ -739,7 +742,7 @@ class ShadeLane : public PointLane {
       asker_.answer(range, count, base, doubt_answers_, counters);
     }
     counters.shadow += places.size();
-    settle_.setArg(1, paths);
+    settle_.setArg(0, paths);
     launch(settle_, paths, capacity_, 1);
     queue_.finish();
   }
@@ -824,7 +827,6 @@ BatchResult run_vpl_visibility_stage(const Device& device, Workspace& workspace,
   const auto& tables = kept_tables<VisibilityTables>(batch, "vpl.visibility", [&] {
     const scene::Bytes& lights = read_table(task, "lights", p.clusters, VPL_WORDS);
     const scene::Bytes& points = read_table(task, "points", p.point_clusters, POINT_WORDS);
-    check_triangles(task, "lights", lights, VPL_WORDS, VPL_TRIANGLE, scene.triangles());
     check_triangles(task, "points", points, POINT_WORDS, POINT_TRIANGLE, scene.triangles());
     cl::CommandQueue queue = device.make_queue();
     return VisibilityTables{batch.put(queue, "vpl.visibility.lights", lights.data(), lights.size()),
