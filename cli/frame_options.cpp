@@ -8,6 +8,7 @@
 #include <numbers>
 #include <optional>
 
+#include "coordinator/plan/way_points.h"
 #include "scene/import/import.h"
 #include "scene/model/error.h"
 
@@ -218,6 +219,7 @@ LoadedFrame load_frame(const FrameOptions& options) {
       moved.half_width = moved.half_height * static_cast<float>(settings.width) / static_cast<float>(settings.height);
       frame.cameras.push_back(moved);
     }
+  settings.way = coordinator::way_of(frame.cameras);
   scene::SceneNeeds needs = scene::needs_of(frame.scene);
   if (!needs.punctual_lights && !needs.emissive_triangles && !needs.environment && !needs.unlit)
     words.push_back(options.scene + ": no light; the picture will be black (--environment FILE lights a scene)");

@@ -14,6 +14,7 @@
 #include "coordinator/film/write.h"
 #include "coordinator/jobs/frame.h"
 #include "coordinator/jobs/report.h"
+#include "coordinator/plan/way_points.h"
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {
@@ -38,7 +39,7 @@ struct Worker {
 
 struct Cancelled {};
 
-// The job's settings, with the camera that sees this frame.
+// The job's settings, with the camera that sees this frame; the way on which it lies was put there by submit().
 FrameSettings settings_of(const JobRequest& request, std::uint32_t frame) {
   FrameSettings settings = request.settings;
   if (!request.cameras.empty()) settings.camera = request.cameras[frame - request.first_frame];
@@ -740,10 +741,10 @@ std::string Farm::submit(const JobRequest& request) {
                        std::to_string(request.cameras.size()));
   for (const std::string& id : {request.scene_blob, request.bvh_blob})
     if (!id.empty() && !impl_->blobs.has(id)) throw Error::bad_input("blob " + id, "", "to be uploaded first");
-  std::shared_ptr<Plan> plan = impl_->settings.plan(settings_of(request, request.first_frame), request.scene);
   auto job = std::make_shared<Job>();
   job->request = request;
-  job->plan = std::move(plan);
+  if (!request.cameras.empty()) job->request.settings.way = way_of(request.cameras);
+  job->plan = impl_->settings.plan(settings_of(job->request, request.first_frame), request.scene);
   job->submitted_unix_seconds =
       std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
   impl_->join_ended_threads();

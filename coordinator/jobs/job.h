@@ -18,9 +18,10 @@ struct JobRequest {
   SceneSummary scene;
   FrameSettings settings;
   std::uint32_t first_frame = 1, last_frame = 1;  // inclusive
-  std::vector<scene::Camera> cameras;             // one a frame, or none: all are seen by the settings' camera
-  double exposure_stops = 0;                      // of the PNG
-  double time_limit = 0;  // seconds from acceptance after which the frame is finished with what there is; 0 = none
+  // One a frame, the settings' way is then theirs; or none: all are seen by the settings' camera.
+  std::vector<scene::Camera> cameras;
+  double exposure_stops = 0;  // of the PNG
+  double time_limit = 0;      // seconds from acceptance after which the frame is finished with what there is; 0 = none
 };
 
 enum class JobState { queued, running, done, failed, cancelled };

@@ -24,6 +24,16 @@ constexpr std::uint32_t kIterations = 6;
 // Points looked at for each point cluster (the paper's down-sampling).
 constexpr std::uint64_t kPointsPerCluster = 8;
 constexpr std::uint32_t kMostPaths = 1u << 16;
+// Of a way's cameras together, so that their records stay well within what a coordinator keeps (64 MiB), and are soon
+// merged; but of no camera less than a few points a cluster.
+constexpr std::uint64_t kMostWayPoints = 1u << 20;
+constexpr std::uint64_t kFewPointsPerCluster = 4;
+// Where these are more than so many (256 MiB), fewer cameras stand for the way.
+constexpr std::uint64_t kWayPointsLimit = 4 * kMostWayPoints;
+// How many times a single camera's point clusters a way may have, and how much all sets' visibility may then take.
+constexpr std::uint64_t kMostGrowth = 16;
+constexpr std::uint64_t kMostPointClusters = std::uint64_t{1} << 22;  // as of vpl.point_clusters
+constexpr std::uint64_t kMostVisibilityBytes = std::uint64_t{128} << 20;
 // Lights' stages wait for each other, the paths for nothing: these fill what those leave free.
 constexpr int kFirst = 1;
 
@@ -32,6 +42,13 @@ Bytes bytes_of(const Parameters& parameters) {
   Bytes bytes(sizeof parameters);
   std::memcpy(bytes.data(), &parameters, sizeof parameters);
   return bytes;
+}
+
+template <typename Parameters>
+Parameters parameters_of(const Bytes& bytes) {
+  Parameters parameters;
+  std::memcpy(&parameters, bytes.data(), sizeof parameters);
+  return parameters;
 }
 
 std::vector<float> floats_of(const Bytes& bytes) {
@@ -108,6 +125,10 @@ VplPlan::Table VplPlan::table_of(std::shared_ptr<const Bytes> bytes) {
 
 VplPlan::VplPlan(const FrameSettings& settings, const SceneSummary& scene)
     : settings_(settings), scene_(scene), vpl_(make_vpl_settings(settings)), sets_(vpl_.sets) {
+  const std::uint64_t cameras = std::max<std::uint64_t>(2, kWayPointsLimit / std::min(pixels(), points_of_a_camera()));
+  if (settings_.way.size() > cameras) settings_.way = way_of(settings_.way, cameras);
+  seen_.resize(settings_.way.size());
+  point_clusters_ = vpl_.point_clusters;
   sum_.assign(pixels() * 3, 0.0f);
   preview_.assign(pixels() * 3, 0.0f);
   if (vpl_.sets > 1) square_.assign(pixels() * 3, 0.0f);
@@ -151,9 +172,25 @@ VplPointParameters point_parameters(const FrameSettings& settings, const VplSett
 
 }  // namespace
 
+// How many points are wanted of one camera.
+std::uint64_t VplPlan::points_of_a_camera() const {
+  const std::uint64_t clusters = vpl_.point_clusters, cameras = std::max<std::size_t>(1, settings_.way.size());
+  const std::uint64_t most = std::max(kMostWayPoints / cameras, kFewPointsPerCluster * clusters);
+  return std::max<std::uint64_t>(
+      1, settings_.way.empty() ? kPointsPerCluster * clusters : std::min(kPointsPerCluster * clusters, most));
+}
+
+// How many point clusters a way may have.
+std::uint64_t VplPlan::most_way_clusters() const {
+  const std::uint64_t lights = std::uint64_t{vpl_.sets} * (vpl_.clusters ? vpl_.clusters : vpl_.count);
+  const std::uint64_t most =
+      std::min({kMostGrowth * vpl_.point_clusters, kMostVisibilityBytes * 8 / lights, kMostPointClusters});
+  return std::max<std::uint64_t>(most, vpl_.point_clusters);
+}
+
 StageSpec VplPlan::points() const {
   VplPointParameters p = point_parameters(settings_, vpl_);
-  const std::uint64_t wanted = std::max<std::uint64_t>(1, kPointsPerCluster * vpl_.point_clusters);
+  const std::uint64_t wanted = points_of_a_camera();
   p.stride = static_cast<std::uint32_t>(std::max<std::uint64_t>(1, pixels() / wanted));
   // Neither even nor a divisor of the width: points in columns would leave the rest of the picture unseen.
   if (p.stride > 1) {
@@ -169,6 +206,17 @@ StageSpec VplPlan::points() const {
   spec.tile = 16;
   spec.parameters = bytes_of(p);
   spec.record_bytes = POINT_WORDS * 4;
+  return spec;
+}
+
+// Of the way's camera of that number: nothing in it tells which frame asks.
+StageSpec VplPlan::way_points(std::size_t camera) const {
+  StageSpec spec = points();
+  auto p = parameters_of<VplPointParameters>(spec.parameters);
+  p.camera = settings_.way[camera];
+  spec.name += "." + std::to_string(camera);
+  spec.parameters = bytes_of(p);
+  spec.keep = true;
   return spec;
 }
 
@@ -350,11 +398,33 @@ void VplPlan::begin_paths(Step& step) {
 }
 
 void VplPlan::absorb_points(std::shared_ptr<const Bytes> records, Step& step) {
-  StageSpec spec = cluster(step, "points", table_of(std::move(records)), cluster_parameters(vpl_.point_clusters));
+  StageSpec spec = cluster(step, "points", table_of(std::move(records)), cluster_parameters(point_clusters_));
   spec.name = "vpl.point_cluster";
   spec.kind = "point_cluster";
   spec.record_bytes = POINT_WORDS * 4;
+  spec.keep = !settings_.way.empty();
   step.stages.push_back(std::move(spec));
+}
+
+void VplPlan::absorb_way_points(std::size_t camera, std::shared_ptr<const Bytes> records, Step& step) {
+  if (camera >= seen_.size() || seen_[camera].rows)
+    throw Error::failed("plan vpl: vpl.points." + std::to_string(camera) + " was not asked for");
+  seen_[camera] = {settings_.way[camera], std::move(records)};
+  if (++seen_cameras_ < seen_.size()) return;
+  WayPoints merged = merge_points(seen_);
+  seen_.clear();
+  merged_points_ = merged.points;
+  if (merged.points == 0) {
+    absorb_point_clusters({}, step);
+    return;
+  }
+  // As many points a cluster as of the camera that sees most.
+  const std::uint64_t most = std::max<std::uint64_t>(1, merged.most_of_a_camera);
+  const auto grown = static_cast<std::uint64_t>(std::llround(
+      static_cast<double>(vpl_.point_clusters) * static_cast<double>(merged.points) / static_cast<double>(most)));
+  point_clusters_ =
+      static_cast<std::uint32_t>(std::clamp<std::uint64_t>(grown, vpl_.point_clusters, most_way_clusters()));
+  absorb_points(std::make_shared<const Bytes>(std::move(merged.rows)), step);
 }
 
 void VplPlan::absorb_point_clusters(const Bytes& records, Step& step) {
@@ -393,6 +463,7 @@ void VplPlan::ask_visibility(std::uint32_t set, Step& step) {
   spec.parameters = bytes_of(p);
   spec.inputs = {{"lights", s.lights.id}, {"points", points_.id}};
   spec.record_bytes = (s.rows / 32 + VISIBILITY_COUNTS) * 4;
+  spec.keep = !settings_.way.empty();
   put(step, s.lights);
   put(step, points_);
   step.stages.push_back(std::move(spec));
@@ -452,10 +523,13 @@ Step VplPlan::next(const FinishedStage* finished) {
     }
     // One set after another, each begun while the one before is shaded: a frame whose time is up has whole sets.
     begin_set(0, step);
-    if (vpl_.point_clusters)
-      step.stages.push_back(points());
-    else
+    if (!vpl_.point_clusters) {
       points_ready_ = true;
+    } else if (settings_.way.empty()) {
+      step.stages.push_back(points());
+    } else {
+      for (std::size_t camera = 0; camera < settings_.way.size(); ++camera) step.stages.push_back(way_points(camera));
+    }
     return step;
   }
   const std::string& name = finished->name;
@@ -468,6 +542,8 @@ Step VplPlan::next(const FinishedStage* finished) {
     absorb_light_clusters(set_of(name), *finished->records, step);
   } else if (name == "vpl.points") {
     absorb_points(finished->records, step);
+  } else if (is("vpl.points.")) {
+    absorb_way_points(set_of(name), finished->records, step);
   } else if (name == "vpl.point_cluster") {
     absorb_point_clusters(*finished->records, step);
   } else if (is("vpl.visibility.")) {
@@ -573,6 +649,8 @@ std::string VplPlan::parameters_json() const {
   }
   vpl["made"] = made;
   vpl["kept"] = kept;
+  if (merged_points_)
+    vpl["way"] = {{"cameras", settings_.way.size()}, {"points", merged_points_}, {"point_clusters", point_clusters_}};
   vpl["light_clusters"] = clusters;
   json["vpl"] = vpl;
   return json.dump();
@@ -587,11 +665,17 @@ std::vector<std::string> VplPlan::outline() const {
     if (vpl_.clusters)
       lines.push_back("vpl.cluster: " + std::to_string(vpl_.clusters) + " clusters of VPLs, solo" + sets);
     if (vpl_.point_clusters) {
-      lines.push_back("vpl.points: " + std::to_string(points().items) + " points to be shaded, split");
-      lines.push_back("vpl.point_cluster: " + std::to_string(vpl_.point_clusters) + " clusters of them, solo");
-      lines.push_back("vpl.visibility: " + std::to_string(vpl_.point_clusters) +
-                      " point clusters, each against all of " + (vpl_.clusters ? "the VPL clusters" : "the VPLs") +
-                      ", split" + sets);
+      const bool way = !settings_.way.empty();
+      const std::string cameras =
+          way ? " for each of " + std::to_string(settings_.way.size()) + " cameras of the way" : "";
+      const std::string shared = way ? "; made once for all its frames" : "";
+      const std::string clusters =
+          std::to_string(vpl_.point_clusters) + (way ? " to " + std::to_string(most_way_clusters()) : "");
+      lines.push_back("vpl.points: " + std::to_string(points().items) + " points to be shaded" + cameras + ", split" +
+                      shared);
+      lines.push_back("vpl.point_cluster: " + clusters + " clusters of them, solo" + shared);
+      lines.push_back("vpl.visibility: " + clusters + " point clusters, each against all of " +
+                      (vpl_.clusters ? "the VPL clusters" : "the VPLs") + ", split" + sets + shared);
     }
     lines.push_back("vpl.shade: " + std::to_string(pixels()) + " pixels of " + std::to_string(vpl_.samples) +
                     " samples, split" + sets);

@@ -6,6 +6,10 @@
 //   vpl.visibility.S                  which light cluster sees which point cluster          path.N   what VPLs leave
 //   out vpl.shade.S                       every pixel's indirect light
 //
+// On a camera's way the points are those of several of its cameras, vpl.points.K, and all stages but the last line's
+// ask for the same in every frame: point clusters, and with them their errors, stay where they are while the camera
+// moves.
+//
 // Direct light and all that reaches a surface through mirrors, glass or a specular lobe comes from the path tracer,
 // whose paths end where a VPL would be (PathPlan, covered). Sets are independent of each other: their mean has less
 // error, and their differences tell how much.
@@ -16,6 +20,7 @@
 #include "coordinator/plan/path_plan.h"
 #include "coordinator/plan/plan.h"
 #include "coordinator/plan/vpl_settings.h"
+#include "coordinator/plan/way_points.h"
 #include "kernels/stage_records.h"
 
 namespace gleaner::coordinator {
@@ -52,9 +57,13 @@ class VplPlan final : public Plan {
   bool indirect() const { return settings_.depth != 1; }
   StageSpec trace(std::uint32_t set) const;
   StageSpec points() const;
+  StageSpec way_points(std::size_t camera) const;
+  std::uint64_t points_of_a_camera() const;
+  std::uint64_t most_way_clusters() const;
   void absorb_lights(std::uint32_t set, const Bytes& records, Step& step);
   void absorb_light_clusters(std::uint32_t set, const Bytes& records, Step& step);
   void absorb_points(std::shared_ptr<const Bytes> records, Step& step);
+  void absorb_way_points(std::size_t camera, std::shared_ptr<const Bytes> records, Step& step);
   void absorb_point_clusters(const Bytes& records, Step& step);
   void settle_lights(std::uint32_t set, std::vector<float> rows, const std::vector<std::vector<std::uint32_t>>& members,
                      Step& step);
@@ -76,7 +85,11 @@ class VplPlan final : public Plan {
   double density_ = 0;  // VPLs of set 0 a square metre, where there are any
   float clamp_ = 0;     // of the geometry term, 1/m^2
   std::vector<Set> sets_;
-  Table points_;  // rows of POINT_WORDS: the point clusters
+  std::vector<CameraPoints> seen_;  // of the way's cameras, until all are there
+  std::size_t seen_cameras_ = 0;
+  std::uint64_t merged_points_ = 0;
+  std::uint32_t point_clusters_ = 0;  // asked for; of a way: settled when its points are there
+  Table points_;                      // rows of POINT_WORDS: the point clusters
   std::uint32_t point_rows_ = 0;
   bool points_ready_ = false;
   std::vector<Skip> skips_;

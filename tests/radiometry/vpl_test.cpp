@@ -6,6 +6,7 @@
 
 #include "cli/local_frame.h"
 #include "coordinator/plan/plan.h"
+#include "coordinator/plan/way_points.h"
 #include "kernels/stage_records.h"
 #include "scene/library/library.h"
 #include "tests/radiometry/shot.h"
@@ -501,6 +502,58 @@ TEST(Vpl, ScaleIsNothing) {
     }
     const double n = static_cast<double>(one.find("R")->values.size());
     EXPECT_LT(std::sqrt(square / n) / (mean / n), 0.01) << "times " << scale;
+  }
+}
+
+// --- A camera's way ---
+
+// How much the clusters' error changes from frame to frame: RMS over the mean of the VPLs' light. The error is what
+// clusters make of that light, less what it is where every point asks for itself.
+double flicker(const std::vector<Frame>& frames) {
+  double square = 0, light = 0, values = 0;
+  std::vector<float> before;
+  for (Frame frame : frames) {
+    const std::vector<float> clustered = render(frame).records.at("vpl.shade.0");
+    frame.settings.set["vpl.point_clusters"] = "0";
+    std::vector<float> error = render(frame).records.at("vpl.shade.0");
+    for (std::size_t i = 0; i < error.size(); ++i) {
+      light += error[i];
+      error[i] = clustered[i] - error[i];
+      if (!before.empty()) square += std::pow(double{error[i]} - before[i], 2);
+    }
+    values += static_cast<double>(error.size());
+    before = error;
+  }
+  const double changes = values * static_cast<double>(frames.size() - 1) / static_cast<double>(frames.size());
+  return std::sqrt(square / changes) / (light / values);
+}
+
+std::vector<Frame> move(const char* scene, float step, bool way) {
+  std::vector<Frame> frames;
+  std::vector<scene::Camera> cameras;
+  for (int k = 0; k < 6; ++k) {
+    // Clusters' errors as they are, and no VPL's clusters beside.
+    frames.push_back(frame_of(scene, {}, {}, 64, 4,
+                              {{"vpl.count", "200"},
+                               {"vpl.clusters", "0"},
+                               {"vpl.point_clusters", "80"},
+                               {"vpl.doubt", "0"},
+                               {"vpl.compensate", "0"}}));
+    frames.back().settings.camera.origin[0] += step * static_cast<float>(k);
+    cameras.push_back(frames.back().settings.camera);
+  }
+  if (way)
+    for (Frame& frame : frames) frame.settings.way = coordinator::way_of(cameras);
+  return frames;
+}
+
+TEST(Vpl, ClustersDoNotFlickerOnAWay) {
+  for (const char* scene : {"cornell-box", "cornell-glossy"}) {
+    const double alone = flicker(move(scene, 1e-3f, false)), way = flicker(move(scene, 1e-3f, true));
+    std::printf("  %s: change of the clusters' error over the mean light: %.4f, on a way %.4f\n", scene, alone, way);
+    // Not by clusters that have no error.
+    EXPECT_GT(alone, 0.02) << scene;
+    EXPECT_LT(way, alone / 3) << scene;
   }
 }
 

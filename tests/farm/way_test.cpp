@@ -1,0 +1,110 @@
+// Frames of a camera's way on a farm with real devices: what the first one made serves the others, and no picture
+// depends on that.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <fstream>
+#include <nlohmann/json.hpp>
+
+#include "cli/embedded.h"
+#include "coordinator/plan/way_points.h"
+#include "scene/bvh/build.h"
+#include "scene/library/library.h"
+#include "tests/farm/fake_frame.h"
+
+namespace gleaner::test {
+namespace {
+
+using coordinator::JobRequest;
+using nlohmann::json;
+using testing::Contains;
+using testing::Not;
+using testing::StartsWith;
+
+JobRequest request_of(const scene::Scene& scene) {
+  JobRequest request;
+  request.scene_name = "box";
+  request.scene = coordinator::summarize(scene);
+  request.settings.method = "vpl";
+  request.settings.width = request.settings.height = 48;
+  request.settings.spp = 4;
+  request.settings.set = {{"vpl.count", "500"}, {"vpl.clusters", "100"}, {"vpl.point_clusters", "60"}};
+  request.settings.camera = scene.cameras.front().camera;
+  request.settings.camera.half_width = request.settings.camera.half_height;
+  return request;
+}
+
+// The frames' reports, of a farm that has rendered nothing before.
+std::vector<json> render(const scene::Scene& scene, JobRequest request) {
+  TemporaryFolder folder;
+  cli::EmbeddedSettings settings;
+  settings.paths = [&](const std::string&, std::uint32_t frame) {
+    return coordinator::FramePaths{{}, {}, folder.path() / (std::to_string(frame) + ".json")};
+  };
+  cli::EmbeddedFarm embedded(settings);
+  request.scene_blob = embedded.blobs().put(scene::serialize(scene));
+  if (embedded.needs_bvh()) request.bvh_blob = embedded.blobs().put(scene::serialize(scene::build_bvh(scene)));
+  const std::string job = embedded.farm().submit(request);
+  while (!ended(embedded.farm().status(job)->state)) embedded.farm().wait(job, ~std::uint64_t{0}, 0.1);
+  EXPECT_EQ(embedded.farm().status(job)->state, coordinator::JobState::done) << embedded.farm().status(job)->message;
+  std::vector<json> reports;
+  for (std::uint32_t frame = request.first_frame; frame <= request.last_frame; ++frame) {
+    std::ifstream file(folder.path() / (std::to_string(frame) + ".json"));
+    reports.push_back(json::parse(file));
+  }
+  return reports;
+}
+
+std::vector<std::string> names(const json& entries, const char* key) {
+  std::vector<std::string> all;
+  for (const auto& entry : entries) all.push_back(entry[key]);
+  return all;
+}
+
+TEST(FarmWay, FramesAfterTheFirstNeitherSampleNorClusterNorAsk) {
+  const scene::Scene scene = scene::make_scene("cornell-box", {});
+  JobRequest request = request_of(scene);
+  request.last_frame = 3;
+  for (int frame = 0; frame < 3; ++frame) {
+    request.cameras.push_back(request.settings.camera);
+    request.cameras.back().origin[0] += 0.1f * static_cast<float>(frame);
+  }
+  const std::vector<json> frames = render(scene, request);
+  const std::vector<std::string> shared = {"vpl.trace.0",  "vpl.cluster.0",     "vpl.points.0",    "vpl.points.1",
+                                           "vpl.points.2", "vpl.point_cluster", "vpl.visibility.0"};
+  for (std::size_t k = 0; k < frames.size(); ++k) {
+    const auto run = names(frames[k]["stages"], "name"), left_out = names(frames[k]["skips"], "what");
+    for (const std::string& stage : shared) {
+      EXPECT_EQ(std::ranges::count(run, stage), k == 0 ? 1 : 0) << stage << ", frame " << k + 1;
+      EXPECT_EQ(std::ranges::count(left_out, "stage " + stage), k == 0 ? 0 : 1) << stage << ", frame " << k + 1;
+    }
+    EXPECT_THAT(run, Contains("vpl.shade.0"));
+  }
+  EXPECT_NE(frames[1]["pixels_sha256"], frames[0]["pixels_sha256"]);
+
+  // The second frame for itself, of a farm that has seen neither of the others.
+  JobRequest alone = request_of(scene);
+  alone.settings.camera = request.cameras[1];
+  alone.settings.way = coordinator::way_of(request.cameras);
+  const json second = render(scene, alone).at(0);
+  for (const std::string& stage : shared) EXPECT_THAT(names(second["stages"], "name"), Contains(stage));
+  EXPECT_EQ(second["pixels_sha256"], frames[1]["pixels_sha256"]);
+  // Not because the way is nothing to the picture.
+  alone.settings.way.clear();
+  EXPECT_NE(render(scene, alone).at(0)["pixels_sha256"], frames[1]["pixels_sha256"]);
+}
+
+TEST(FarmWay, FramesOfOneCameraHaveNoWay) {
+  const scene::Scene scene = scene::make_scene("cornell-box", {});
+  JobRequest request = request_of(scene);
+  request.last_frame = 2;
+  request.cameras.assign(2, request.settings.camera);
+  const std::vector<json> frames = render(scene, request);
+  EXPECT_THAT(names(frames[0]["stages"], "name"), Contains("vpl.points"));
+  EXPECT_THAT(names(frames[0]["stages"], "name"), Not(Contains(StartsWith("vpl.points."))));
+  EXPECT_EQ(frames[1]["pixels_sha256"], frames[0]["pixels_sha256"]);
+}
+
+}  // namespace
+}  // namespace gleaner::test
