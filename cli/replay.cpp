@@ -5,6 +5,7 @@
 #include <CLI/CLI.hpp>
 #include <cstring>
 #include <memory>
+#include <optional>
 
 #include "cli/commands.h"
 #include "cli/frame_options.h"
@@ -21,11 +22,17 @@ struct ReplayWords {
   FrameOptions frame;
   std::string stage, trace = "auto";
   std::uint64_t item = 0;
+  std::optional<std::uint32_t> number;  // of --frames; none: the first
   int device = -1;
 };
 
 int replay(const ReplayWords& words) {
   LoadedFrame frame = load_frame(words.frame);
+  const std::uint32_t number = words.number.value_or(frame.first_frame);
+  if (number < frame.first_frame || number > frame.last_frame)
+    throw Error::usage("--frame: expected one of --frames " + std::to_string(frame.first_frame) + "-" +
+                       std::to_string(frame.last_frame) + ", found " + std::to_string(number));
+  if (!frame.cameras.empty()) frame.settings.camera = frame.cameras[number - frame.first_frame];
   worker::Executor executor({.device = words.device, .threads = 0, .trace = worker::parse_trace_kind(words.trace)});
   auto scene = std::make_shared<const scene::Scene>(std::move(frame.scene));
   auto plan = coordinator::make_plan(frame.settings, coordinator::summarize(*scene));
@@ -69,6 +76,7 @@ void add_replay(CLI::App& app, Run& run) {
   add_frame_options(*command, words->frame);
   command->add_option("--stage", words->stage, "the stage's name, e.g. path.0")->required();
   command->add_option("--item", words->item, "the item's number in the stage")->required();
+  command->add_option("--frame", words->number, "which of --frames (default: the first)");
   command->add_option("--device", words->device, "see gleaner devices (default: the first GPU, else the first device)");
   command->add_option("--trace", words->trace, "auto, embree or opencl")->capture_default_str();
   command->callback([words, &run] { run = [words] { return replay(*words); }; });

@@ -299,6 +299,7 @@ TEST_F(Farm, StatusesAndWordsOfErrors) {
       {{"render", box, "-o", out, "--trace", "magic"}, 2, {"magic"}},
       {{"render", box, "-o", out, "--look-at", "1,2,3"}, 2, {"--look-at"}},
       {{"render", box, "-o", out, "--target-error", "-1"}, 2, {"--target-error"}},
+      {{"replay", box, "--stage", "path.0", "--item", "0", "--frames", "2-3", "--frame", "4"}, 2, {"--frame", "2-3"}},
       {{"render", "nowhere.glb", "-o", out}, 3, {"nowhere.glb"}},
       {{"render", (own_.path() / "broken.glb").string(), "-o", out}, 3, {"broken.glb"}},
       {{"render", box, "-o", out, "--camera", "behind"}, 3, {"behind", "camera"}},
@@ -368,6 +369,33 @@ TEST_F(Farm, ATimeLimitIsKeptAndSaid) {
   bool said = false;
   for (const auto& skip : report["skips"]) said = said || (skip["what"] == "samples" && skip["count"] > 0);
   EXPECT_TRUE(said);
+}
+
+// What a frame of a way makes of its own, and what it shares with the others.
+TEST_F(Farm, ReplayKnowsTheFramesOfAWay) {
+  const auto record = [](const std::string& stage, const std::vector<std::string>& more) {
+    std::vector<std::string> words = {"replay",    scene().string(),
+                                      "--size",    "32x32",
+                                      "--spp",     "4",
+                                      "--method",  "vpl",
+                                      "--frames",  "5-7",
+                                      "--look-at", "0,1,3.5,0,1,0,40",
+                                      "--look-at", "0.5,1,3.5,0,1,0,40",
+                                      "--set",     "vpl.count=300",
+                                      "--quiet",   "--item",
+                                      "500",       "--stage",
+                                      stage};
+    if (stage.ends_with("cluster")) *(words.end() - 3) = "7";
+    words.insert(words.end(), more.begin(), more.end());
+    const Ran ran = run(words);
+    EXPECT_EQ(ran.status, 0) << ran.err;
+    return ran.out;
+  };
+  const std::string first = record("vpl.shade.0", {});
+  EXPECT_EQ(record("vpl.shade.0", {"--frame", "5"}), first);
+  EXPECT_NE(record("vpl.shade.0", {"--frame", "7"}), first);
+  for (const char* shared : {"vpl.points.2", "vpl.point_cluster"})
+    EXPECT_EQ(record(shared, {"--frame", "7"}), record(shared, {})) << shared;
 }
 
 TEST_F(Farm, HelpIsNoError) {
