@@ -257,9 +257,19 @@ VplFrame run(const FrameSettings& settings, const Points& see, bool backwards = 
       std::vector<Row> rows = see(p.camera, static_cast<unsigned>(std::sqrt(static_cast<double>(spec.items))));
       rows.resize(spec.items, nothing());
       put(rows.data(), records->size());
-    } else if (spec.kind == "vpl_cluster" || spec.kind == "point_cluster") {
+    } else if (spec.kind == "vpl_cluster") {
+      // The first lights stand for the others.
+      kernels::ClusterParameters p;
+      std::memcpy(&p, spec.parameters.data(), sizeof p);
+      const std::size_t clusters = std::size_t{p.clusters} * VPL_WORDS * 4;
+      put(frame.artifacts.at(spec.inputs.at(0).artifact)->data(), clusters);
+      for (std::uint32_t i = 0; i < p.lights; ++i) {
+        const std::uint32_t cluster = i % p.clusters;
+        std::memcpy(records->data() + clusters + std::size_t{i} * 4, &cluster, 4);
+      }
+    } else if (spec.kind == "point_cluster") {
       std::vector<Row> none(spec.items, nothing());
-      if (spec.kind == "point_cluster") put(none.data(), records->size());
+      put(none.data(), records->size());
       const Bytes& input = *frame.artifacts.at(spec.inputs.at(0).artifact);
       put(input.data(), input.size());
     }
@@ -320,7 +330,7 @@ TEST(VplWay, FramesAskForTheSameStages) {
       StageSpec aimed = other;
       aimed.parameters = spec.parameters;
       expect_same(spec, aimed);
-      EXPECT_EQ(spec.inputs.size(), 3u);
+      EXPECT_EQ(spec.inputs.size(), 4u);  // lights, members, points, visibility
       continue;
     }
     expect_same(spec, other);
@@ -374,7 +384,7 @@ TEST(VplWay, AWayThatSeesNothingIsLitByNothing) {
       run(vpl_settings(camera_at(0), cameras_along(2, 1)), [](const Camera&, unsigned) { return std::vector<Row>{}; });
   EXPECT_FALSE(frame.stages.contains("vpl.point_cluster"));
   EXPECT_FALSE(frame.stages.contains("vpl.visibility.0"));
-  EXPECT_EQ(frame.stages.at("vpl.shade.0").inputs.size(), 1u);
+  EXPECT_EQ(frame.stages.at("vpl.shade.0").inputs.size(), 2u);  // lights, members
 }
 
 TEST(VplWay, IsToldBeforehand) {
