@@ -80,12 +80,8 @@ int main(int argc, char** argv) {
     clustered.set["vpl.point_clusters"] = argv[5];
     pairs.set["vpl.clusters"] = "0";
     pairs.set["vpl.point_clusters"] = "0";
-    // The bound is told in units of the lights' density, and all the VPLs lie denser than their clusters.
-    const double lights = std::atof(argv[3]), clusters = std::atof(argv[4]) > 0 ? std::atof(argv[4]) : lights;
-    const double clamp = argc > 8 ? std::atof(argv[8]) : 0.1;
     clustered.set["vpl.doubt"] = argc > 9 ? argv[9] : "0.02";
-    clustered.set["vpl.clamp"] = std::to_string(clamp);
-    pairs.set["vpl.clamp"] = std::to_string(clamp * clusters / lights);
+    clustered.set["vpl.clamp"] = pairs.set["vpl.clamp"] = argc > 8 ? argv[8] : "0.05";
 
     worker::Executor executor({});
     executor.load_scene("scene", scene, nullptr);

@@ -363,9 +363,8 @@ void VplPlan::settle_lights(std::uint32_t set, std::vector<float> rows,
   if (set == 0) {
     // Where the bound is that many times the lights' density, a light's own spot is that many times as bright as the
     // light of all its neighbours together: free of the scene's scale.
-    const double density = s.kept ? density_ * static_cast<double>(count) / s.kept : 0;
-    clamp_ = vpl_.clamp > 0 && density > 0 ? static_cast<float>(vpl_.clamp * density)
-                                           : std::numeric_limits<float>::infinity();
+    clamp_ = vpl_.clamp > 0 && density_ > 0 ? static_cast<float>(vpl_.clamp * density_)
+                                            : std::numeric_limits<float>::infinity();
     begin_paths(step);
   }
   if (count == 0) {

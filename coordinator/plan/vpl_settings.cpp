@@ -33,7 +33,7 @@ VplSettings make_vpl_settings(const FrameSettings& settings) {
   vpl.doubt = real_setting(settings, "vpl.doubt", std::clamp(1.6 / settings.spp, 0.02, 0.2), 0, 1);
   // Measured on cornell-box, sponza-dabrovic and white-room: 3 to 10 % of the rays, no error that shows.
   vpl.least = real_setting(settings, "vpl.least", 0.05, 0, 1);
-  vpl.clamp = real_setting(settings, "vpl.clamp", 0.1, 0, 1e6);
+  vpl.clamp = real_setting(settings, "vpl.clamp", 0.05, 0, 1e6);
   return vpl;
 }
 

@@ -16,7 +16,7 @@ struct VplSettings {
   bool compensate = true;      // what the clamp takes is given back by paths
   double doubt = 0;   // share of a point's light beyond which it asks for a light itself; for lesser ones by lot
   double least = 0;   // of what lights bring a point cluster in the mean: those that can bring less are not asked
-  double clamp = 0;   // bound of the geometry term in units of the lights' density; 0: none
+  double clamp = 0;   // bound of the geometry term in units of the VPLs' density; 0: none
   bool draw = false;  // a cluster's representative by lot, not the one in its middle
   std::uint32_t samples = 1;  // of a pixel and set, each of which sees a slice of the lights
   std::uint32_t sets = 1;

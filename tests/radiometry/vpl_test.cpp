@@ -208,7 +208,6 @@ TEST(Vpl, ClustersLightRoughLobes) {
   frame.settings.set["vpl.doubt"] = "0.0001";
   const auto asked = render(frame).records.at("vpl.shade.0");
   frame.settings.set["vpl.clusters"] = "200";
-  frame.settings.set["vpl.clamp"] = "0.4";
   const auto clustered = render(frame).records.at("vpl.shade.0");
   // On the metal box, which no diffuse layer lights, and in all.
   const auto error = [&](const std::vector<float>& shaded, bool box) {
@@ -338,9 +337,10 @@ TEST(Vpl, PairsThatCarryNextToNothingAreNotAsked) {
 // What is near a cluster is lit by all its members: clusters are no spots. Lit by their representatives alone, points
 // are 0.099 off.
 TEST(Vpl, NearClustersShineFromTheirMembersPlaces) {
-  const Settings clustered = {{"vpl.count", "1000"}, {"vpl.clusters", "100"}, {"vpl.point_clusters", "0"}};
   const Settings pairs = {
       {"vpl.count", "1000"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}, {"vpl.clamp", "0.01"}};
+  Settings clustered = pairs;
+  clustered["vpl.clusters"] = "100";
   const auto exact = render(frame_of("cornell-box", {}, {}, 32, 1, pairs)).records.at("vpl.shade.0");
   const auto shaded = render(frame_of("cornell-box", {}, {}, 32, 1, clustered)).records.at("vpl.shade.0");
   double square = 0, mean = 0;
