@@ -32,6 +32,16 @@ VplSettings make_vpl_settings(const FrameSettings& settings) {
   // What a few samples leave of noise, clusters' errors of a tenth of it do not show in.
   vpl.doubt = real_setting(settings, "vpl.doubt", std::clamp(1.6 / settings.spp, 0.02, 0.2), 0, 1);
   vpl.clamp = real_setting(settings, "vpl.clamp", 0.1, 0, 1e6);
+  const auto is_given = [&](const char* key) { return settings.set.contains(key); };
+  if (is_given("vpl.count")) vpl.given.count = vpl.count;
+  if (is_given("vpl.clusters")) vpl.given.clusters = vpl.clusters;
+  if (is_given("vpl.point_clusters")) vpl.given.point_clusters = vpl.point_clusters;
+  if (is_given("vpl.sets")) vpl.given.sets = vpl.sets;
+  if (is_given("vpl.doubt")) vpl.given.doubt = vpl.doubt;
+  // What a bound takes is an error where nothing gives it back: the pilot knows of none.
+  if (is_given("vpl.clamp") || !vpl.compensate) vpl.given.clamp = vpl.clamp;
+  vpl.given.draw = is_given("vpl.draw");
+  vpl.piloted = !(vpl.given.count && vpl.given.clusters && vpl.given.point_clusters);
   return vpl;
 }
 
