@@ -173,6 +173,10 @@ GLEANER_SIZE(VisibilityParameters, 16);
 // Normals that may share a cluster, and points that a cluster may speak for: eq. 7's threshold nt, sqrt(3) / 2.
 #define CLUSTER_LEAST_COSINE 0.8660254f
 
+// A cluster nearer than so many times its radius shines from its members' places, not from its representative's. On
+// white-room (4000 clusters of 10000 VPLs) the error is 11.7 % without it, 8.0, 7.5, 7.2 and 7.1 % for 2, 4, 8 and 16.
+#define NEAR_RADII 4.0f
+
 // Of 32 lights in a row: the box about them (its middle, half its edges) and the luminance of the brightest.
 #define LIGHT_BOX_WORDS 8u
 #define LIGHT_BOX_BRIGHTEST 6u

@@ -150,8 +150,12 @@ Step PathPlan::next(const FinishedStage* finished) {
   if (spent_ >= all) return done;
   if (settings_.target_error > 0) {
     const double error = std::sqrt(film_.squared_error_bound());
-    const double mean = film_.mean_radiance();
-    const double relative = mean > 0 ? error / mean : error;
+    // A black picture has no mean to be relative to.
+    const double mean = film_.mean_radiance() + covered_.mean, whole = mean > 0 ? mean : 1;
+    // Whatever the lights are off by, samples are not asked for more than four times what they would be alone.
+    const double wished = std::pow(settings_.target_error * whole, 2);
+    const double share = std::sqrt(std::max(wished - covered_.squared_error, 0.25 * wished) / wished);
+    const double relative = error / (whole * share);
     if (relative <= settings_.target_error) return done;
     // Error falls as one over the root of the samples; the estimate is noisy, so no stage more than trebles them.
     const double factor = std::clamp(std::pow(relative / settings_.target_error, 2) * 1.05, 1.1, 4.0);

@@ -16,6 +16,9 @@ class PathPlan final : public Plan {
   struct Covered {
     bool covered = false;
     float clamp = 0;  // of the geometry term, 1/m^2; infinity: none
+    // What the lights are foreseen to add to the picture: mean radiance, and squared error (a mean over pixels and
+    // channels), which the samples have to leave room for where an error is wished for.
+    double mean = 0, squared_error = 0;
   };
   PathPlan(const FrameSettings& settings, const SceneSummary& scene, Covered covered);
   PathPlan(const FrameSettings& settings, const SceneSummary& scene) : PathPlan(settings, scene, Covered{}) {}

@@ -34,6 +34,16 @@ constexpr std::uint64_t kWayPointsLimit = 4 * kMostWayPoints;
 constexpr std::uint64_t kMostGrowth = 16;
 constexpr std::uint64_t kMostPointClusters = std::uint64_t{1} << 22;  // as of vpl.point_clusters
 constexpr std::uint64_t kMostVisibilityBytes = std::uint64_t{128} << 20;
+// The pilot's bounds of the geometry term, in units of the VPLs' density at their usual number: on the Cornell boxes
+// and on sponza, at the usual counts, the least error lies between them.
+constexpr std::array<double, 4> kPilotBounds = {0.0125, 0.025, 0.05, 0.1};
+// Camera paths of the pilot: two chunks of so many samples in a part of the pixels.
+constexpr std::uint32_t kPilotSamples = 4;
+constexpr std::uint64_t kPilotPart = 256, kLeastPilotPixels = 256, kMostPilotPixels = 1024;
+// Samples go where the noise is, so that its square falls with that of the mean deviation, not with the mean of
+// squares, which hangs on a few pixels at lamps' edges. Fitted on the scenes of `bench/vpl pilot` (3.2 to 4.3;
+// white-room, whose lobes are noisy far out, 40).
+constexpr double kNoiseFitted = 3.6;
 // Lights' stages wait for each other, the paths for nothing: these fill what those leave free.
 constexpr int kFirst = 1;
 
@@ -124,7 +134,11 @@ VplPlan::Table VplPlan::table_of(std::shared_ptr<const Bytes> bytes) {
 }
 
 VplPlan::VplPlan(const FrameSettings& settings, const SceneSummary& scene)
-    : settings_(settings), scene_(scene), vpl_(make_vpl_settings(settings)), sets_(vpl_.sets) {
+    : settings_(settings),
+      scene_(scene),
+      vpl_(make_vpl_settings(settings)),
+      light_paths_(std::clamp(vpl_.count, 1024u, kMostPaths)),
+      sets_(vpl_.sets) {
   const std::uint64_t cameras = std::max<std::uint64_t>(2, kWayPointsLimit / std::min(pixels(), points_of_a_camera()));
   if (settings_.way.size() > cameras) settings_.way = way_of(settings_.way, cameras);
   seen_.resize(settings_.way.size());
@@ -137,7 +151,7 @@ VplPlan::VplPlan(const FrameSettings& settings, const SceneSummary& scene)
 StageSpec VplPlan::trace(std::uint32_t set) const {
   VplTraceParameters p{};
   // Several times the VPLs that are kept: which they are is then decided by what they carry.
-  p.items_low = std::clamp(vpl_.count, 1024u, kMostPaths);
+  p.items_low = light_paths_;
   p.depth = settings_.depth ? settings_.depth - 1 : 0;
   p.set = set;
   p.seed_low = static_cast<std::uint32_t>(settings_.seed);
@@ -190,7 +204,8 @@ std::uint64_t VplPlan::most_way_clusters() const {
 
 StageSpec VplPlan::points() const {
   VplPointParameters p = point_parameters(settings_, vpl_);
-  const std::uint64_t wanted = points_of_a_camera();
+  // A pilot needs some even where every point asks for itself.
+  const std::uint64_t wanted = vpl_.piloted && !vpl_.point_clusters ? VplPilot::kMeanPoints : points_of_a_camera();
   p.stride = static_cast<std::uint32_t>(std::max<std::uint64_t>(1, pixels() / wanted));
   // Neither even nor a divisor of the width: points in columns would leave the rest of the picture unseen.
   if (p.stride > 1) {
@@ -214,55 +229,69 @@ StageSpec VplPlan::way_points(std::size_t camera) const {
   StageSpec spec = points();
   auto p = parameters_of<VplPointParameters>(spec.parameters);
   p.camera = settings_.way[camera];
-  spec.name += "." + std::to_string(camera);
+  spec.name += '.';
+  spec.name += std::to_string(camera);
   spec.parameters = bytes_of(p);
   spec.keep = true;
   return spec;
 }
 
-// The light paths' VPLs, drawn again in equal parts: a VPL of little flux costs as much as a bright one, and its chance
-// to stay is its flux (systematic resampling; the mean picture is the same).
-void VplPlan::absorb_lights(std::uint32_t set, const Bytes& records, Step& step) {
+VplPlan::Made VplPlan::made_of(const Bytes& records) {
   const std::size_t stride = VPL_WORDS * 4;
   const double paths = static_cast<double>(records.size() / (stride * VPL_PATH_SLOTS));
-  std::vector<float> all;
-  std::vector<double> weight;
-  double total = 0;
+  Made made;
   for (std::size_t at = 0; at < records.size(); at += stride) {
     std::array<float, VPL_WORDS> row;
     std::memcpy(row.data(), records.data() + at, stride);
     scale_flux(row.data(), 1 / paths);
     const double sum = double{row[VPL_FLUX]} + row[VPL_FLUX + 1] + row[VPL_FLUX + 2];
     if (!(sum > 0)) continue;
-    weight.push_back(std::max(luminance(&row[VPL_FLUX]), 1e-3 * sum));
-    total += weight.back();
-    all.insert(all.end(), row.begin(), row.end());
+    made.weight.push_back(std::max(luminance(&row[VPL_FLUX]), 1e-3 * sum));
+    made.total += made.weight.back();
+    made.rows.insert(made.rows.end(), row.begin(), row.end());
   }
-  Set& s = sets_[set];
-  s.made = static_cast<std::uint32_t>(weight.size());
+  return made;
+}
+
+// The light paths' VPLs, drawn again in equal parts: a VPL of little flux costs as much as a bright one, and its chance
+// to stay is its flux (systematic resampling; the mean picture is the same).
+std::vector<float> VplPlan::draw_lights(std::uint32_t set, const Made& made) const {
+  if (made.weight.size() <= vpl_.count) return made.rows;
   std::vector<float> rows;
-  if (weight.size() <= vpl_.count) {
-    rows = std::move(all);
-  } else {
-    const double part = total / vpl_.count;
-    double aim = part * offset_of(settings_.seed, set), sum = 0;
-    for (std::size_t i = 0; i < weight.size(); ++i) {
-      sum += weight[i];
-      std::uint32_t times = 0;
-      while (aim < sum) {
-        ++times;
-        aim += part;
-      }
-      if (!times) continue;
-      const std::size_t at = rows.size();
-      rows.insert(rows.end(), all.begin() + static_cast<std::ptrdiff_t>(i * VPL_WORDS),
-                  all.begin() + static_cast<std::ptrdiff_t>((i + 1) * VPL_WORDS));
-      const double scale = times * part / weight[i];
-      scale_flux(&rows[at], scale);
+  const double part = made.total / vpl_.count;
+  double aim = part * offset_of(settings_.seed, set), sum = 0;
+  for (std::size_t i = 0; i < made.weight.size(); ++i) {
+    sum += made.weight[i];
+    std::uint32_t times = 0;
+    while (aim < sum) {
+      ++times;
+      aim += part;
     }
+    if (!times) continue;
+    const std::size_t at = rows.size();
+    rows.insert(rows.end(), made.rows.begin() + static_cast<std::ptrdiff_t>(i * VPL_WORDS),
+                made.rows.begin() + static_cast<std::ptrdiff_t>((i + 1) * VPL_WORDS));
+    scale_flux(&rows[at], times * part / made.weight[i]);
   }
+  return rows;
+}
+
+void VplPlan::absorb_lights(std::uint32_t set, const Bytes& records, Step& step) {
+  Made made = made_of(records);
+  sets_[set].made = static_cast<std::uint32_t>(made.weight.size());
+  if (set == 0 && vpl_.piloted) {
+    made_ = std::move(made);
+    if (point_records_) begin_pilot(step);
+    return;
+  }
+  take_lights(set, draw_lights(set, made), step);
+}
+
+void VplPlan::take_lights(std::uint32_t set, std::vector<float> rows, Step& step) {
+  Set& s = sets_[set];
   s.kept = static_cast<std::uint32_t>(rows.size() / VPL_WORDS);
-  if (set == 0) density_ = light_density(rows);
+  // What was piloted has its bound.
+  if (set == 0 && !paths_) density_ = light_density(rows);
   if (vpl_.clusters == 0 || vpl_.clusters >= s.kept) {
     settle_lights(set, std::move(rows), {}, step);
     return;
@@ -278,6 +307,153 @@ void VplPlan::absorb_lights(std::uint32_t set, const Bytes& records, Step& step)
   spec.keep = true;
   step.stages.push_back(std::move(spec));
   s.vpls = std::move(rows);
+}
+
+// Of set 0's lights and of the points there are: what a few of them tell of the numbers to take.
+void VplPlan::begin_pilot(Step& step) {
+  const std::vector<float> lights = draw_lights(0, *made_);
+  density_ = light_density(lights);
+  std::vector<double> bounds;
+  for (const double bound : kPilotBounds) bounds.push_back(bound * density_);
+  if (density_ > 0) pilot_ = std::make_unique<VplPilot>(lights, floats_of(*point_records_), bounds);
+  if (!pilot_ || pilot_->empty()) {
+    // No light, or nothing that it falls on: what is there is soon done with the usual numbers.
+    pilot_.reset();
+    end_pilot(step);
+    return;
+  }
+  VisibilityParameters p{};
+  p.clusters = VplPilot::kLights;
+  p.point_clusters = static_cast<std::uint32_t>(pilot_->asked_points().size() / POINT_WORDS);
+  p.clamp = std::numeric_limits<float>::infinity();
+  const Table asked_lights = table_of(bytes_of(pilot_->asked_lights())),
+              asked_points = table_of(bytes_of(pilot_->asked_points()));
+  StageSpec spec;
+  spec.name = "vpl.pilot.visibility";
+  spec.kind = "vpl_visibility";
+  spec.priority = kFirst;
+  spec.items = p.point_clusters;
+  spec.parameters = bytes_of(p);
+  spec.inputs = {{"lights", asked_lights.id}, {"points", asked_points.id}};
+  spec.record_bytes = (p.clusters / 32 + VISIBILITY_COUNTS) * 4;
+  put(step, asked_lights);
+  put(step, asked_points);
+  step.stages.push_back(std::move(spec));
+  path_pilots_.resize(2);
+  for (std::uint32_t k = 0; k < 2; ++k) step.stages.push_back(path_pilot(k, step));
+  pilots_left_ = 3;
+}
+
+// Camera paths beside VPLs of the pilot's least (0) or highest (1) bound.
+StageSpec VplPlan::path_pilot(std::uint32_t number, Step& step) const {
+  const std::uint64_t count =
+      std::min(pixels(), std::clamp(pixels() / kPilotPart, kLeastPilotPixels, kMostPilotPixels));
+  auto list = std::make_shared<Bytes>(count * 2 * sizeof(kernels::PathItem));
+  auto* item = reinterpret_cast<kernels::PathItem*>(list->data());
+  for (std::uint64_t k = 0; k < count; ++k) {
+    const double place =
+        (static_cast<double>(k) + scene::unit_hash(k)) * static_cast<double>(pixels()) / static_cast<double>(count);
+    const auto pixel = static_cast<std::uint32_t>(std::min(pixels() - 1, static_cast<std::uint64_t>(place)));
+    for (std::uint32_t chunk = 0; chunk < 2; ++chunk) *item++ = {pixel, chunk};
+  }
+  kernels::PathParameters p{};
+  p.camera = settings_.camera;
+  p.width = settings_.width;
+  p.height = settings_.height;
+  p.samples_per_item = p.last_item_samples = kPilotSamples;
+  p.depth = settings_.depth;
+  // Other numbers than the picture's own: its samples are not to decide what is done with them.
+  p.seed_low = static_cast<std::uint32_t>(settings_.seed) ^ 0x70696c6fu;
+  p.seed_high = static_cast<std::uint32_t>(settings_.seed >> 32);
+  p.items_low = static_cast<std::uint32_t>(count * 2);
+  p.covered = 1;
+  p.clamp = static_cast<float>(number == 0 ? pilot_->bounds().front() : pilot_->bounds().back());
+  const Table items = table_of(std::move(list));
+  StageSpec spec;
+  spec.name = "vpl.pilot.path." + std::to_string(number);
+  spec.kind = "path";
+  spec.priority = kFirst;
+  spec.items = p.items_low;
+  spec.tile = 16 / kPilotSamples;
+  spec.parameters = bytes_of(p);
+  spec.inputs = {{"items", items.id}};
+  spec.record_bytes = sizeof(kernels::PathRecord) + 12;
+  put(step, items);
+  return spec;
+}
+
+void VplPlan::absorb_path_pilot(std::uint32_t number, const Bytes& records) {
+  const std::size_t stride = sizeof(kernels::PathRecord) + 12;
+  PathForecast& forecast = path_pilots_.at(number);
+  const double pairs = static_cast<double>(records.size() / (2 * stride));
+  double deviation = 0;
+  for (std::size_t at = 0; at + 2 * stride <= records.size(); at += 2 * stride) {
+    kernels::PathRecord one, other;
+    std::memcpy(&one, records.data() + at, sizeof one);
+    std::memcpy(&other, records.data() + at + stride, sizeof other);
+    for (unsigned k = 0; k < 3; ++k) {
+      const double a = double{one.direct[k]} + one.indirect[k], b = double{other.direct[k]} + other.indirect[k];
+      forecast.mean += (a + b) / (2 * kPilotSamples * 3 * pairs);
+      deviation += std::abs(a - b) / (3 * pairs);
+    }
+  }
+  // Two sums of n samples, of deviation s each, differ by 2 s sqrt(n / pi) on average.
+  forecast.variance = kNoiseFitted * deviation * deviation * 3.14159265358979 / (4 * kPilotSamples);
+}
+
+// The numbers are chosen, and what waited for them begins.
+void VplPlan::end_pilot(Step& step) {
+  if (pilot_) {
+    VplWish wish;
+    wish.pixels = static_cast<double>(pixels());
+    wish.points = static_cast<double>(point_records_->size() / (POINT_WORDS * 4));
+    wish.spp = settings_.spp;
+    wish.target = settings_.target_error;
+    wish.made = sets_[0].made;
+    wish.samples = vpl_.samples;
+    wish.usual_point_clusters = vpl_.point_clusters;
+    wish.count = vpl_.given.count;
+    wish.clusters = vpl_.given.clusters;
+    wish.point_clusters = vpl_.given.point_clusters;
+    wish.sets = vpl_.given.sets;
+    wish.doubt = vpl_.given.doubt;
+    if (vpl_.given.clamp) wish.clamp = *vpl_.given.clamp * density_;
+    // Between the bounds, as a power of them.
+    const PathForecast &low = path_pilots_[0], &high = path_pilots_[1];
+    const std::vector<double>& bounds = pilot_->bounds();
+    std::vector<PathForecast> paths;
+    for (const double bound : bounds) {
+      const double t = std::log(bound / bounds.front()) / std::log(bounds.back() / bounds.front());
+      const auto blend = [&](double a, double b) { return a > 0 && b > 0 ? a * std::pow(b / a, t) : a + t * (b - a); };
+      paths.push_back({blend(low.variance, high.variance), blend(low.mean, high.mean)});
+    }
+    forecast_ = choose_vpl(*pilot_, paths, wish);
+    const VplCounts& counts = forecast_->counts;
+    vpl_.count = counts.count;
+    vpl_.clusters = counts.clusters;
+    vpl_.point_clusters = point_clusters_ = counts.point_clusters;
+    vpl_.sets = counts.sets;
+    vpl_.doubt = counts.doubt;
+    if (!vpl_.given.draw) vpl_.draw = counts.sets > 1;
+    sets_.resize(counts.sets);
+    if (counts.sets > 1)
+      square_.assign(pixels() * 3, 0.0f);
+    else
+      square_.clear();
+    if (!vpl_.given.clamp) {
+      clamp_ = static_cast<float>(bounds[counts.bound]);
+      begin_paths(step);
+    }
+  }
+  take_lights(0, draw_lights(0, *made_), step);
+  made_.reset();
+  const auto records = std::move(point_records_);
+  if (vpl_.point_clusters) {
+    absorb_points(records, step);
+  } else {
+    points_ready_ = true;
+    if (sets_[0].traced && !sets_[0].shading) ask_visibility(0, step);
+  }
 }
 
 // Clusters of the rows of `table`, which the stage knows as `input`.
@@ -360,7 +536,7 @@ void VplPlan::settle_lights(std::uint32_t set, std::vector<float> rows,
   s.lights = table_of(bytes_of(table));
   s.members = table_of(bytes_of(held));
   s.traced = true;
-  if (set == 0) {
+  if (set == 0 && !paths_) {
     // Where the bound is that many times the lights' density, a light's own spot is that many times as bright as the
     // light of all its neighbours together: free of the scene's scale.
     clamp_ = vpl_.clamp > 0 && density_ > 0 ? static_cast<float>(vpl_.clamp * density_)
@@ -392,11 +568,25 @@ bool VplPlan::take(Step paths, Step& step) {
 void VplPlan::begin_paths(Step& step) {
   paths_ = std::make_unique<PathPlan>(
       settings_, scene_,
-      PathPlan::Covered{indirect(), vpl_.compensate ? clamp_ : std::numeric_limits<float>::infinity()});
+      PathPlan::Covered{indirect(), vpl_.compensate ? clamp_ : std::numeric_limits<float>::infinity(),
+                        forecast_ ? forecast_->vpl_mean : 0, forecast_ ? kVplCaution * forecast_->vpl() : 0});
   take(paths_->next(nullptr), step);
 }
 
 void VplPlan::absorb_points(std::shared_ptr<const Bytes> records, Step& step) {
+  const std::size_t stride = POINT_WORDS * 4, rows = records->size() / stride,
+                    wanted = kPointsPerCluster * std::uint64_t{point_clusters_};
+  if (vpl_.piloted && wanted < rows) {
+    // More were looked at than so few clusters need: one of each part of them, by lot.
+    auto some = std::make_shared<Bytes>(wanted * stride);
+    for (std::size_t k = 0; k < wanted; ++k) {
+      const double place =
+          (static_cast<double>(k) + scene::unit_hash(k)) * static_cast<double>(rows) / static_cast<double>(wanted);
+      const std::size_t at = std::min(rows - 1, static_cast<std::size_t>(place));
+      std::memcpy(some->data() + k * stride, records->data() + at * stride, stride);
+    }
+    records = std::move(some);
+  }
   StageSpec spec = cluster(step, "points", table_of(std::move(records)), cluster_parameters(point_clusters_));
   spec.name = "vpl.point_cluster";
   spec.kind = "point_cluster";
@@ -522,7 +712,7 @@ Step VplPlan::next(const FinishedStage* finished) {
     }
     // One set after another, each begun while the one before is shaded: a frame whose time is up has whole sets.
     begin_set(0, step);
-    if (!vpl_.point_clusters) {
+    if (!vpl_.point_clusters && !vpl_.piloted) {
       points_ready_ = true;
     } else if (settings_.way.empty()) {
       step.stages.push_back(points());
@@ -540,9 +730,20 @@ Step VplPlan::next(const FinishedStage* finished) {
   } else if (is("vpl.cluster.")) {
     absorb_light_clusters(set_of(name), *finished->records, step);
   } else if (name == "vpl.points") {
-    absorb_points(finished->records, step);
+    if (vpl_.piloted) {
+      point_records_ = finished->records;
+      if (made_) begin_pilot(step);
+    } else {
+      absorb_points(finished->records, step);
+    }
   } else if (is("vpl.points.")) {
     absorb_way_points(set_of(name), finished->records, step);
+  } else if (is("vpl.pilot.")) {
+    if (name == "vpl.pilot.visibility")
+      pilot_->answer(*finished->records);
+    else
+      absorb_path_pilot(set_of(name), *finished->records);
+    if (--pilots_left_ == 0) end_pilot(step);
   } else if (name == "vpl.point_cluster") {
     absorb_point_clusters(*finished->records, step);
   } else if (is("vpl.visibility.")) {
@@ -646,6 +847,17 @@ std::string VplPlan::parameters_json() const {
     kept.push_back(s.kept);
     clusters.push_back(s.clusters);
   }
+  if (forecast_) {
+    const VplForecast& f = *forecast_;
+    const auto error = [&](double square) { return f.mean > 0 ? std::sqrt(square) / f.mean : 0.0; };
+    vpl["pilot"] = {{"error", error(f.vpl())},
+                    {"error_of_lights", error(f.lights)},
+                    {"error_of_clusters", error(f.clusters)},
+                    {"error_of_point_clusters", error(f.points)},
+                    {"error_of_paths", error(f.paths)},
+                    {"mean", f.mean},
+                    {"mean_of_lights", f.vpl_mean}};
+  }
   vpl["made"] = made;
   vpl["kept"] = kept;
   if (merged_points_)
@@ -658,6 +870,10 @@ std::string VplPlan::parameters_json() const {
 std::vector<std::string> VplPlan::outline() const {
   std::vector<std::string> lines;
   if (indirect()) {
+    if (vpl_.piloted)
+      lines.push_back(
+          "vpl.pilot: a few points, lights and paths; from what they tell, the counts below are chosen that "
+          "are not set");
     const std::string sets = vpl_.sets > 1 ? ", for each of " + std::to_string(vpl_.sets) + " sets" : "";
     lines.push_back("vpl.trace: " + std::to_string(trace(0).items) + " light paths, split" + sets + "; " +
                     std::to_string(vpl_.count) + " VPLs are kept");

@@ -2,6 +2,7 @@
 // Method `vpl`: virtual point lights with fuzzy clusters. Stages, of which those of one line run at the same time:
 //
 //   vpl.trace.S                       light paths of set S              vpl.points      some points to be shaded
+//   vpl.pilot.visibility, vpl.pilot.path.K   what a few of both tell of the numbers to take (set 0)
 //   vpl.cluster.S (solo)              clusters of its VPLs              vpl.point_cluster (solo)
 //   vpl.visibility.S                  which light cluster sees which point cluster          path.N   what VPLs leave
 //   out vpl.shade.S                       every pixel's indirect light
@@ -19,6 +20,7 @@
 
 #include "coordinator/plan/path_plan.h"
 #include "coordinator/plan/plan.h"
+#include "coordinator/plan/vpl_pilot.h"
 #include "coordinator/plan/vpl_settings.h"
 #include "coordinator/plan/way_points.h"
 #include "kernels/stage_records.h"
@@ -53,6 +55,13 @@ class VplPlan final : public Plan {
     bool traced = false, shading = false;
   };
 
+  // What light paths left: rows of VPL_WORDS, and what each weighs where some of them are drawn.
+  struct Made {
+    std::vector<float> rows;
+    std::vector<double> weight;
+    double total = 0;
+  };
+
   std::uint64_t pixels() const { return std::uint64_t{settings_.width} * settings_.height; }
   bool indirect() const { return settings_.depth != 1; }
   StageSpec trace(std::uint32_t set) const;
@@ -61,6 +70,13 @@ class VplPlan final : public Plan {
   std::uint64_t points_of_a_camera() const;
   std::uint64_t most_way_clusters() const;
   void absorb_lights(std::uint32_t set, const Bytes& records, Step& step);
+  static Made made_of(const Bytes& records);
+  std::vector<float> draw_lights(std::uint32_t set, const Made& made) const;
+  void take_lights(std::uint32_t set, std::vector<float> rows, Step& step);
+  void begin_pilot(Step& step);
+  StageSpec path_pilot(std::uint32_t number, Step& step) const;
+  void absorb_path_pilot(std::uint32_t number, const Bytes& records);
+  void end_pilot(Step& step);
   void absorb_light_clusters(std::uint32_t set, const Bytes& records, Step& step);
   void absorb_points(std::shared_ptr<const Bytes> records, Step& step);
   void absorb_way_points(std::size_t camera, std::shared_ptr<const Bytes> records, Step& step);
@@ -82,8 +98,16 @@ class VplPlan final : public Plan {
   VplSettings vpl_;
   std::unique_ptr<PathPlan> paths_;  // from when the clamp is known
   bool paths_done_ = false;
-  double density_ = 0;  // VPLs of set 0 a square metre, where there are any
-  float clamp_ = 0;     // of the geometry term, 1/m^2
+  // Until the pilot is done, what waits for it.
+  std::optional<Made> made_;
+  std::shared_ptr<const Bytes> point_records_;
+  std::unique_ptr<VplPilot> pilot_;
+  std::vector<PathForecast> path_pilots_;  // of the least and the highest bound
+  std::uint32_t pilots_left_ = 0;
+  std::optional<VplForecast> forecast_;
+  std::uint32_t light_paths_ = 0;  // of a set
+  double density_ = 0;             // VPLs of set 0 a square metre, where there are any
+  float clamp_ = 0;                // of the geometry term, 1/m^2
   std::vector<Set> sets_;
   std::vector<CameraPoints> seen_;  // of the way's cameras, until all are there
   std::size_t seen_cameras_ = 0;

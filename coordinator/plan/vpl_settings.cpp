@@ -34,6 +34,16 @@ VplSettings make_vpl_settings(const FrameSettings& settings) {
   // Measured on cornell-box, sponza-dabrovic and white-room: 3 to 10 % of the rays, no error that shows.
   vpl.least = real_setting(settings, "vpl.least", 0.05, 0, 1);
   vpl.clamp = real_setting(settings, "vpl.clamp", 0.05, 0, 1e6);
+  const auto is_given = [&](const char* key) { return settings.set.contains(key); };
+  if (is_given("vpl.count")) vpl.given.count = vpl.count;
+  if (is_given("vpl.clusters")) vpl.given.clusters = vpl.clusters;
+  if (is_given("vpl.point_clusters")) vpl.given.point_clusters = vpl.point_clusters;
+  if (is_given("vpl.sets")) vpl.given.sets = vpl.sets;
+  if (is_given("vpl.doubt")) vpl.given.doubt = vpl.doubt;
+  // What a bound takes is an error where nothing gives it back: the pilot knows of none.
+  if (is_given("vpl.clamp") || !vpl.compensate) vpl.given.clamp = vpl.clamp;
+  vpl.given.draw = is_given("vpl.draw");
+  vpl.piloted = !(vpl.given.count && vpl.given.clusters && vpl.given.point_clusters) && settings.way.empty();
   return vpl;
 }
 

@@ -2,6 +2,7 @@
 // What the method `vpl` was told, and what it settles for itself.
 
 #include <cstdint>
+#include <optional>
 
 #include "coordinator/plan/plan.h"
 
@@ -20,6 +21,15 @@ struct VplSettings {
   bool draw = false;  // a cluster's representative by lot, not the one in its middle
   std::uint32_t samples = 1;  // of a pixel and set, each of which sees a slice of the lights
   std::uint32_t sets = 1;
+
+  // Of what is above, that which was set. A pilot (coordinator/plan/vpl_pilot.h) chooses the rest, unless the three
+  // counts are all set; the values above are then where it begins.
+  struct Given {
+    std::optional<std::uint32_t> count, clusters, point_clusters, sets;
+    std::optional<double> doubt, clamp;
+    bool draw = false;
+  } given;
+  bool piloted = false;
 };
 
 // From --set vpl.*, where given, else by the picture's size and --spp. Throws Error::usage.

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <cstdio>
 #include <functional>
+#include <nlohmann/json.hpp>
 
 #include "cli/local_frame.h"
 #include "coordinator/plan/plan.h"
@@ -44,6 +45,7 @@ struct Rendered {
   Film film;
   std::map<std::string, std::vector<float>> records;  // by stage
   std::map<std::string, worker::StageTask> tasks;
+  double forecast = 0;  // of the error that the VPLs' light has, over the picture's mean
 };
 
 Rendered render(const Frame& frame) {
@@ -65,6 +67,9 @@ Rendered render(const Frame& frame) {
         std::memcpy(values.data(), result.records.data(), result.records.size());
       });
   made.film = plan->film();
+  const auto parameters = nlohmann::json::parse(plan->parameters_json());
+  if (parameters.contains("vpl") && parameters["vpl"].contains("pilot"))
+    made.forecast = parameters["vpl"]["pilot"]["error"];
   return made;
 }
 
@@ -392,6 +397,64 @@ TEST(Vpl, ErrorFallsWithMoreLights) {
   EXPECT_LT(order, 0.6);
 }
 
+// --- The pilot ---
+
+double squared_difference(const Film& film, const Film& truth, const std::string& prefix) {
+  double square = 0, values = 0;
+  for (const char* channel : {"R", "G", "B"}) {
+    const auto &a = film.find(prefix + channel)->values, &b = truth.find(prefix + channel)->values;
+    for (std::size_t i = 0; i < a.size(); ++i) square += (double{a[i]} - b[i]) * (double{a[i]} - b[i]);
+    values += static_cast<double>(a.size());
+  }
+  return square / values;
+}
+
+// With nothing set, an error that is wished for is met, and the pilot's forecast is near what the lights leave.
+TEST(Vpl, WishedErrorIsMet) {
+  Frame frame = frame_of("cornell-box", {}, {}, 64, 4096, {});
+  frame.settings.method = "path";
+  const Film truth = render(frame).film;
+  const double mean = (mean_of(truth, "R") + mean_of(truth, "G") + mean_of(truth, "B")) / 3;
+  frame.settings.method = "vpl";
+  frame.settings.spp = 64;
+  for (const double target : {0.05, 0.02}) {
+    frame.settings.target_error = target;
+    int met = 0;
+    double worst = 0;
+    for (const std::uint64_t seed : {1, 2, 3, 4}) {
+      frame.settings.seed = seed;
+      const double error = std::sqrt(squared_difference(render(frame).film, truth, "")) / mean;
+      worst = std::max(worst, error);
+      met += error <= target;
+    }
+    std::printf("  wished %.2f: worst of four %.4f\n", target, worst);
+    EXPECT_EQ(met, 4) << "target " << target << ", worst " << worst;
+    EXPECT_GT(worst, 0.2 * target) << "by doing many times too much";
+  }
+}
+
+TEST(Vpl, ForecastIsNearWhatTheLightsLeave) {
+  // The lights' part alone: many samples take the paths' noise away, but for what shows in the truth as well.
+  Frame frame = frame_of("cornell-box", {}, {}, 48, 4096, {});
+  frame.settings.method = "path";
+  const Film truth = render(frame).film;
+  frame.settings.method = "vpl";
+  frame.settings.spp = 2048;
+  const double whole = (mean_of(truth, "R") + mean_of(truth, "G") + mean_of(truth, "B")) / 3;
+  double measured = 0, foreseen = 0;
+  for (const std::uint64_t seed : {1, 2, 3}) {
+    frame.settings.seed = seed;
+    frame.settings.set = {{"vpl.sets", "1"}, {"vpl.clusters", "384"}, {"vpl.count", "4000"}, {"vpl.doubt", "0.2"}};
+    const Rendered made = render(frame);
+    measured += squared_difference(made.film, truth, "indirect.") / (whole * whole) / 3;
+    foreseen += std::pow(made.forecast, 2) / 3;
+  }
+  std::printf("  RMSE of the indirect light over the picture's mean: foreseen %.4f, measured %.4f\n",
+              std::sqrt(foreseen), std::sqrt(measured));
+  EXPECT_GT(foreseen, measured / 4);
+  EXPECT_LT(foreseen, measured * 4);
+}
+
 // --- Conservation ---
 
 TEST(Vpl, ClustersCarryTheirMembersLight) {
@@ -514,7 +577,7 @@ double flicker(const std::vector<Frame>& frames) {
   std::vector<float> before;
   for (Frame frame : frames) {
     const std::vector<float> clustered = render(frame).records.at("vpl.shade.0");
-    frame.settings.set["vpl.point_clusters"] = "0";
+    frame.settings.set["vpl.point_clusters"] = std::string("0");
     std::vector<float> error = render(frame).records.at("vpl.shade.0");
     for (std::size_t i = 0; i < error.size(); ++i) {
       light += error[i];

@@ -1,0 +1,484 @@
+// The pilot of method `vpl`: what it foresees against what can be reckoned, and what the plan makes of it.
+
+#include "coordinator/plan/vpl_pilot.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdio>
+#include <cstring>
+#include <deque>
+#include <functional>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "coordinator/plan/plan.h"
+#include "kernels/stage_records.h"
+#include "scene/model/error.h"
+#include "tests/unit/plan_frame.h"
+
+namespace gleaner::coordinator {
+namespace {
+
+// A square of 2 m, seen from above, under a ceiling of lights.
+constexpr double kAlbedo = 0.2;
+
+std::vector<float> light_at(double x, double y, double z, double flux) {
+  std::vector<float> row(VPL_WORDS, 0.0f);
+  row[0] = static_cast<float>(x), row[1] = static_cast<float>(y), row[2] = static_cast<float>(z);
+  row[VPL_NORMAL + 2] = row[VPL_GEOMETRIC + 2] = -1;
+  for (unsigned k = 0; k < 3; ++k) row[VPL_FLUX + k] = static_cast<float>(flux);
+  row[VPL_COS] = row[VPL_COUNT] = 1;
+  return row;
+}
+
+std::vector<float> ceiling(std::uint32_t count, double height) {
+  std::vector<float> lights;
+  for (std::uint32_t i = 0; i < count; ++i) {
+    const auto row = light_at(2 * unit(2 * i + 1) - 1, 2 * unit(2 * i + 2) - 1, height, 1.0 / count);
+    lights.insert(lights.end(), row.begin(), row.end());
+  }
+  return lights;
+}
+
+std::vector<float> floor_points(std::uint32_t side) {
+  std::vector<float> points;
+  for (std::uint32_t i = 0; i < side * side; ++i) {
+    std::vector<float> row(POINT_WORDS, 0.0f);
+    row[0] = static_cast<float>((i % side + 0.5) * 2 / side - 1);
+    row[1] = static_cast<float>((i / side + 0.5) * 2 / side - 1);
+    row[POINT_NORMAL + 2] = 1;
+    for (unsigned k = 0; k < 3; ++k) row[POINT_ALBEDO + k] = static_cast<float>(kAlbedo);
+    row[POINT_COS] = row[POINT_WEIGHT] = 1;
+    points.insert(points.end(), row.begin(), row.end());
+  }
+  return points;
+}
+
+using Sees = std::function<bool(const float* point, const float* light)>;
+const Sees everything = [](const float*, const float*) { return true; };
+// A wall stands between the halves of the floor, and all lights but a few are on one side of it.
+const Sees half = [](const float* point, const float*) { return point[0] > 0; };
+
+Bytes bits(const std::vector<float>& lights, const std::vector<float>& points, const Sees& sees) {
+  const std::size_t columns = lights.size() / VPL_WORDS, rows = points.size() / POINT_WORDS;
+  const std::size_t words = columns / 32 + VISIBILITY_COUNTS;
+  Bytes records(rows * words * 4);
+  for (std::size_t p = 0; p < rows; ++p)
+    for (std::size_t l = 0; l < columns; ++l) {
+      std::uint32_t triangle = 0;
+      std::memcpy(&triangle, &points[p * POINT_WORDS + POINT_TRIANGLE], 4);
+      if (triangle == GLEANER_NONE || !sees(&points[p * POINT_WORDS], &lights[l * VPL_WORDS])) continue;
+      records[(p * words + l / 32) * 4 + l % 32 / 8] |= std::byte(1u << (l % 8));
+    }
+  return records;
+}
+
+VplPilot pilot_of(const std::vector<float>& lights, const std::vector<float>& points, const Sees& sees,
+                  std::vector<double> bounds = {1e6}) {
+  VplPilot pilot(lights, points, std::move(bounds));
+  pilot.answer(bits(pilot.asked_lights(), pilot.asked_points(), sees));
+  return pilot;
+}
+
+double brought(const float* point, const float* light, double bound) {
+  double d2 = 0;
+  for (unsigned k = 0; k < 3; ++k) d2 += std::pow(double{light[k]} - point[k], 2);
+  const double height = double{light[2]} - point[2];
+  return kAlbedo * light[VPL_FLUX] * std::min(bound, height * height / (d2 * d2));
+}
+
+TEST(VplPilot, TellsTheMean) {
+  const auto lights = ceiling(4096, 1);
+  const auto points = floor_points(64);
+  for (const double bound : {0.3, 1e6}) {
+    double mean = 0;
+    for (std::size_t p = 0; p < points.size(); p += POINT_WORDS)
+      for (std::size_t l = 0; l < lights.size(); l += VPL_WORDS)
+        mean += brought(&points[p], &lights[l], bound) / (64 * 64);
+    const double open = pilot_of(lights, points, everything, {bound}).mean(0),
+                 shaded = pilot_of(lights, points, half, {bound}).mean(0);
+    std::printf("  mean %.5f, foreseen %.5f; half in the dark %.5f\n", mean, open, shaded);
+    EXPECT_NEAR(open, mean, 0.03 * mean);
+    EXPECT_NEAR(shaded, 0.5 * mean, 0.06 * mean);
+  }
+}
+
+// Lights that are drawn by chance: the variance that it foresees is the one that they have.
+TEST(VplPilot, ErrorOfFewLightsIsThatOfDrawingThem) {
+  const auto lights = ceiling(4096, 0.4);
+  const auto points = floor_points(48);
+  const double bound = 3;
+  const VplPilot pilot = pilot_of(lights, points, everything, {bound});
+  for (const std::uint32_t count : {64u, 256u}) {
+    double square = 0, looked = 0;
+    for (std::size_t p = 0; p < points.size(); p += 37 * POINT_WORDS) {
+      std::vector<double> each;
+      double exact = 0;
+      for (std::size_t l = 0; l < lights.size(); l += VPL_WORDS) {
+        each.push_back(brought(&points[p], &lights[l], bound));
+        exact += each.back();
+      }
+      for (std::uint64_t run = 0; run < 60; ++run) {
+        double sum = 0;
+        for (std::uint32_t k = 0; k < count; ++k)
+          sum += each[mixed(p * 1000003 + run * 4099 + k) % each.size()] * 4096.0 / count;
+        square += (sum - exact) * (sum - exact);
+        ++looked;
+      }
+    }
+    const double ratio = std::sqrt(pilot.lights_error(0, count) / (square / looked));
+    std::printf("  %4u lights: foreseen over drawn %.3f\n", count, ratio);
+    EXPECT_NEAR(ratio, 1, 0.1);
+  }
+}
+
+// One place has no clusters' error and no error of few lights; the errors of lights that are strewn fall with clusters.
+TEST(VplPilot, ErrorOfClusters) {
+  std::vector<float> same;
+  for (int k = 0; k < 500; ++k) {
+    const auto row = light_at(0.1, 0.2, 1, 1);
+    same.insert(same.end(), row.begin(), row.end());
+  }
+  const auto points = floor_points(48);
+  const VplPilot one = pilot_of(same, points, everything);
+  EXPECT_GT(one.mean(0), 0);
+  const double square = one.mean(0) * one.mean(0);
+  for (const bool drawn : {false, true}) EXPECT_LT(one.clusters_error(0, 16, drawn), 1e-8 * square);
+  EXPECT_LT(one.lights_error(0, 16), 1e-8 * square);
+
+  const VplPilot strewn = pilot_of(ceiling(16384, 0.2), points, half, {5});
+  double last = 1e300;
+  for (double clusters = 16; clusters <= 8192; clusters *= 2) {
+    const double error = strewn.clusters_error(0, clusters, false);
+    EXPECT_LT(error, last) << clusters;
+    EXPECT_GT(error, 0) << clusters;
+    // A member by chance is further off than the one in the middle, which has neighbours on all sides.
+    const double ratio = strewn.clusters_error(0, clusters, true) / error;
+    std::printf("  %4.0f clusters: by chance over middle, squares: %.2f\n", clusters, ratio);
+    EXPECT_GT(ratio, clusters <= 2048 ? 2 : 1) << clusters;
+    last = error;
+  }
+  // A far cluster is looked at once, of a near one its members too.
+  EXPECT_DOUBLE_EQ(pilot_of(ceiling(16384, 9), points, half, {5}).looked_at(64), 64);
+  const double near = pilot_of(ceiling(16384, 0.02), points, half, {5}).looked_at(64);
+  EXPECT_GT(near, 64 + 16384.0 / 64);
+  EXPECT_LT(near, 64 + 16384.0);
+  // In the open there is little that a cluster could have wrong.
+  EXPECT_LT(pilot_of(ceiling(16384, 0.2), points, everything, {5}).clusters_error(0, 64, false),
+            0.1 * strewn.clusters_error(0, 64, false));
+  // Between the powers of two that are looked at.
+  const double between = strewn.clusters_error(0, 384, false);
+  EXPECT_LT(between, strewn.clusters_error(0, 256, false));
+  EXPECT_GT(between, strewn.clusters_error(0, 512, false));
+}
+
+TEST(VplPilot, ErrorOfPointClusters) {
+  const auto lights = ceiling(4096, 1);
+  const auto points = floor_points(96);
+  // Nothing stands in the way: clusters are never wrong, at no spacing.
+  const VplPilot open = pilot_of(lights, points, everything);
+  for (const double spacing : {2.0, 10.0, 50.0})
+    for (const double doubt : {0.0, 0.1}) {
+      const VplPilot::Split split = open.points_error(spacing, 1000, doubt);
+      EXPECT_EQ(split.common + split.by_lot, 0) << spacing << ", " << doubt;
+    }
+  // A shadow's edge: wrong near it, farther away where clusters are; asking mends it, the more the oftener.
+  const VplPilot edge = pilot_of(lights, points, half);
+  double last = 0;
+  for (const double spacing : {2.0, 8.0, 32.0}) {
+    const double unasked = edge.points_error(spacing, 1000, 0).common;
+    EXPECT_GT(unasked, last);
+    last = unasked;
+    double worse = unasked;
+    for (const double doubt : {0.2, 0.05, 0.01}) {
+      const VplPilot::Split split = edge.points_error(spacing, 1000, doubt);
+      EXPECT_LT(split.common + split.by_lot, worse) << spacing << ", " << doubt;
+      worse = split.common + split.by_lot;
+      EXPECT_GT(edge.asked(spacing, doubt), edge.asked(spacing, 2 * doubt));
+    }
+  }
+}
+
+TEST(VplPilot, NothingToSee) {
+  const auto lights = ceiling(100, 1), dark = light_at(0, 0, 1, 0);
+  const auto points = floor_points(8);
+  std::vector<float> nowhere = points;
+  for (std::size_t p = 0; p < nowhere.size(); p += POINT_WORDS) std::memset(&nowhere[p + POINT_TRIANGLE], 0xff, 4);
+  EXPECT_TRUE(VplPilot({}, points, {1}).empty());
+  EXPECT_TRUE(VplPilot(dark, points, {1}).empty());
+  EXPECT_TRUE(VplPilot(lights, {}, {1}).empty());
+  EXPECT_TRUE(VplPilot(lights, nowhere, {1}).empty());
+  VplPilot pilot(lights, points, {1});
+  EXPECT_FALSE(pilot.empty());
+  EXPECT_THROW(pilot.answer(Bytes(12)), Error);
+}
+
+// --- The choice ---
+
+VplWish wish_of(double spp, double target) {
+  VplWish wish;
+  wish.pixels = 512 * 512;
+  wish.points = 96 * 96;
+  wish.spp = spp;
+  wish.target = target;
+  wish.made = 30000;
+  wish.samples = 16;
+  wish.usual_point_clusters = 1152;
+  return wish;
+}
+
+TEST(ChooseVpl, KeepsWhatIsSet) {
+  const VplPilot pilot = pilot_of(ceiling(16000, 0.3), floor_points(96), half, {1, 4});
+  const std::vector<PathForecast> paths = {{1e-3, 0.1}, {8e-4, 0.1}};
+  const VplCounts free = choose_vpl(pilot, paths, wish_of(16, 0)).counts;
+  for (int what = 0; what < 5; ++what) {
+    VplWish wish = wish_of(16, 0);
+    if (what == 0) wish.count = 1234;
+    if (what == 1) wish.clusters = 777;
+    if (what == 2) wish.point_clusters = 99;
+    if (what == 3) wish.sets = 3;
+    if (what == 4) wish.doubt = 0.033;
+    const VplCounts chosen = choose_vpl(pilot, paths, wish).counts;
+    EXPECT_EQ(chosen.count == 1234, what == 0);
+    EXPECT_EQ(chosen.clusters == 777, what == 1);
+    EXPECT_EQ(chosen.point_clusters == 99, what == 2);
+    EXPECT_EQ(chosen.sets == 3, what == 3);
+    EXPECT_EQ(chosen.doubt == 0.033, what == 4);
+  }
+  // Neither clusters nor point clusters is a setting as well.
+  VplWish none = wish_of(16, 0);
+  none.clusters = 0;
+  none.point_clusters = 0;
+  const VplForecast all = choose_vpl(pilot, paths, none);
+  EXPECT_EQ(all.counts.clusters, 0u);
+  EXPECT_EQ(all.counts.point_clusters, 0u);
+  EXPECT_EQ(all.clusters, 0);
+  EXPECT_EQ(all.points, 0);
+  EXPECT_GT(all.lights, 0);
+  EXPECT_GT(free.clusters, 0u);
+  EXPECT_GT(free.point_clusters, 0u);
+}
+
+TEST(ChooseVpl, TighterWishesCostMore) {
+  const VplPilot pilot = pilot_of(ceiling(16000, 0.3), floor_points(96), half, {1, 4});
+  const std::vector<PathForecast> paths = {{1e-3, 0.1}, {8e-4, 0.1}};
+  VplForecast last;
+  double loosest = 0;
+  for (const double target : {0.2, 0.1, 0.05, 0.02}) {
+    const VplForecast f = choose_vpl(pilot, paths, wish_of(64, target));
+    const double foreseen = std::sqrt(kVplCaution * f.vpl() + f.paths) / f.mean;
+    std::printf(
+        "  target %.2f: foreseen %.4f; %u VPLs, %u clusters, %u point clusters, %u sets, doubt %.2f, %.1f spp\n",
+        target, foreseen, f.counts.count, f.counts.clusters, f.counts.point_clusters, f.counts.sets, f.counts.doubt,
+        f.spp);
+    EXPECT_LE(foreseen, target * 1.001);
+    EXPECT_GE(f.cost, last.cost);
+    loosest = std::max(loosest, f.vpl());
+    last = f;
+  }
+  EXPECT_LT(last.vpl(), loosest / 4);
+  // Where samples cost next to nothing, it is the lights that have to meet the wish.
+  const std::vector<PathForecast> quiet = {{1e-6, 0.1}, {1e-6, 0.1}};
+  const VplForecast f = choose_vpl(pilot, quiet, wish_of(64, 0.01));
+  EXPECT_LE(std::sqrt(kVplCaution * f.vpl() + f.paths) / f.mean, 0.01001);
+  EXPECT_GT(std::sqrt(kVplCaution * f.vpl()) / f.mean, 0.003) << "by doing many times too much";
+  // Of a number of samples: the more of them, the less may the lights be off.
+  const double few = choose_vpl(pilot, paths, wish_of(4, 0)).vpl(),
+               many = choose_vpl(pilot, paths, wish_of(256, 0)).vpl();
+  EXPECT_LT(many, few / 2);
+}
+
+// --- The plan ---
+
+struct Asked {
+  StageSpec spec;
+  std::map<std::string, std::shared_ptr<const Bytes>> inputs;
+};
+
+// A worker that is arithmetic: the floor and the ceiling above. `turn` says which of the waiting stages is done next.
+class VplFrame {
+ public:
+  VplFrame(const FrameSettings& settings, std::uint64_t turn) : plan_(make_plan(settings, {})), turn_(turn) {}
+
+  // Until the picture is whole.
+  void run() {
+    std::deque<StageSpec> waiting;
+    Step step = plan_->next(nullptr);
+    for (;;) {
+      artifacts_.merge(step.artifacts);
+      for (StageSpec& stage : step.stages) waiting.push_back(std::move(stage));
+      if (step.done) return;
+      ASSERT_FALSE(waiting.empty());
+      turn_ = mixed(turn_);
+      const auto at = waiting.begin() + static_cast<std::ptrdiff_t>(turn_ % waiting.size());
+      Asked asked{*at, {}};
+      waiting.erase(at);
+      for (const StageInput& input : asked.spec.inputs) asked.inputs[input.name] = artifacts_.at(input.artifact);
+      const FinishedStage finished{asked.spec.name, std::make_shared<Bytes>(records(asked))};
+      ASSERT_TRUE(stages.emplace(asked.spec.name, asked).second) << asked.spec.name;
+      step = plan_->next(&finished);
+    }
+  }
+
+  Plan& plan() { return *plan_; }
+  std::map<std::string, Asked> stages;
+
+ private:
+  static std::vector<float> floats(const Bytes& bytes) {
+    std::vector<float> values(bytes.size() / 4);
+    std::memcpy(values.data(), bytes.data(), bytes.size());
+    return values;
+  }
+
+  static Bytes records(const Asked& asked) {
+    const StageSpec& spec = asked.spec;
+    Bytes made(spec.items * spec.record_bytes);
+    std::vector<float> values(made.size() / 4, 0.0f);
+    if (spec.kind == "vpl_visibility")
+      return bits(floats(*asked.inputs.at("lights")), floats(*asked.inputs.at("points")), half);
+    if (spec.kind == "vpl_trace") {
+      for (std::uint64_t i = 0; i < spec.items; ++i) {
+        const std::uint64_t key = mixed(i + 77 * std::hash<std::string>()(spec.name));
+        const auto row = light_at(2 * unit(key) - 1, 2 * unit(key + 1) - 1, 0.3, 1);
+        std::copy(row.begin(), row.end(), values.begin() + static_cast<std::ptrdiff_t>(i * VPL_PATH_SLOTS * VPL_WORDS));
+      }
+    } else if (spec.kind == "vpl_points") {
+      const auto side = static_cast<std::uint32_t>(std::ceil(std::sqrt(static_cast<double>(spec.items))));
+      values = floor_points(side);
+      values.resize(made.size() / 4);
+    } else if (spec.kind == "vpl_cluster") {
+      // The first lights stand for the others.
+      kernels::ClusterParameters p;
+      std::memcpy(&p, spec.parameters.data(), sizeof p);
+      const std::vector<float> lights = floats(*asked.inputs.at("lights"));
+      const std::size_t clusters = std::size_t{p.clusters} * VPL_WORDS;
+      std::copy_n(lights.begin(), std::min(lights.size(), clusters), values.begin());
+      for (std::uint32_t i = 0; i < p.lights; ++i) {
+        const std::uint32_t cluster = i % p.clusters;
+        std::memcpy(&values[clusters + i], &cluster, 4);
+      }
+    } else if (spec.kind == "point_cluster") {
+      values = floats(*asked.inputs.begin()->second);
+      values.resize(made.size() / 4);
+    } else if (spec.kind == "path") {
+      const std::size_t words = spec.record_bytes / 4;
+      kernels::PathParameters p;
+      std::memcpy(&p, spec.parameters.data(), sizeof p);
+      for (std::uint64_t i = 0; i < spec.items; ++i)
+        for (std::size_t k = 0; k < 3; ++k)
+          values[i * words + k] = static_cast<float>(p.samples_per_item * (0.1 + 0.2 * unit(p.seed_low + i * 3 + k)));
+    } else if (spec.kind == "vpl_shade") {
+      std::fill(values.begin(), values.end(), 0.05f);
+    }
+    std::memcpy(made.data(), values.data(), made.size());
+    return made;
+  }
+
+  std::unique_ptr<Plan> plan_;
+  std::map<ArtifactId, std::shared_ptr<const Bytes>> artifacts_;
+  std::uint64_t turn_;
+};
+
+FrameSettings frame_settings(const std::map<std::string, std::string>& set, double target = 0) {
+  FrameSettings s;
+  s.method = "vpl";
+  s.width = 64;
+  s.height = 48;
+  s.spp = 16;
+  s.target_error = target;
+  s.set = set;
+  return s;
+}
+
+nlohmann::json vpl_of(VplFrame& frame) { return nlohmann::json::parse(frame.plan().parameters_json())["vpl"]; }
+
+// Whichever stage ends first, the same is asked for and the same picture comes out.
+TEST(VplPlan, PilotDoesNotDependOnWhatEndsFirst) {
+  std::map<std::string, Asked> first;
+  std::string parameters;
+  for (const std::uint64_t turn : {1, 2, 3, 4, 5, 6, 7, 8}) {
+    VplFrame frame(frame_settings({{"vpl.sets", "2"}}), turn);
+    frame.run();
+    ASSERT_TRUE(frame.stages.contains("vpl.pilot.visibility"));
+    if (first.empty()) {
+      first = frame.stages;
+      parameters = frame.plan().parameters_json();
+      continue;
+    }
+    EXPECT_EQ(frame.plan().parameters_json(), parameters);
+    ASSERT_EQ(frame.stages.size(), first.size());
+    for (const auto& [name, asked] : frame.stages) {
+      ASSERT_TRUE(first.contains(name)) << name;
+      EXPECT_EQ(asked.spec.parameters, first.at(name).spec.parameters) << name;
+      for (std::size_t k = 0; k < asked.spec.inputs.size(); ++k)
+        EXPECT_EQ(asked.spec.inputs[k].artifact, first.at(name).spec.inputs[k].artifact) << name;
+    }
+  }
+}
+
+TEST(VplPlan, SetCountsAreKept) {
+  const auto clusters_of = [](const Asked& asked) {
+    kernels::ClusterParameters p;
+    std::memcpy(&p, asked.spec.parameters.data(), sizeof p);
+    return p.clusters;
+  };
+  {
+    // All three: there is nothing to ask a pilot.
+    VplFrame frame(frame_settings({{"vpl.count", "900"}, {"vpl.clusters", "100"}, {"vpl.point_clusters", "50"}}), 1);
+    frame.run();
+    for (const auto& [name, asked] : frame.stages) EXPECT_FALSE(name.starts_with("vpl.pilot")) << name;
+    EXPECT_EQ(clusters_of(frame.stages.at("vpl.cluster.0")), 100u);
+    EXPECT_EQ(clusters_of(frame.stages.at("vpl.point_cluster")), 50u);
+    EXPECT_FALSE(vpl_of(frame).contains("pilot"));
+  }
+  VplFrame frame(frame_settings({{"vpl.clusters", "123"}}), 1);
+  frame.run();
+  EXPECT_TRUE(frame.stages.contains("vpl.pilot.visibility"));
+  EXPECT_EQ(clusters_of(frame.stages.at("vpl.cluster.0")), 123u);
+  EXPECT_EQ(vpl_of(frame)["clusters"], 123);
+  // The clusters of points are of what they were chosen for: eight points each where there are as many.
+  const Asked& points = frame.stages.at("vpl.point_cluster");
+  EXPECT_EQ(clusters_of(points), vpl_of(frame)["point_clusters"].get<std::uint32_t>());
+  const std::size_t rows = points.inputs.at("points")->size() / (POINT_WORDS * 4),
+                    looked = frame.stages.at("vpl.points").spec.items;
+  EXPECT_EQ(rows, std::min<std::size_t>(looked, 8 * clusters_of(points)));
+  for (const char* name :
+       {"error", "error_of_lights", "error_of_clusters", "error_of_point_clusters", "error_of_paths"})
+    EXPECT_GE(vpl_of(frame)["pilot"][name].get<double>(), 0) << name;
+
+  VplFrame own(frame_settings({{"vpl.point_clusters", "0"}, {"vpl.count", "500"}, {"vpl.clamp", "0"}}), 1);
+  own.run();
+  EXPECT_FALSE(own.stages.contains("vpl.point_cluster"));
+  EXPECT_FALSE(own.stages.contains("vpl.visibility.0"));
+  EXPECT_FALSE(vpl_of(own).contains("clamp_per_square_metre"));
+  EXPECT_EQ(vpl_of(own)["kept"][0], 500);
+}
+
+// Frames of the same lights ask for the same light paths, whatever the pilot chose: those may be kept.
+TEST(VplPlan, LightPathsAreThoseOfAnyChoice) {
+  VplFrame loose(frame_settings({}, 0.3), 1), tight(frame_settings({}, 0.02), 1);
+  loose.run();
+  tight.run();
+  EXPECT_NE(vpl_of(loose)["clusters"], vpl_of(tight)["clusters"]);
+  EXPECT_EQ(loose.stages.at("vpl.trace.0").spec.parameters, tight.stages.at("vpl.trace.0").spec.parameters);
+  EXPECT_TRUE(loose.stages.at("vpl.trace.0").spec.keep);
+  // Of the wish, samples get what the lights leave of it.
+  EXPECT_GT(tight.stages.size(), loose.stages.size());
+}
+
+TEST(VplPlan, TellsOfThePilotBeforehand) {
+  const auto lines = [](const std::map<std::string, std::string>& set) {
+    std::string all;
+    for (const std::string& line : make_plan(frame_settings(set), {})->outline()) all += line + "\n";
+    return all;
+  };
+  EXPECT_THAT(lines({}), ::testing::HasSubstr("vpl.pilot"));
+  EXPECT_THAT(lines({{"vpl.count", "900"}, {"vpl.clusters", "100"}, {"vpl.point_clusters", "50"}}),
+              ::testing::Not(::testing::HasSubstr("vpl.pilot")));
+}
+
+}  // namespace
+}  // namespace gleaner::coordinator
