@@ -98,7 +98,8 @@ std::vector<std::uint32_t> allocate_chunks(const std::vector<float>& variance, c
   };
   double low = 0, high = 1 / largest;
   while (wanted(high) < static_cast<double>(extra)) high *= 2;
-  for (int step = 0; step < 60; ++step) {
+  // What is left of the interval moves less than a chunk in all.
+  while (high - low > high * 1e-9) {
     const double middle = (low + high) / 2;
     (wanted(middle) < static_cast<double>(extra) ? low : high) = middle;
   }

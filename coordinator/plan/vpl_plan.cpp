@@ -94,7 +94,7 @@ double light_density(const std::vector<float>& rows) {
   const std::size_t count = rows.size() / VPL_WORDS;
   if (count < 2) return 0;
   std::vector<double> nearest;
-  const std::size_t step = std::max<std::size_t>(1, count / 512);
+  const std::size_t step = std::max<std::size_t>(1, count / 256);
   for (std::size_t i = 0; i < count; i += step) {
     double best = std::numeric_limits<double>::infinity();
     for (std::size_t j = 0; j < count; ++j) {
