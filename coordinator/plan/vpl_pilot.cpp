@@ -512,8 +512,9 @@ VplForecast choose_vpl(const VplPilot& pilot, const std::vector<PathForecast>& p
   const auto counts = grid(wish.count, {4000, 8000, 16000, 24000}, 1, wish.made);
   const auto many = grid(wish.sets, {1, 2, 4, 8, 16, 32, 64}, 1, most_sets);
   const auto spaced = grid(wish.point_clusters, points, 64, 1e9);
-  const std::vector<double> doubts =
-      wish.doubt ? std::vector<double>{*wish.doubt} : std::vector<double>{0.2, 0.1, 0.05, 0.02};
+  std::vector<double> doubts{wish.doubt ? *wish.doubt : 0.02};
+  for (const double doubt : {0.05, 0.1, 0.2})
+    if (!wish.doubt && doubt <= wish.most_doubt) doubts.push_back(doubt);
   VplForecast best;
   double least = std::numeric_limits<double>::infinity();
   for (const std::uint32_t count : counts)

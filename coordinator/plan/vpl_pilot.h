@@ -109,6 +109,7 @@ struct VplWish {
   std::uint32_t made = 0;                  // lights that there are to draw from
   std::uint32_t samples = 1;               // of a pixel and set
   std::uint32_t usual_point_clusters = 0;  // others are so many times as many
+  double most_doubt = 0.2;  // shadows that none of the pilot's points meets are found by what points ask themselves
   // What was set, and stays.
   std::optional<std::uint32_t> count, clusters, point_clusters, sets;
   std::optional<double> doubt;

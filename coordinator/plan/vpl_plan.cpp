@@ -417,6 +417,8 @@ void VplPlan::end_pilot(Step& step) {
     wish.point_clusters = vpl_.given.point_clusters;
     wish.sets = vpl_.given.sets;
     wish.doubt = vpl_.given.doubt;
+    // As many samples or as small an error: the more must points ask.
+    wish.most_doubt = wish.target > 0 ? 4 * wish.target : vpl_.doubt;
     if (vpl_.given.clamp) wish.clamp = *vpl_.given.clamp * density_;
     // Between the bounds, as a power of them.
     const PathForecast &low = path_pilots_[0], &high = path_pilots_[1];
