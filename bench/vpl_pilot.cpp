@@ -62,7 +62,7 @@ class Bench {
     cli::run_frame(
         *plan, executor_, "scene",
         [&](const auto& stage, const worker::StageTask& task) {
-          if (stage.name == "vpl.cluster.0") made.lights = floats(*task.inputs.at("lights"));
+          if (stage.name == "vpl.cluster.0") made.lights = floats(*task.inputs.at("lights").load());
           if (stage.kind != "vpl_shade") return true;
           for (std::uint64_t first = 0; first < stage.items; first += std::uint64_t{settings.width} * part_) {
             const std::uint64_t count = std::min<std::uint64_t>(settings.width, stage.items - first);
@@ -138,7 +138,8 @@ int main(int argc, char** argv) {
       std::memcpy(to->data(), rows.data(), to->size());
       return to;
     };
-    task.inputs = {{"lights", bytes(pilot.asked_lights())}, {"points", bytes(pilot.asked_points())}};
+    task.inputs["lights"] = bytes(pilot.asked_lights());
+    task.inputs["points"] = bytes(pilot.asked_points());
     kernels::VisibilityParameters p{};
     p.clusters = coordinator::VplPilot::kLights;
     p.point_clusters = static_cast<std::uint32_t>(pilot.asked_points().size() / POINT_WORDS);

@@ -53,8 +53,8 @@ int replay(const ReplayWords& words) {
     const worker::BatchResult result = executor.run(task, first, count);
     fmt::print("scene {}, stage {}, item {}, seed {}, device {}, tracer {}\n", frame.scene_name, stage.name, words.item,
                frame.settings.seed, executor.info().name, executor.info().tracer);
-    const std::byte* record = result.records.data() + (words.item - first) * stage.record_bytes;
-    for (std::uint32_t at = 0; at + 4 <= stage.record_bytes; at += 4) {
+    const std::byte* record = result.records.data() + (words.item - first) * stage.output.record_bytes;
+    for (std::uint32_t at = 0; at + 4 <= stage.output.record_bytes; at += 4) {
       float value;
       std::uint32_t bits;
       std::memcpy(&value, record + at, 4);

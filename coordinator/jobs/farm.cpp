@@ -368,7 +368,7 @@ struct Farm::Impl {
     for (const auto& stage : posted) {
       std::shared_ptr<Bytes> records;
       try {
-        records = std::make_shared<Bytes>(stage->spec.items * stage->spec.record_bytes);
+        records = std::make_shared<Bytes>(stage->spec.items * stage->spec.output.record_bytes);
       } catch (const std::bad_alloc&) {
       }
       std::lock_guard lock(mutex);
@@ -376,7 +376,7 @@ struct Farm::Impl {
       stage->records = std::move(records);
       if (stage->failed_to_allocate)
         throw Error::failed("stage " + stage->spec.name + ": no memory for " + std::to_string(stage->spec.items) +
-                            " records of " + std::to_string(stage->spec.record_bytes) + " bytes");
+                            " records of " + std::to_string(stage->spec.output.record_bytes) + " bytes");
       deliver_if_complete(stage);
       records_ready.notify_all();
     }
@@ -392,7 +392,7 @@ struct Farm::Impl {
     };
     add(work.scene_blob);
     add(work.kind);
-    add(std::to_string(spec.items) + " of " + std::to_string(spec.record_bytes));
+    add(std::to_string(spec.items) + " of " + std::to_string(spec.output.record_bytes));
     add(std::string(reinterpret_cast<const char*>(spec.parameters.data()), spec.parameters.size()));
     for (const auto& input : work.inputs) {
       add(input.name);
@@ -403,16 +403,16 @@ struct Farm::Impl {
 
   // Mutex held. Null: the stage's records are there already, and were handed to the job.
   std::shared_ptr<RunningStage> schedule(const std::shared_ptr<Job>& job, const StageSpec& spec) {
-    if (spec.record_bytes == 0 || spec.items > settings.artifact_bytes / spec.record_bytes)
+    if (spec.output.record_bytes == 0 || spec.items > settings.artifact_bytes / spec.output.record_bytes)
       throw Error::failed("stage " + spec.name + ": " + std::to_string(spec.items) + " records of " +
-                          std::to_string(spec.record_bytes) + " bytes are more than this coordinator takes (" +
+                          std::to_string(spec.output.record_bytes) + " bytes are more than this coordinator takes (" +
                           std::to_string(settings.artifact_bytes) + " bytes)");
     auto work = std::make_shared<StageWork>();
     work->job = job->id;
     work->stage = spec.name;
     work->kind = spec.kind;
     work->parameters = spec.parameters;
-    work->record_bytes = spec.record_bytes;
+    work->record_bytes = spec.output.record_bytes;
     work->scene_blob = job->request.scene_blob;
     work->bvh_blob = job->request.bvh_blob;
     for (const auto& input : spec.inputs) {
@@ -425,7 +425,7 @@ struct Farm::Impl {
     auto stage = std::make_shared<RunningStage>();
     stage->job = job.get();
     stage->spec = spec;
-    if (spec.keep) {
+    if (spec.output.reusable) {
       stage->address = address_of(*work, spec);
       if (auto records = kept.find(stage->address)) {
         stage->records = std::const_pointer_cast<Bytes>(records);
@@ -606,11 +606,11 @@ struct Farm::Impl {
     const Lease lease = own ? known->second : Lease{};
     std::shared_ptr<RunningStage> stage;
     if (auto found = active_stages.find(lease.stage); own && found != active_stages.end()) stage = found->second;
-    if (stage && records.size() != lease.count * stage->spec.record_bytes) {
+    if (stage && records.size() != lease.count * stage->spec.output.record_bytes) {
       lock.unlock();
       failed(id, lease_id, epoch,
              "sent " + std::to_string(records.size()) + " bytes instead of " +
-                 std::to_string(lease.count * stage->spec.record_bytes));
+                 std::to_string(lease.count * stage->spec.output.record_bytes));
       return Verdict::stale;
     }
     ResultOutcome outcome = scheduler.result(id, lease_id, epoch, cost.seconds, now());
@@ -628,7 +628,8 @@ struct Farm::Impl {
     records_ready.wait(lock, [&] { return stage->records || stage->failed_to_allocate || stage->delivered; });
     std::shared_ptr<Bytes> target = stage->records;
     lock.unlock();
-    if (target) std::memcpy(target->data() + lease.first * stage->spec.record_bytes, records.data(), records.size());
+    if (target)
+      std::memcpy(target->data() + lease.first * stage->spec.output.record_bytes, records.data(), records.size());
     lock.lock();
     if (target) stage->copied.push_back({lease.first, lease.count});
     --stage->writers;
@@ -907,7 +908,7 @@ std::optional<std::uint64_t> Farm::expected_bytes(WorkerId worker, LeaseId lease
   if (found == impl_->leases.end() || found->second.worker != worker || found->second.id != lease) return std::nullopt;
   auto stage = impl_->active_stages.find(found->second.stage);
   if (stage == impl_->active_stages.end()) return std::nullopt;
-  return found->second.count * stage->second->spec.record_bytes;
+  return found->second.count * stage->second->spec.output.record_bytes;
 }
 
 Verdict Farm::result(WorkerId worker, LeaseId lease, Epoch epoch, Bytes records, const BatchCost& cost) {

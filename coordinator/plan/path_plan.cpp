@@ -95,7 +95,7 @@ Step PathPlan::stage(Planned planned) {
   spec.tile = std::max(1u, 16 / chunk_samples_);
   spec.parameters.resize(sizeof p);
   std::memcpy(spec.parameters.data(), &p, sizeof p);
-  spec.record_bytes = static_cast<std::uint32_t>(record_bytes(planned));
+  spec.output.record_bytes = static_cast<std::uint32_t>(record_bytes(planned));
   Step step;
   if (planned.list) {
     const ArtifactId id = sha256_hex(*planned.list);

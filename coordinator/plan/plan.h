@@ -9,38 +9,10 @@
 #include <vector>
 
 #include "coordinator/film/film.h"
-#include "scene/model/blob.h"
+#include "coordinator/plan/stage.h"
 #include "scene/model/scene.h"
 
 namespace gleaner::coordinator {
-
-using ArtifactId = std::string;  // SHA-256 of what makes it (a plan's own data: of its bytes), hexadecimal
-using scene::Bytes;
-
-struct StageInput {
-  std::string name;  // what the stage program calls it
-  ArtifactId artifact;
-};
-
-struct StageSpec {
-  std::string name;  // unique in the frame; part of the random numbers' key
-  std::string kind;  // which stage program of the device library runs it
-  std::uint64_t items = 0;
-  std::uint32_t tile = 1;  // batches begin and end at multiples of it (or at `items`)
-  bool solo = false;       // runs whole on one worker
-  int priority = 0;        // of the frame's stages that wait, the highest goes first; equal: the oldest
-  Bytes parameters;        // little-endian struct of kernels/stage_records.h
-  std::vector<StageInput> inputs;
-  std::uint32_t record_bytes = 0;  // fixed stride of an item's record
-  // Its records may serve other frames of the same scene: they are kept, by what makes them (kind, parameters, inputs),
-  // and a stage that would make them again is not run.
-  bool keep = false;
-};
-
-struct FinishedStage {
-  std::string name;
-  std::shared_ptr<const Bytes> records;  // items * record_bytes, in item order
-};
 
 struct ItemRange {
   std::uint64_t first = 0, count = 0;
@@ -56,7 +28,9 @@ struct CutStage {
 struct Step {
   std::vector<StageSpec> stages;                                 // to run now (in any order, at the same time)
   std::map<ArtifactId, std::shared_ptr<const Bytes>> artifacts;  // data of the plan's own that those stages read
-  bool done = false;                                             // the film is whole
+  // Artifacts of the frame that no stage of it will read any more: their memory may go (reusable ones stay cached).
+  std::vector<ArtifactId> released{};
+  bool done = false;  // the film is whole
 };
 
 struct Skip {

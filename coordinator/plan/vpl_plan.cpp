@@ -163,8 +163,8 @@ StageSpec VplPlan::trace(std::uint32_t set) const {
   spec.items = p.items_low;
   spec.tile = 16;
   spec.parameters = bytes_of(p);
-  spec.record_bytes = VPL_PATH_SLOTS * VPL_WORDS * 4;
-  spec.keep = true;  // another camera sees the same lights
+  spec.output.record_bytes = VPL_PATH_SLOTS * VPL_WORDS * 4;
+  spec.output.reusable = true;  // another camera sees the same lights
   return spec;
 }
 
@@ -220,7 +220,7 @@ StageSpec VplPlan::points() const {
   spec.items = p.items_low;
   spec.tile = 16;
   spec.parameters = bytes_of(p);
-  spec.record_bytes = POINT_WORDS * 4;
+  spec.output.record_bytes = POINT_WORDS * 4;
   return spec;
 }
 
@@ -232,7 +232,7 @@ StageSpec VplPlan::way_points(std::size_t camera) const {
   spec.name += '.';
   spec.name += std::to_string(camera);
   spec.parameters = bytes_of(p);
-  spec.keep = true;
+  spec.output.reusable = true;
   return spec;
 }
 
@@ -303,8 +303,8 @@ void VplPlan::take_lights(std::uint32_t set, std::vector<float> rows, Step& step
   spec.name = "vpl.cluster." + std::to_string(set);
   spec.kind = "vpl_cluster";
   spec.items = p.clusters + (p.lights + VPL_WORDS - 1) / VPL_WORDS;
-  spec.record_bytes = VPL_WORDS * 4;
-  spec.keep = true;
+  spec.output.record_bytes = VPL_WORDS * 4;
+  spec.output.reusable = true;
   step.stages.push_back(std::move(spec));
   s.vpls = std::move(rows);
 }
@@ -335,7 +335,7 @@ void VplPlan::begin_pilot(Step& step) {
   spec.items = p.point_clusters;
   spec.parameters = bytes_of(p);
   spec.inputs = {{"lights", asked_lights.id}, {"points", asked_points.id}};
-  spec.record_bytes = (p.clusters / 32 + VISIBILITY_COUNTS) * 4;
+  spec.output.record_bytes = (p.clusters / 32 + VISIBILITY_COUNTS) * 4;
   put(step, asked_lights);
   put(step, asked_points);
   step.stages.push_back(std::move(spec));
@@ -377,7 +377,7 @@ StageSpec VplPlan::path_pilot(std::uint32_t number, Step& step) const {
   spec.tile = 16 / kPilotSamples;
   spec.parameters = bytes_of(p);
   spec.inputs = {{"items", items.id}};
-  spec.record_bytes = sizeof(kernels::PathRecord) + 12;
+  spec.output.record_bytes = sizeof(kernels::PathRecord) + 12;
   put(step, items);
   return spec;
 }
@@ -592,8 +592,8 @@ void VplPlan::absorb_points(std::shared_ptr<const Bytes> records, Step& step) {
   StageSpec spec = cluster(step, "points", table_of(std::move(records)), cluster_parameters(point_clusters_));
   spec.name = "vpl.point_cluster";
   spec.kind = "point_cluster";
-  spec.record_bytes = POINT_WORDS * 4;
-  spec.keep = !settings_.way.empty();
+  spec.output.record_bytes = POINT_WORDS * 4;
+  spec.output.reusable = !settings_.way.empty();
   step.stages.push_back(std::move(spec));
 }
 
@@ -653,8 +653,8 @@ void VplPlan::ask_visibility(std::uint32_t set, Step& step) {
   spec.items = point_rows_;
   spec.parameters = bytes_of(p);
   spec.inputs = {{"lights", s.lights.id}, {"points", points_.id}};
-  spec.record_bytes = (s.rows / 32 + VISIBILITY_COUNTS) * 4;
-  spec.keep = !settings_.way.empty();
+  spec.output.record_bytes = (s.rows / 32 + VISIBILITY_COUNTS) * 4;
+  spec.output.reusable = !settings_.way.empty();
   put(step, s.lights);
   put(step, points_);
   step.stages.push_back(std::move(spec));
@@ -687,7 +687,7 @@ void VplPlan::shade(std::uint32_t set, Step& step) {
     put(step, points_);
     put(step, s.visibility);
   }
-  spec.record_bytes = 12;
+  spec.output.record_bytes = 12;
   step.stages.push_back(std::move(spec));
   begin_set(set + 1, step);
 }

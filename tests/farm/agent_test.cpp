@@ -63,7 +63,7 @@ class FakeRunner final : public worker::Runner {
     if (task.kind == "fake-scatter")
       result.records = fake_scatter(values_of<std::uint64_t>(task.parameters).at(0), first, count);
     else
-      result.records = fake_gather(*task.inputs.at("hashes"), first, count);
+      result.records = fake_gather(*task.inputs.at("hashes").load(), first, count);
     result.counters.camera_rays = count;
     return result;
   }

@@ -93,7 +93,7 @@ class FakePlan final : public coordinator::Plan {
                              .solo = false,
                              .parameters = bytes_of(std::vector<std::uint64_t>{settings_.seed}),
                              .inputs = {},
-                             .record_bytes = 8});
+                             .output = {.record_bytes = 8}});
     } else if (finished->name == "scatter") {
       coordinator::ArtifactId id = settings_.set.count("input_unknown") ? "none" : "hashes";
       step.artifacts["hashes"] = finished->records;
@@ -104,7 +104,7 @@ class FakePlan final : public coordinator::Plan {
                              .solo = settings_.set.count("solo") != 0,
                              .parameters = {},
                              .inputs = {{"hashes", id}},
-                             .record_bytes = 4});
+                             .output = {.record_bytes = 4}});
     } else {
       auto values = values_of<float>(*finished->records);
       for (auto& channel : film_.channels) channel.values = values;

@@ -56,7 +56,7 @@ class PlannedFrame {
     const Bytes* list = nullptr;
     if (!run.spec.inputs.empty()) list = step.artifacts.at(run.spec.inputs[0].artifact).get();
     const std::uint32_t pixels = p.width * p.height;
-    auto records = std::make_shared<Bytes>(run.spec.items * run.spec.record_bytes);
+    auto records = std::make_shared<Bytes>(run.spec.items * run.spec.output.record_bytes);
     for (std::uint64_t i = 0; i < run.spec.items; ++i) {
       kernels::PathItem item{static_cast<std::uint32_t>(i % pixels), static_cast<std::uint32_t>(i / pixels)};
       if (list) std::memcpy(&item, list->data() + i * sizeof item, sizeof item);
@@ -73,7 +73,7 @@ class PlannedFrame {
         }
         record.hits += 1;
       }
-      std::memcpy(records->data() + i * run.spec.record_bytes, &record, run.spec.record_bytes);
+      std::memcpy(records->data() + i * run.spec.output.record_bytes, &record, run.spec.output.record_bytes);
     }
     runs_.push_back(run);
     return {runs_.back().spec.name, records};

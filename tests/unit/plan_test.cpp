@@ -100,7 +100,8 @@ TEST(PathPlan, SpendsExactlyWhatItMay) {
         ASSERT_GE(p.last_item_samples, 1u) << what;
         ASSERT_LE(p.last_item_samples, p.samples_per_item) << what;
         ASSERT_EQ(p.features, run.spec.name == "path.0" ? 1u : 0u) << what;
-        ASSERT_EQ(run.spec.record_bytes, p.features ? sizeof(kernels::PathFeatureRecord) : sizeof(kernels::PathRecord));
+        ASSERT_EQ(run.spec.output.record_bytes,
+                  p.features ? sizeof(kernels::PathFeatureRecord) : sizeof(kernels::PathRecord));
         for (const auto& item : run.items) ASSERT_TRUE(chunks[item.pixel].insert(item.chunk).second) << what;
         items += run.items.size();
       }
@@ -281,9 +282,10 @@ TEST(PathPlan, PreviewBecomesThePicture) {
     const StageSpec& spec = frame.runs().back().spec;
     for (const std::uint64_t first : {spec.items / 2, std::uint64_t{0}}) {
       const std::uint64_t end = first ? spec.items : spec.items / 2;
-      frame.plan().preview(spec.name, first, end - first,
-                           Bytes(finished.records->begin() + static_cast<std::ptrdiff_t>(first * spec.record_bytes),
-                                 finished.records->begin() + static_cast<std::ptrdiff_t>(end * spec.record_bytes)));
+      frame.plan().preview(
+          spec.name, first, end - first,
+          Bytes(finished.records->begin() + static_cast<std::ptrdiff_t>(first * spec.output.record_bytes),
+                finished.records->begin() + static_cast<std::ptrdiff_t>(end * spec.output.record_bytes)));
     }
     step = frame.plan().next(&finished);
   }

@@ -335,7 +335,7 @@ class VplFrame {
 
   static Bytes records(const Asked& asked) {
     const StageSpec& spec = asked.spec;
-    Bytes made(spec.items * spec.record_bytes);
+    Bytes made(spec.items * spec.output.record_bytes);
     std::vector<float> values(made.size() / 4, 0.0f);
     if (spec.kind == "vpl_visibility")
       return bits(floats(*asked.inputs.at("lights")), floats(*asked.inputs.at("points")), half);
@@ -364,7 +364,7 @@ class VplFrame {
       values = floats(*asked.inputs.begin()->second);
       values.resize(made.size() / 4);
     } else if (spec.kind == "path") {
-      const std::size_t words = spec.record_bytes / 4;
+      const std::size_t words = spec.output.record_bytes / 4;
       kernels::PathParameters p;
       std::memcpy(&p, spec.parameters.data(), sizeof p);
       for (std::uint64_t i = 0; i < spec.items; ++i)
@@ -464,7 +464,7 @@ TEST(VplPlan, LightPathsAreThoseOfAnyChoice) {
   tight.run();
   EXPECT_NE(vpl_of(loose)["clusters"], vpl_of(tight)["clusters"]);
   EXPECT_EQ(loose.stages.at("vpl.trace.0").spec.parameters, tight.stages.at("vpl.trace.0").spec.parameters);
-  EXPECT_TRUE(loose.stages.at("vpl.trace.0").spec.keep);
+  EXPECT_TRUE(loose.stages.at("vpl.trace.0").spec.output.reusable);
   // Of the wish, samples get what the lights leave of it.
   EXPECT_GT(tight.stages.size(), loose.stages.size());
 }

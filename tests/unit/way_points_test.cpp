@@ -239,7 +239,7 @@ VplFrame run(const FrameSettings& settings, const Points& see, bool backwards = 
     else
       waiting.pop_front();
     EXPECT_TRUE(frame.stages.emplace(spec.name, spec).second) << spec.name << " twice";
-    auto records = std::make_shared<Bytes>(spec.items * spec.record_bytes);
+    auto records = std::make_shared<Bytes>(spec.items * spec.output.record_bytes);
     const auto put = [&](const void* from, std::size_t bytes) {
       std::memcpy(records->data(), from, std::min(bytes, records->size()));
     };
@@ -304,7 +304,7 @@ std::vector<Row> see_wall(const Camera& camera, unsigned side) { return wall(cam
 void expect_same(const StageSpec& a, const StageSpec& b) {
   EXPECT_EQ(a.kind, b.kind) << a.name;
   EXPECT_EQ(a.items, b.items) << a.name;
-  EXPECT_EQ(a.record_bytes, b.record_bytes) << a.name;
+  EXPECT_EQ(a.output.record_bytes, b.output.record_bytes) << a.name;
   EXPECT_EQ(a.parameters, b.parameters) << a.name;
   ASSERT_EQ(a.inputs.size(), b.inputs.size()) << a.name;
   for (std::size_t k = 0; k < a.inputs.size(); ++k) {
@@ -334,7 +334,7 @@ TEST(VplWay, FramesAskForTheSameStages) {
       continue;
     }
     expect_same(spec, other);
-    EXPECT_TRUE(spec.keep && other.keep) << name;
+    EXPECT_TRUE(spec.output.reusable && other.output.reusable) << name;
     ++shared;
   }
   // trace, cluster, points of 5 cameras, point_cluster, visibility
@@ -351,9 +351,9 @@ TEST(VplWay, TheOrderInWhichPointsComeIsNothing) {
 
 TEST(VplWay, ASingleCameraIsNoWay) {
   const VplFrame frame = run(vpl_settings(camera_at(0), {}), see_wall);
-  EXPECT_FALSE(frame.stages.at("vpl.points").keep);
-  EXPECT_FALSE(frame.stages.at("vpl.point_cluster").keep);
-  EXPECT_FALSE(frame.stages.at("vpl.visibility.0").keep);
+  EXPECT_FALSE(frame.stages.at("vpl.points").output.reusable);
+  EXPECT_FALSE(frame.stages.at("vpl.point_cluster").output.reusable);
+  EXPECT_FALSE(frame.stages.at("vpl.visibility.0").output.reusable);
   EXPECT_EQ(frame.stages.at("vpl.point_cluster").items, 128u);
   EXPECT_FALSE(frame.parameters["vpl"].contains("way"));
 }

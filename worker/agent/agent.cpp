@@ -223,7 +223,11 @@ struct Agent::Impl {
       task.parameters.assign(parameters.begin(), parameters.end());
       task.scene = lease.scene_blob();
       prepare_scene(lease);
-      for (const pb::StageInput& input : lease.inputs()) task.inputs[input.name()] = blobs.fetch_and_keep(input.blob());
+      for (const pb::StageInput& input : lease.inputs()) {
+        TaskInput& to = task.inputs[input.name()];
+        to = TaskInput(blobs.fetch_and_keep(input.blob()));
+        to.artifact = input.blob();
+      }
       Clock::time_point begin = Clock::now();
       out.result = runner->run(task, lease.first(), lease.count());
       // The device's own clock leaves out what comes once, such as the kernels' compilation.

@@ -287,15 +287,15 @@ BatchResult run_cluster_stage(const Device& device, Workspace& workspace, Device
   const char* const name = lights ? "lights" : "points";
   const std::size_t stride = lights ? VPL_WORDS : POINT_WORDS;
   const auto input = task.inputs.find(name);
-  if (input == task.inputs.end() || input->second->size() % (stride * 4) != 0)
+  if (input == task.inputs.end() || input->second.bytes() % (stride * 4) != 0)
     throw Error::bad_input(where, std::string("input ") + name, "rows of " + std::to_string(stride * 4) + " bytes",
-                           input == task.inputs.end() ? "none" : std::to_string(input->second->size()) + " bytes");
+                           input == task.inputs.end() ? "none" : std::to_string(input->second.bytes()) + " bytes");
   const double start = seconds_now();
   std::vector<float> data;
-  data.reserve(input->second->size() / 4);
+  data.reserve(input->second.bytes() / 4);
   std::vector<float> row(stride);
-  for (std::size_t at = 0; at < input->second->size(); at += stride * 4) {
-    std::memcpy(row.data(), input->second->data() + at, stride * 4);
+  for (std::size_t at = 0; at < input->second.bytes(); at += stride * 4) {
+    std::memcpy(row.data(), input->second.in_memory().data() + at, stride * 4);
     std::uint32_t triangle = GLEANER_NONE;
     if (!lights) std::memcpy(&triangle, &row[POINT_TRIANGLE], 4);
     const bool holds =

@@ -11,6 +11,7 @@
 
 #include "scene/model/blob.h"
 #include "scene/model/scene.h"
+#include "worker/artifacts/artifact.h"
 
 namespace gleaner::worker {
 
@@ -42,8 +43,8 @@ std::vector<DeviceInfo> list_devices();
 struct StageTask {
   std::string kind;  // which stage program runs, e.g. "path"
   std::vector<std::byte> parameters;
-  std::map<std::string, std::shared_ptr<const scene::Bytes>> inputs;  // artifacts by the names the stage knows them by
-  std::string scene;  // id under which load_scene() was told of the scene
+  std::map<std::string, TaskInput> inputs;  // by the names the stage knows them by
+  std::string scene;                        // id under which load_scene() was told of the scene
 };
 
 // What a batch cost. Seconds are wall time of the device's own clockwork, not summed over threads.
@@ -55,7 +56,9 @@ struct BatchCounters {
 };
 
 struct BatchResult {
-  scene::Bytes records;  // fixed stride times the batch's count
+  scene::Bytes records;  // fixed stride: times the batch's count; counted: those of all its items in order
+  std::vector<std::uint32_t> counts{};  // counted: records of each item
+  scene::Bytes facts{};                 // solo stages: what the plan is told beside the records (at most 64 KiB)
   BatchCounters counters;
 };
 

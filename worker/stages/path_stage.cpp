@@ -241,10 +241,10 @@ BatchResult run_path_stage(const Device& device, Workspace& workspace, DeviceSce
   check_range(task, total, first, count);
   const std::byte* list = nullptr;
   if (auto items = task.inputs.find("items"); items != task.inputs.end()) {
-    if (items->second->size() != total * sizeof(PathItem))
+    if (items->second.bytes() != total * sizeof(PathItem))
       throw Error::bad_input("stage path", "input items", std::to_string(total * sizeof(PathItem)) + " bytes",
-                             std::to_string(items->second->size()));
-    list = items->second->data();
+                             std::to_string(items->second.bytes()));
+    list = items->second.in_memory().data();
     const auto* entries = reinterpret_cast<const PathItem*>(list);
     for (std::uint64_t i = first; i < first + count; ++i)
       if (entries[i].pixel >= std::uint64_t{parameters.width} * parameters.height)

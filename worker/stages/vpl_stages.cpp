@@ -28,17 +28,18 @@ std::uint32_t path_capacity(const Device& device) { return device.info().cpu ? 1
 std::uint32_t ray_capacity(const Device& device) { return device.info().cpu ? 1u << 14 : 1u << 21; }
 
 // A table that is the stage's input: rows of `words` words, as many as the parameters say.
-const scene::Bytes& read_table(const StageTask& task, const std::string& name, std::uint64_t rows, std::size_t words) {
+std::span<const std::byte> read_table(const StageTask& task, const std::string& name, std::uint64_t rows,
+                                      std::size_t words) {
   const auto input = task.inputs.find(name);
-  if (input == task.inputs.end() || input->second->size() != rows * words * 4)
+  if (input == task.inputs.end() || input->second.bytes() != rows * words * 4)
     throw Error::bad_input("stage " + task.kind, "input " + name, std::to_string(rows * words * 4) + " bytes",
-                           input == task.inputs.end() ? "none" : std::to_string(input->second->size()));
-  return *input->second;
+                           input == task.inputs.end() ? "none" : std::to_string(input->second.bytes()));
+  return input->second.in_memory();
 }
 
 // Triangles that a table names must be there: a kernel looks them up.
-void check_triangles(const StageTask& task, const std::string& name, const scene::Bytes& table, std::size_t words,
-                     unsigned word, std::uint64_t triangles) {
+void check_triangles(const StageTask& task, const std::string& name, std::span<const std::byte> table,
+                     std::size_t words, unsigned word, std::uint64_t triangles) {
   for (std::size_t at = 0; at < table.size(); at += words * 4) {
     std::uint32_t triangle = 0;
     std::memcpy(&triangle, table.data() + at + word * 4, 4);
@@ -110,9 +111,16 @@ struct KeptTables {
   Tables tables;
   // Held, so that another input cannot come to lie at the same place.
   std::string scene;
-  std::map<std::string, std::shared_ptr<const scene::Bytes>> inputs;
+  std::map<std::string, TaskInput> inputs;
   std::vector<std::byte> parameters;
 };
+
+bool same_inputs(const std::map<std::string, TaskInput>& a, const std::map<std::string, TaskInput>& b) {
+  return std::ranges::equal(a, b, [](const auto& x, const auto& y) {
+    if (x.first != y.first) return false;
+    return x.second.artifact.empty() ? x.second.source == y.second.source : x.second.artifact == y.second.artifact;
+  });
+}
 
 // Made once for a stage: its batches read the same tables.
 template <typename Tables, typename Make>
@@ -121,7 +129,7 @@ const Tables& kept_tables(Batch& batch, const std::string& name, Make make) {
   const StageTask& task = batch.task;
   std::any& place = batch.workspace.keep(name);
   if (const auto* held = std::any_cast<Kept>(&place))
-    if (held->scene == task.scene && held->inputs == task.inputs && held->parameters == task.parameters)
+    if (held->scene == task.scene && same_inputs(held->inputs, task.inputs) && held->parameters == task.parameters)
       return held->tables;
   place.reset();  // its buffers are about to hold something else
   place = Kept{make(), task.scene, task.inputs, task.parameters};
@@ -471,7 +479,7 @@ struct ShadeTables {
 };
 
 // LIGHT_BOX_WORDS for each 32 lights.
-std::vector<float> light_boxes(const scene::Bytes& lights) {
+std::vector<float> light_boxes(std::span<const std::byte> lights) {
   std::vector<float> rows(lights.size() / 4);
   std::memcpy(rows.data(), lights.data(), rows.size() * 4);
   const std::size_t boxes = rows.size() / VPL_WORDS / 32;
@@ -502,12 +510,14 @@ std::vector<float> light_boxes(const scene::Bytes& lights) {
 }
 
 // The lights and, behind them, their members.
-cl::Buffer put_lights(Batch& batch, cl::CommandQueue& queue, const scene::Bytes& lights, std::uint32_t clusters) {
+cl::Buffer put_lights(Batch& batch, cl::CommandQueue& queue, std::span<const std::byte> lights,
+                      std::uint32_t clusters) {
   const StageTask& task = batch.task;
   const std::size_t stride = VPL_WORDS * 4;
   const auto found = task.inputs.find("members");
-  scene::Bytes rows = lights;
-  if (found != task.inputs.end()) rows.insert(rows.end(), found->second->begin(), found->second->end());
+  scene::Bytes rows(lights.begin(), lights.end());
+  if (found != task.inputs.end())
+    rows.insert(rows.end(), found->second.in_memory().begin(), found->second.in_memory().end());
   const std::size_t all = rows.size() / stride;
   if (rows.size() % stride != 0 || all > DOUBT_LIGHT)
     throw Error::bad_input("stage " + task.kind, "input members", "rows of " + std::to_string(stride) + " bytes",
@@ -529,7 +539,7 @@ cl::Buffer put_lights(Batch& batch, cl::CommandQueue& queue, const scene::Bytes&
 
 ShadeTables make_shade_tables(Batch& batch, const VplPointParameters& p) {
   const StageTask& task = batch.task;
-  const scene::Bytes& lights = read_table(task, "lights", p.clusters, VPL_WORDS);
+  const std::span<const std::byte> lights = read_table(task, "lights", p.clusters, VPL_WORDS);
   ShadeTables tables;
   cl::CommandQueue queue = batch.device.make_queue();
   tables.width = p.clusters / p.samples;
@@ -539,9 +549,9 @@ ShadeTables make_shade_tables(Batch& batch, const VplPointParameters& p) {
   std::vector<float> points;
   ClusterGrid grid;
   if (p.point_clusters) {
-    const scene::Bytes& table = read_table(task, "points", p.point_clusters, POINT_WORDS);
+    const std::span<const std::byte> table = read_table(task, "points", p.point_clusters, POINT_WORDS);
     tables.row_words = p.clusters / 32 + VISIBILITY_COUNTS;
-    const scene::Bytes& bits = read_table(task, "visibility", p.point_clusters, tables.row_words);
+    const std::span<const std::byte> bits = read_table(task, "visibility", p.point_clusters, tables.row_words);
     points.resize(table.size() / 4);
     std::memcpy(points.data(), table.data(), table.size());
     std::vector<bool> used(p.point_clusters);
@@ -825,8 +835,8 @@ BatchResult run_vpl_visibility_stage(const Device& device, Workspace& workspace,
   result.records.resize(count * (p.clusters / 32 + VISIBILITY_COUNTS) * 4);
   Batch batch(device, workspace, scene, task, first, count, 1);
   const auto& tables = kept_tables<VisibilityTables>(batch, "vpl.visibility", [&] {
-    const scene::Bytes& lights = read_table(task, "lights", p.clusters, VPL_WORDS);
-    const scene::Bytes& points = read_table(task, "points", p.point_clusters, POINT_WORDS);
+    const std::span<const std::byte> lights = read_table(task, "lights", p.clusters, VPL_WORDS);
+    const std::span<const std::byte> points = read_table(task, "points", p.point_clusters, POINT_WORDS);
     check_triangles(task, "points", points, POINT_WORDS, POINT_TRIANGLE, scene.triangles());
     cl::CommandQueue queue = device.make_queue();
     return VisibilityTables{batch.put(queue, "vpl.visibility.lights", lights.data(), lights.size()),

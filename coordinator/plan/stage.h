@@ -1,0 +1,73 @@
+#pragma once
+// What a plan asks of the farm: stages, what they read, and where their records are to stay. Plain data.
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "scene/model/blob.h"
+
+namespace gleaner::coordinator {
+
+using scene::Bytes;
+
+// Names bytes by what makes them: a stage's output by (scene, kind, build of the kernels, parameters, inputs, layout),
+// a plan's own data by its bytes. SHA-256, 64 lower-case hexadecimal digits. Equal ids, equal bytes.
+using ArtifactId = std::string;
+
+enum class Placement {
+  collect,  // the records are sent to the coordinator, and the plan reads them
+  retain,   // the parts stay with the workers that made them; the coordinator knows item range -> holders and digest
+};
+
+// How an item's records lie in the output.
+//
+// Fixed stride: item i has exactly one record, at byte i * record_bytes.
+// Counted: item i has 0 to most_records records. The records of all items lie one behind the other in item order, and a
+// table of counts (one 32-bit count an item) tells where each item's begin.
+struct StageOutput {
+  std::uint32_t record_bytes = 0;
+  bool counted = false;
+  std::uint32_t most_records = 1;  // of one item
+  Placement placement = Placement::collect;
+  // Other frames of the same scene may read it: it is kept by its id, within the caches' bounds, and a stage that would
+  // make it again is not run.
+  bool reusable = false;
+};
+
+enum class Extent {
+  whole,      // every batch reads all of it
+  own_items,  // a batch of items [first, first + count) reads the records of these items alone; the artifact has as
+              // many items as the stage
+};
+
+struct StageInput {
+  std::string name;  // what the stage program calls it
+  ArtifactId artifact;
+  Extent extent = Extent::whole;
+};
+
+struct StageSpec {
+  std::string name;  // unique in the frame; people read it
+  std::string kind;  // which stage program of the device library runs it
+  std::uint64_t items = 0;
+  std::uint32_t tile = 1;  // batches begin and end at multiples of it (or at `items`)
+  bool solo = false;       // runs whole on one worker
+  int priority = 0;        // of the frame's stages that wait, the highest goes first; equal: the oldest
+  Bytes parameters;        // little-endian struct of the kind's header in kernels/
+  std::vector<StageInput> inputs;
+  StageOutput output;
+};
+
+struct FinishedStage {
+  std::string name;
+  // Collected: the records in item order (of a counted output without its counts). Retained: null.
+  std::shared_ptr<const Bytes> records;
+  std::uint64_t record_count = 0;
+  // What a solo stage says of its output to the plan, beside the records: a small struct of the kind's header (at most
+  // 64 KiB; counts, densities, predictions). Empty for split stages.
+  Bytes facts{};
+};
+
+}  // namespace gleaner::coordinator
