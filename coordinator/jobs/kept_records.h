@@ -1,0 +1,28 @@
+#pragma once
+// Records of stages that other frames may read, the least recently used leaving first.
+
+#include <cstdint>
+#include <list>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include "scene/model/blob.h"
+
+namespace gleaner::coordinator {
+
+class KeptRecords {
+ public:
+  using Records = std::shared_ptr<const scene::Bytes>;
+
+  explicit KeptRecords(std::uint64_t most) : most_(most) {}  // bytes
+
+  Records find(const std::string& address);  // null: not kept
+  void put(const std::string& address, Records records);
+
+ private:
+  std::uint64_t most_, bytes_ = 0;
+  std::list<std::pair<std::string, Records>> entries_;  // the last used first
+};
+
+}  // namespace gleaner::coordinator

@@ -1,0 +1,129 @@
+// What workers answer: accepted records, and failures.
+
+#include <cstring>
+#include <utility>
+
+#include "coordinator/jobs/engine.h"
+
+namespace gleaner::coordinator {
+
+namespace {
+
+constexpr std::size_t most_nonfinite_items = 16;  // in a report
+
+}  // namespace
+
+Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, Bytes records, const BatchCost& cost) {
+  std::unique_lock lock(mutex);
+  auto worker = workers.find(id);
+  if (worker == workers.end()) return Verdict::unknown_lease;
+  worker->second.heard = now();
+  auto known = leases.find(epoch);
+  const bool own = known != leases.end() && known->second.worker == id && known->second.id == lease_id;
+  const Lease lease = own ? known->second : Lease{};
+  std::shared_ptr<RunningStage> stage;
+  if (auto found = active_stages.find(lease.stage); own && found != active_stages.end()) stage = found->second;
+  if (stage && records.size() != lease.count * stage->spec.output.record_bytes) {
+    lock.unlock();
+    failed(id, lease_id, epoch,
+           "sent " + std::to_string(records.size()) + " bytes instead of " +
+               std::to_string(lease.count * stage->spec.output.record_bytes));
+    return Verdict::stale;
+  }
+  ResultOutcome outcome = scheduler.result(id, lease_id, epoch, cost.seconds, now());
+  if (own) forget_lease(epoch);
+  revoke(outcome.revoke);
+  if (outcome.verdict != Verdict::accepted || !stage) {
+    pump();
+    return outcome.verdict;
+  }
+  Job& job = *stage->job;
+  account(*stage, worker->second, lease, cost, records.size());
+  stage->complete = outcome.stage_complete;
+  ++stage->writers;
+  pump();  // the worker gets its next batch before this one is put away
+  records_ready.wait(lock, [&] { return stage->records || stage->failed_to_allocate || stage->delivered; });
+  std::shared_ptr<Bytes> target = stage->records;
+  lock.unlock();
+  if (target)
+    std::memcpy(target->data() + lease.first * stage->spec.output.record_bytes, records.data(), records.size());
+  lock.lock();
+  if (target) stage->copied.push_back({lease.first, lease.count});
+  --stage->writers;
+  deliver_if_complete(stage);
+  if (settings.preview && !stage->delivered) {
+    job.undrawn.push_back({stage->spec.name, lease.first, lease.count, std::move(records)});
+    job.events.notify_all();
+  }
+  changed(job);
+  return outcome.verdict;
+}
+
+void Farm::Impl::account(RunningStage& stage, const Worker& worker, const Lease& lease, const BatchCost& cost,
+                         std::size_t bytes) {
+  Seconds time = now();
+  stage.items_done += lease.count;
+  stage.last_result = time;
+  remember_progress(stage, time);
+  ++stage.report.batches;
+  stage.report.trace_seconds += cost.trace_seconds;
+  stage.report.kernel_seconds += cost.kernel_seconds;
+  auto& share = stage.report.workers[worker.name];
+  share.items += lease.count;
+  share.seconds += cost.seconds;
+  FrameReport& report = stage.job->report;
+  report.camera_rays += cost.camera_rays;
+  report.scatter_rays += cost.scatter_rays;
+  report.shadow_rays += cost.shadow_rays;
+  report.uploaded_bytes += cost.fetched_bytes;
+  report.downloaded_bytes += bytes;
+  report.nonfinite += cost.nonfinite;
+  for (std::uint64_t item : cost.nonfinite_items)
+    if (report.nonfinite_items.size() < most_nonfinite_items)
+      report.nonfinite_items.push_back({stage.spec.name, item, worker.name});
+  report.devices.emplace(worker.name, worker.hello.device);
+}
+
+void Farm::Impl::failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::string& message) {
+  std::lock_guard lock(mutex);
+  auto worker = workers.find(id);
+  if (worker == workers.end()) return;
+  worker->second.heard = now();
+  auto known = leases.find(epoch);
+  std::shared_ptr<RunningStage> stage;
+  if (known != leases.end())
+    if (auto found = active_stages.find(known->second.stage); found != active_stages.end()) stage = found->second;
+  FailureOutcome outcome = scheduler.failed(id, lease_id, epoch, now());
+  if (outcome.known && stage) {
+    const Lease& lease = known->second;
+    stage->last_failure = "stage " + stage->spec.name + ", items " + std::to_string(lease.first) + " to " +
+                          std::to_string(lease.first + lease.count - 1) + ", worker " + worker->second.name + ": " +
+                          message;
+    settings.log("job " + stage->job->id + ": " + stage->last_failure);
+    if (outcome.stage_failed && stage->job->failure.empty()) {
+      stage->job->failure = stage->last_failure;
+      stage->job->events.notify_all();
+    }
+    forget_lease(epoch);
+  }
+  pump();
+}
+
+std::optional<std::uint64_t> Farm::expected_bytes(WorkerId worker, LeaseId lease, Epoch epoch) const {
+  std::lock_guard lock(impl_->mutex);
+  auto found = impl_->leases.find(epoch);
+  if (found == impl_->leases.end() || found->second.worker != worker || found->second.id != lease) return std::nullopt;
+  auto stage = impl_->active_stages.find(found->second.stage);
+  if (stage == impl_->active_stages.end()) return std::nullopt;
+  return found->second.count * stage->second->spec.output.record_bytes;
+}
+
+Verdict Farm::result(WorkerId worker, LeaseId lease, Epoch epoch, Bytes records, const BatchCost& cost) {
+  return impl_->result(worker, lease, epoch, std::move(records), cost);
+}
+
+void Farm::failed(WorkerId worker, LeaseId lease, Epoch epoch, const std::string& message) {
+  impl_->failed(worker, lease, epoch, message);
+}
+
+}  // namespace gleaner::coordinator

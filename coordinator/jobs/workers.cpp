@@ -1,0 +1,159 @@
+// Who works: joining and leaving, handing out leases, and the clock's thread.
+
+#include <algorithm>
+#include <chrono>
+
+#include "coordinator/jobs/engine.h"
+
+namespace gleaner::coordinator {
+
+namespace {
+
+// While stages run: how often idle workers are offered work anew (a copy of a slow lease).
+constexpr Seconds idle_look = 0.1;
+
+}  // namespace
+
+void Farm::Impl::pump() {
+  for (auto& [id, worker] : workers) pump(worker);
+}
+
+void Farm::Impl::pump(Worker& worker) {
+  if (active_stages.empty()) return;
+  while (auto lease = scheduler.next_lease(worker.id, now())) {
+    auto found = active_stages.find(lease->stage);
+    if (found == active_stages.end()) continue;
+    RunningStage& stage = *found->second;
+    if (stage.first_lease < 0) {
+      stage.first_lease = lease->issued;
+      remember_progress(stage, lease->issued);
+    }
+    leases[lease->epoch] = *lease;
+    worker.leases.insert(lease->epoch);
+    worker.session->lease(*lease, stage.work);
+  }
+  timer_wakes.notify_all();
+}
+
+void Farm::Impl::forget_lease(Epoch epoch) {
+  auto found = leases.find(epoch);
+  if (found == leases.end()) return;
+  if (auto worker = workers.find(found->second.worker); worker != workers.end()) worker->second.leases.erase(epoch);
+  leases.erase(found);
+}
+
+void Farm::Impl::revoke(const std::vector<Lease>& revoked) {
+  for (const Lease& lease : revoked) {
+    if (auto worker = workers.find(lease.worker); worker != workers.end()) worker->second.session->revoke(lease);
+    forget_lease(lease.epoch);
+  }
+}
+
+void Farm::Impl::lose(WorkerId id, const std::string& why) {
+  auto found = workers.find(id);
+  if (found == workers.end()) return;
+  scheduler.worker_lost(id, now());
+  settings.log("worker " + found->second.name + " is gone" + (why.empty() ? "" : ": " + why) + "; it held " +
+               std::to_string(found->second.leases.size()) + " batches");
+  for (Epoch epoch : std::set<Epoch>(found->second.leases)) leases.erase(epoch);
+  if (!why.empty()) found->second.session->close(why);
+  workers.erase(found);
+  pump();
+}
+
+void Farm::Impl::watch_clock() {
+  std::unique_lock lock(mutex);
+  while (!stopping) {
+    if (active_stages.empty() && workers.empty()) {
+      timer_wakes.wait(lock);
+    } else {
+      Seconds sleep = active_stages.empty() ? 1.0 : idle_look;
+      if (auto next = scheduler.next_expiry()) sleep = std::clamp(*next - now(), 0.001, sleep);
+      // Not woken by every lease: what is due next is never nearer than `idle_look` unless next_expiry() said so.
+      timer_stops.wait_for(lock, std::chrono::duration<double>(sleep));
+    }
+    if (stopping) return;
+    tick();
+  }
+}
+
+void Farm::Impl::tick() {
+  Seconds time = now();
+  for (const Lease& lease : scheduler.expire(time)) {
+    if (auto worker = workers.find(lease.worker); worker != workers.end()) worker->second.session->revoke(lease);
+    forget_lease(lease.epoch);
+  }
+  std::vector<WorkerId> silent;
+  for (const auto& [id, worker] : workers)
+    if (time - worker.heard > settings.silence) silent.push_back(id);
+  for (WorkerId id : silent) lose(id, "not heard of for " + std::to_string(static_cast<int>(settings.silence)) + " s");
+  pump();
+}
+
+Farm::Joined Farm::join(const WorkerHello& hello, std::shared_ptr<WorkerSession> session) {
+  std::lock_guard lock(impl_->mutex);
+  auto taken = [&](const std::string& name) {
+    return std::any_of(impl_->workers.begin(), impl_->workers.end(),
+                       [&](const auto& entry) { return entry.second.name == name; });
+  };
+  std::string name = hello.name;
+  for (unsigned number = 2; taken(name); ++number) name = hello.name + "-" + std::to_string(number);
+  WorkerId id = ++impl_->last_worker;
+  Worker worker;
+  worker.id = id;
+  worker.hello = hello;
+  worker.name = name;
+  worker.session = std::move(session);
+  worker.joined = worker.heard = impl_->now();
+  Worker& stored = impl_->workers[id] = std::move(worker);
+  impl_->settings.log("worker " + name + " joined: " + hello.device.name + ", " + hello.device.tracer);
+  impl_->scheduler.worker_joined(id, impl_->now());
+  stored.session->welcome(name);
+  impl_->pump(stored);
+  impl_->timer_wakes.notify_all();
+  return {id, name};
+}
+
+void Farm::leave(WorkerId worker) {
+  std::lock_guard lock(impl_->mutex);
+  impl_->lose(worker, "");
+}
+
+void Farm::drain(WorkerId id) {
+  std::lock_guard lock(impl_->mutex);
+  auto worker = impl_->workers.find(id);
+  if (worker == impl_->workers.end()) return;
+  worker->second.draining = true;
+  impl_->scheduler.worker_draining(id);
+  worker->second.session->drain();
+}
+
+void Farm::heard(WorkerId id) {
+  std::lock_guard lock(impl_->mutex);
+  if (auto worker = impl_->workers.find(id); worker != impl_->workers.end()) worker->second.heard = impl_->now();
+}
+
+std::vector<WorkerStatus> Farm::workers() const {
+  std::lock_guard lock(impl_->mutex);
+  Seconds time = impl_->now();
+  std::set<std::string> kinds;
+  for (const auto& [id, job] : impl_->jobs)
+    for (const auto& stage : job->stages) kinds.insert(stage->spec.kind);
+  std::vector<WorkerStatus> all;
+  for (const auto& [id, worker] : impl_->workers) {
+    WorkerStatus status{.id = worker.name,
+                        .address = worker.hello.address,
+                        .device = worker.hello.device,
+                        .leases = static_cast<std::uint32_t>(worker.leases.size()),
+                        .draining = worker.draining,
+                        .connected_seconds = time - worker.joined,
+                        .silent_seconds = time - worker.heard,
+                        .items_per_second = {}};
+    for (const auto& kind : kinds)
+      if (double rate = impl_->scheduler.items_per_second(id, kind); rate > 0) status.items_per_second[kind] = rate;
+    all.push_back(std::move(status));
+  }
+  return all;
+}
+
+}  // namespace gleaner::coordinator

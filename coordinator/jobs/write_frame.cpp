@@ -1,0 +1,52 @@
+// A frame's files: EXR, PNG and report.
+
+#include <future>
+#include <span>
+#include <system_error>
+
+#include "coordinator/film/atomic_file.h"
+#include "coordinator/film/write.h"
+#include "coordinator/jobs/engine.h"
+#include "scene/model/error.h"
+
+namespace gleaner::coordinator {
+
+namespace fs = std::filesystem;
+
+void Farm::Impl::write(Job& job, std::uint32_t frame, const Film& film, Seconds begun) {
+  FrameReport report;
+  {
+    std::lock_guard lock(mutex);
+    if (job.cancel) throw Cancelled{};
+    report = job.report;
+  }
+  FramePaths paths = settings.paths(job.id, frame);
+  for (const fs::path& path : {paths.exr, paths.png, paths.report}) {
+    if (path.empty() || path.parent_path().empty()) continue;
+    std::error_code code;
+    fs::create_directories(path.parent_path(), code);
+    if (code) throw Error::failed(path.parent_path().string() + ": cannot make the folder: " + code.message());
+  }
+  Seconds begun_writing = now();
+  // Compressing takes longer than the disk does: the PNG is made beside the EXR.
+  std::future<void> png;
+  if (!paths.png.empty())
+    png = std::async(std::launch::async, [&] { write_png(film, paths.png.string(), job.request.exposure_stops); });
+  report.pixels_sha256 = pixels_sha256(film);
+  report.seconds = now() - begun;
+  report.write_seconds = now() - begun_writing;
+  if (!paths.exr.empty()) write_exr(film, report_metadata(report), paths.exr.string());
+  if (png.valid()) png.get();
+  report.seconds = now() - begun;
+  report.write_seconds = now() - begun_writing;
+  if (!paths.report.empty()) {
+    std::string text = report_json(report);
+    write_atomically(paths.report.string(), std::as_bytes(std::span(text)));
+  }
+  std::lock_guard lock(mutex);
+  for (const fs::path& path : {paths.exr, paths.png, paths.report})
+    if (!path.empty()) job.files.push_back(path);
+  job.report = std::move(report);
+}
+
+}  // namespace gleaner::coordinator
