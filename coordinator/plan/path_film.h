@@ -51,6 +51,10 @@ class PathFilm {
   std::vector<Pixel> pixels_;
   std::vector<Features> features_;
   std::vector<float> clamped_;  // RGB sums
+
+ public:
+  // Of memory, at most: what is held, the film's layers, and twice the file that is made of them.
+  static constexpr std::uint64_t bytes_a_pixel = sizeof(Pixel) + sizeof(Features) + 3 * 23 * sizeof(float);
 };
 
 }  // namespace gleaner::coordinator

@@ -63,6 +63,13 @@ PathPlan::PathPlan(const FrameSettings& settings, const SceneSummary& scene, Cov
   skip(n.environment, "environment light", "the scene has none");
 }
 
+// The stage that gives every pixel its features is the largest: two chunks' records a pixel beside the film.
+std::uint64_t PathPlan::memory(const FrameSettings& settings) {
+  const std::uint64_t a_pixel =
+      PathFilm::bytes_a_pixel + 2 * sizeof(PathFeatureRecord) + sizeof(std::uint32_t) + sizeof(PreviewPixel);
+  return std::uint64_t{settings.width} * settings.height * a_pixel;
+}
+
 std::uint64_t PathPlan::budget() const {
   if (settings_.target_error <= 0) return pixels() * settings_.spp;
   return pixels() * kMostSamplesForTarget;

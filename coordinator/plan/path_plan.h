@@ -23,6 +23,9 @@ class PathPlan final : public Plan {
   PathPlan(const FrameSettings& settings, const SceneSummary& scene, Covered covered);
   PathPlan(const FrameSettings& settings, const SceneSummary& scene) : PathPlan(settings, scene, Covered{}) {}
 
+  // Bytes that the plan of such a frame takes at most, its film and files included.
+  static std::uint64_t memory(const FrameSettings& settings);
+
   Step next(const FinishedStage* finished) override;
   bool conclude(const std::vector<CutStage>& cut) override;
   void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override;

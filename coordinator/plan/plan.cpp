@@ -6,6 +6,7 @@
 #include "coordinator/plan/path_plan.h"
 #include "coordinator/plan/setting.h"
 #include "coordinator/plan/vpl_plan.h"
+#include "coordinator/plan/vpl_settings.h"
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {
@@ -36,7 +37,10 @@ SceneSummary summarize(const scene::Scene& scene) {
   return summary;
 }
 
-std::unique_ptr<Plan> make_plan(const FrameSettings& given, const SceneSummary& scene) {
+namespace {
+
+// Throws as check_settings() does. The settings with what --set says in place of their fields.
+FrameSettings checked(const FrameSettings& given) {
   FrameSettings settings = given;
   const std::uint64_t pixels = std::uint64_t{settings.width} * settings.height;
   if (pixels == 0 || pixels > (std::uint64_t{1} << 28))
@@ -53,12 +57,26 @@ std::unique_ptr<Plan> make_plan(const FrameSettings& given, const SceneSummary& 
       throw Error::usage("--set " + key + ": no such setting; known: " + names);
     }
   settings.depth = whole_setting(settings, "depth", settings.depth, 0, 1u << 30);
-  if (settings.method == "path" || settings.method == "auto") {
-    settings.method = "path";
-    return std::make_unique<PathPlan>(settings, scene);
-  }
+  if (settings.method == "auto") settings.method = "path";
+  if (settings.method != "path" && settings.method != "vpl")
+    throw Error::usage("--method: expected path or vpl, found " + settings.method);
+  if (settings.method == "vpl") make_vpl_settings(settings);
+  return settings;
+}
+
+}  // namespace
+
+void check_settings(const FrameSettings& settings, const SceneSummary&) { checked(settings); }
+
+std::uint64_t predicted_memory(const FrameSettings& given, const SceneSummary&) {
+  const FrameSettings settings = checked(given);
+  return settings.method == "vpl" ? VplPlan::memory(settings) : PathPlan::memory(settings);
+}
+
+std::unique_ptr<Plan> make_plan(const FrameSettings& given, const SceneSummary& scene) {
+  const FrameSettings settings = checked(given);
   if (settings.method == "vpl") return std::make_unique<VplPlan>(settings, scene);
-  throw Error::usage("--method: expected path or vpl, found " + settings.method);
+  return std::make_unique<PathPlan>(settings, scene);
 }
 
 }  // namespace gleaner::coordinator

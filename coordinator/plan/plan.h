@@ -19,7 +19,8 @@ struct ItemRange {
 };
 
 // A stage that the frame will not wait for. Of its records only those of the items in `whole` (in order, apart from
-// each other) are there, and none where `whole` is empty (the pointer may be null then).
+// each other) are there, and none where `whole` is empty (the pointer may be null then). Of a streamed stage they have
+// gone through Plan::take().
 struct CutStage {
   FinishedStage stage;
   std::vector<ItemRange> whole;
@@ -57,8 +58,17 @@ class Plan {
   virtual ~Plan() = default;
   // The first call gets null, later ones the stage that finished. Called once per finished stage.
   virtual Step next(const FinishedStage* finished) = 0;
+  // Records of a streamed stage (Placement::stream): items [first, first + count), in item order without gaps until the
+  // stage is whole. Where the time limit ends the frame, what has arrived behind a gap follows, still in item order.
+  virtual void take(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) {
+    static_cast<void>(stage), static_cast<void>(first), static_cast<void>(count), static_cast<void>(records);
+  }
+  // Work of the stages that next() will still ask for, as StageSpec::work counts it; a rough prediction from what is
+  // known by now. Progress and the time left rest on it.
+  virtual double predicted_work() const { return 0; }
   // What the accepted records so far say, for the live preview: adds the batch's records to `film`'s RGB.
-  // Any order of batches; null film layers are made on first use.
+  // Any order of batches; null film layers are made on first use. Not called for streamed stages, whose records the
+  // plan has.
   virtual void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) = 0;
   virtual Film preview_film() const = 0;
   // The time is up. `cut` are the stages that were asked for and have not finished. True: film() holds what there is.
@@ -69,7 +79,12 @@ class Plan {
   }
   // After `done`, or after conclude() said yes: the layers.
   virtual Film film() const = 0;
+  // The same for who needs the plan no more: it may give its memory to the film. Afterwards only skips(), warnings()
+  // and parameters_json() may be called.
+  virtual Film take_film() { return film(); }
   virtual std::vector<Skip> skips() const = 0;
+  // What people must know of the picture, one sentence each: a target that was not reached, for instance.
+  virtual std::vector<std::string> warnings() const { return {}; }
   // Parameters that the method settled on, as they stand in the report (JSON object text).
   virtual std::string parameters_json() const = 0;
   // What people read in `gleaner explain`: one line a stage, foreseen.
@@ -85,7 +100,12 @@ struct SceneSummary {
 SceneSummary summarize(const scene::Scene& scene);
 
 // Throws Error::usage for an unknown method, an unknown or malformed --set key, or a film of no or too many pixels
-// (2^28).
+// (2^28). Takes no memory that grows with the film.
+void check_settings(const FrameSettings& settings, const SceneSummary& scene);
+// Bytes that a plan of these settings takes at most, its film and the frame's files included; as predicted from the
+// settings. They must be such as check_settings() takes.
+std::uint64_t predicted_memory(const FrameSettings& settings, const SceneSummary& scene);
+// Throws as check_settings() does.
 std::unique_ptr<Plan> make_plan(const FrameSettings& settings, const SceneSummary& scene);
 
 }  // namespace gleaner::coordinator

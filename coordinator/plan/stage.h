@@ -19,6 +19,7 @@ using ArtifactId = std::string;
 enum class Placement {
   collect,  // the records are sent to the coordinator, and the plan reads them
   retain,   // the parts stay with the workers that made them; the coordinator knows item range -> holders and digest
+  stream,   // the records are handed to the plan as they arrive, in item order (Plan::take), and kept by nobody
 };
 
 // How an item's records lie in the output.
@@ -56,13 +57,14 @@ struct StageSpec {
   bool solo = false;       // runs whole on one worker
   int priority = 0;        // of the frame's stages that wait, the highest goes first; equal: the oldest
   Bytes parameters;        // little-endian struct of the kind's header in kernels/
+  double work = 0;         // predicted cost of all items, in samples of a path tracer; 0: one an item
   std::vector<StageInput> inputs;
   StageOutput output;
 };
 
 struct FinishedStage {
   std::string name;
-  // Collected: the records in item order (of a counted output without its counts). Retained: null.
+  // Collected: the records in item order (of a counted output without its counts). Retained and streamed: null.
   std::shared_ptr<const Bytes> records;
   std::uint64_t record_count = 0;
   // What a solo stage says of its output to the plan, beside the records: a small struct of the kind's header (at most

@@ -133,6 +133,11 @@ VplPlan::Table VplPlan::table_of(std::shared_ptr<const Bytes> bytes) {
   return {id, std::move(bytes)};
 }
 
+// Beside the paths: the sets' sum, its squares, the preview and two sets' records, all RGB.
+std::uint64_t VplPlan::memory(const FrameSettings& settings) {
+  return PathPlan::memory(settings) + std::uint64_t{settings.width} * settings.height * 5 * 3 * sizeof(float);
+}
+
 VplPlan::VplPlan(const FrameSettings& settings, const SceneSummary& scene)
     : settings_(settings),
       scene_(scene),

@@ -31,6 +31,9 @@ class VplPlan final : public Plan {
  public:
   VplPlan(const FrameSettings& settings, const SceneSummary& scene);
 
+  // As PathPlan::memory().
+  static std::uint64_t memory(const FrameSettings& settings);
+
   Step next(const FinishedStage* finished) override;
   bool conclude(const std::vector<CutStage>& cut) override;
   void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override;
