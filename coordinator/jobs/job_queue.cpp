@@ -89,8 +89,9 @@ std::string Farm::submit(const JobRequest& request) {
     if (!id.empty() && !impl_->blobs.has(id)) throw Error::bad_input("blob " + id, "", "to be uploaded first");
   auto job = std::make_shared<Job>();
   job->request = request;
+  job->request.scene.blob = request.scene_blob;
   if (!request.cameras.empty()) job->request.settings.way = way_of(request.cameras);
-  job->plan = impl_->settings.plan(settings_of(job->request, request.first_frame), request.scene);
+  job->plan = impl_->settings.plan(settings_of(job->request, request.first_frame), job->request.scene);
   job->submitted_unix_seconds =
       std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
   impl_->join_ended_threads();

@@ -1,0 +1,78 @@
+// Names of artifacts: everything that decides the bytes is in the name, and nothing else.
+
+#include "coordinator/artifacts/artifact_id.h"
+
+#include <gtest/gtest.h>
+
+#include <functional>
+#include <map>
+
+#include "coordinator/blobs/sha256.h"
+
+namespace gleaner::coordinator {
+namespace {
+
+const std::string scene_a(64, 'a'), scene_b(64, 'b');
+
+StageSpec sample() {
+  StageSpec stage;
+  stage.name = "photons";
+  stage.kind = "emit";
+  stage.items = 1000;
+  stage.tile = 16;
+  stage.parameters = Bytes(8, std::byte{3});
+  stage.inputs = {{"lights", std::string(64, '1'), Extent::whole}, {"seeds", std::string(64, '2'), Extent::own_items}};
+  stage.output = {.record_bytes = 32, .counted = true, .most_records = 4};
+  return stage;
+}
+
+TEST(ArtifactName, IsASha256) { EXPECT_TRUE(is_sha256_hex(artifact_id(scene_a, sample()))); }
+
+TEST(ArtifactName, DiffersWhereverTheBytesMayDiffer) {
+  const std::map<std::string, std::function<void(StageSpec&)>> changes = {
+      {"kind", [](StageSpec& s) { s.kind = "emit2"; }},
+      {"items", [](StageSpec& s) { s.items = 1001; }},
+      {"tile", [](StageSpec& s) { s.tile = 32; }},
+      {"stride", [](StageSpec& s) { s.output.record_bytes = 36; }},
+      {"counted", [](StageSpec& s) { s.output.counted = false; }},
+      {"most records", [](StageSpec& s) { s.output.most_records = 5; }},
+      {"parameters", [](StageSpec& s) { s.parameters[7] = std::byte{4}; }},
+      {"more parameters", [](StageSpec& s) { s.parameters.push_back(std::byte{0}); }},
+      {"an input's name", [](StageSpec& s) { s.inputs[0].name = "light"; }},
+      {"an input", [](StageSpec& s) { s.inputs[0].artifact = std::string(64, '3'); }},
+      {"an input's extent", [](StageSpec& s) { s.inputs[1].extent = Extent::whole; }},
+      {"one input less", [](StageSpec& s) { s.inputs.pop_back(); }},
+      {"inputs exchanged", [](StageSpec& s) { std::swap(s.inputs[0].artifact, s.inputs[1].artifact); }},
+      // Without lengths before the fields this would be the first name again.
+      {"a digit moved",
+       [](StageSpec& s) { s.inputs[0].name = "lights1", s.inputs[0].artifact = std::string(63, '1'); }},
+  };
+  std::map<ArtifactId, std::string> names = {{artifact_id(scene_a, sample()), "nothing"},
+                                             {artifact_id(scene_b, sample()), "scene"}};
+  EXPECT_EQ(names.size(), 2u);
+  for (const auto& [what, change] : changes) {
+    StageSpec stage = sample();
+    change(stage);
+    const auto [at, fresh] = names.emplace(artifact_id(scene_a, stage), what);
+    EXPECT_TRUE(fresh) << what << " gives the name of " << at->second;
+  }
+}
+
+TEST(ArtifactName, IsTheSameWhereTheBytesAreTheSame) {
+  StageSpec stage = sample();
+  stage.name = "frame 2: photons";
+  stage.priority = 3;
+  stage.solo = true;
+  stage.output.placement = Placement::retain;
+  stage.output.reusable = true;
+  EXPECT_EQ(artifact_id(scene_a, stage), artifact_id(scene_a, sample()));
+}
+
+TEST(ArtifactName, OfAPlansOwnDataIsThatOfItsBytes) {
+  const Bytes bytes(3, std::byte{'x'});
+  EXPECT_EQ(data_id(bytes),
+            "cd2eb0837c9b4c962c22d2ff8b5441b7b45805887f051d39bf133b583baf6860");  // echo -n xxx | sha256sum
+}
+
+}  // namespace
+}  // namespace gleaner::coordinator
