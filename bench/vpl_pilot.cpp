@@ -18,7 +18,9 @@
 
 #include "cli/local_frame.h"
 #include "coordinator/plan/vpl_pilot.h"
-#include "kernels/stage_records.h"
+#include "kernels/cluster_records.h"
+#include "kernels/path_records.h"
+#include "kernels/vpl_records.h"
 #include "scene/import/import.h"
 
 namespace {

@@ -11,7 +11,7 @@
 
 #include "cli/commands.h"
 #include "cli/local_frame.h"
-#include "kernels/stage_records.h"
+#include "kernels/path_records.h"
 #include "scene/bvh/build.h"
 #include "scene/library/library.h"
 #include "scene/model/error.h"

@@ -1,7 +1,11 @@
-// The assignment step of k-means (algorithm 1 of Colom et al. 2022); FUZZINESS is 1.
-
+// The assignment step of k-means (algorithm 1 of Colom et al. 2022). Stage kinds "vpl_cluster" and "point_cluster".
+//
+//   seeds, iterations and updates   on the host (worker/stages/cluster_stage.cpp)
+//   cluster_assign                  each datum -> the nearest centroid whose normal is within the threshold (eq. 7),
+//                                   among those in the 27 cells about it
+//
+// FUZZINESS is 1.
 #include "kernels/cluster_grid.h"
-#include "kernels/stage_records.h"
 #include "kernels/wide.h"
 
 // The nearest centroid of each of `count` data points from `base` on, or GLEANER_NONE. A datum is a row of `stride`

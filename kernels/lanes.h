@@ -55,12 +55,12 @@ FN void scatter_u(global uint* p, vu i, vu v) {
 }
 // Sixteen words a lane, from `table + word`: whole cache lines are read and turned in registers. A gather of each
 // column would read sixteen lines a column (measured on Zen 5: gathers were most of the shading's time).
-#define TURN(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
-#define TURN_PAIR(x, i, j, low, high) \
-  {                                   \
-    float16 p_ = x[i], q_ = x[j];     \
-    x[i] = TURN(p_, q_, low);         \
-    x[j] = TURN(p_, q_, high);        \
+#define SHUFFLE(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#define SHUFFLE_PAIR(x, i, j, low, high) \
+  {                                      \
+    float16 p_ = x[i], q_ = x[j];        \
+    x[i] = SHUFFLE(p_, q_, low);         \
+    x[j] = SHUFFLE(p_, q_, high);        \
   }
 #define LOW_1 0, 16, 2, 18, 4, 20, 6, 22, 8, 24, 10, 26, 12, 28, 14, 30
 #define HIGH_1 1, 17, 3, 19, 5, 21, 7, 23, 9, 25, 11, 27, 13, 29, 15, 31
@@ -70,17 +70,17 @@ FN void scatter_u(global uint* p, vu i, vu v) {
 #define HIGH_4 4, 5, 6, 7, 20, 21, 22, 23, 12, 13, 14, 15, 28, 29, 30, 31
 #define LOW_8 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23
 #define HIGH_8 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31
-FN void turn_16(float16* x){
-#define STEP(i, j) TURN_PAIR(x, i, j, LOW_1, HIGH_1)
+FN void transpose16(float16* x){
+#define STEP(i, j) SHUFFLE_PAIR(x, i, j, LOW_1, HIGH_1)
     STEP(0, 1) STEP(2, 3) STEP(4, 5) STEP(6, 7) STEP(8, 9) STEP(10, 11) STEP(12, 13) STEP(14, 15)
 #undef STEP
-#define STEP(i, j) TURN_PAIR(x, i, j, LOW_2, HIGH_2)
+#define STEP(i, j) SHUFFLE_PAIR(x, i, j, LOW_2, HIGH_2)
         STEP(0, 2) STEP(1, 3) STEP(4, 6) STEP(5, 7) STEP(8, 10) STEP(9, 11) STEP(12, 14) STEP(13, 15)
 #undef STEP
-#define STEP(i, j) TURN_PAIR(x, i, j, LOW_4, HIGH_4)
+#define STEP(i, j) SHUFFLE_PAIR(x, i, j, LOW_4, HIGH_4)
             STEP(0, 4) STEP(1, 5) STEP(2, 6) STEP(3, 7) STEP(8, 12) STEP(9, 13) STEP(10, 14) STEP(11, 15)
 #undef STEP
-#define STEP(i, j) TURN_PAIR(x, i, j, LOW_8, HIGH_8)
+#define STEP(i, j) SHUFFLE_PAIR(x, i, j, LOW_8, HIGH_8)
                 STEP(0, 8) STEP(1, 9) STEP(2, 10) STEP(3, 11) STEP(4, 12) STEP(5, 13) STEP(6, 14) STEP(7, 15)
 #undef STEP
 } FN void load_words(global const float* table, vu word, vf* out) {
@@ -100,7 +100,7 @@ FN void turn_16(float16* x){
   out[13] = vload16(0, table + word.sd);
   out[14] = vload16(0, table + word.se);
   out[15] = vload16(0, table + word.sf);
-  turn_16(out);
+  transpose16(out);
 }
 // Exclusive prefix sum of the mask's lanes; *total gets their number.
 FN vu rank_lanes(vi m, uint* total) {

@@ -173,7 +173,7 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
     // products, grow with the distance. A target within that of the light would be in its own light's way.
     const vf unit = (vf)(16.0f * 5.9604645e-8f);
     error = add3(error, make3(unit * fabs(d.x), unit * fabs(d.y), unit * fabs(d.z)));
-    light.target = pick3(light.target, leave_surface(q, error, normalize3(n), negate3(w)), ok);
+    light.target = pick3(light.target, offset_ray_origin(q, error, normalize3(n), negate3(w)), ok);
     light.direction = pick3(light.direction, w, ok);
     light.radiance = pick3(light.radiance, emitter_radiance(scene, e, b1, b2, ok), ok);
     light.pdf = pick(light.pdf, pdf, ok);

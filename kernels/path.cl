@@ -18,7 +18,7 @@
 #include "kernels/camera.h"
 #include "kernels/lights.h"
 #include "kernels/path_layout.h"
-#include "kernels/stage_records.h"
+#include "kernels/path_records.h"
 #include "kernels/surface.h"
 #include "kernels/wide.h"
 
@@ -222,7 +222,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   vf u_lobe, u_glass;
   sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 2u, &u_lobe, &u_glass);
 
-  vi passes = passes_by_lot(&m, active, &u_glass);
+  vi passes = stochastic_alpha(&m, active, &u_glass);
 #ifdef NEED_UNLIT
   {
     vi unlit = active & none(passes) & ((as_vu(h.words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_UNLIT) != 0u);
@@ -310,10 +310,10 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       weight = pick(weight, one_f(), light.delta);
       contribution = scale3(mul3(mul3(throughput, f), light.radiance), weight / light.pdf);
       connected = seen & (max_component(contribution) > zero_f());
-      shadow_origin = leave_surface(p, h.error, h.geometric, light.direction);
+      shadow_origin = offset_ray_origin(p, h.error, h.geometric, light.direction);
       shadow_direction = pick3(sub3(light.target, shadow_origin), light.direction, light.infinite);
       shadow_far = pick((vf)-1.0f, pick((vf)SHADOW_FAR, (vf)INFINITY, light.infinite), connected);
-#ifdef VEILS
+#ifdef TRANSPARENT_SHADOWS
       shadow_bits |=
           pick_u((vu)0u, (vu)SHADOW_PASSES, light.delta) | pick_u((vu)0u, (vu)SHADOW_INFINITE, light.infinite);
 #endif
@@ -323,7 +323,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   set_ray(shadows, SHADOW_ROWS, block, shadow_origin, shadow_direction, shadow_far, primitive);
   set_row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION, contribution);
   set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_SLOT, pick_u((vu)slot_count, slot | shadow_bits, connected));
-#ifdef VEILS
+#ifdef TRANSPARENT_SHADOWS
   set_row_u(shadows, SHADOW_ROWS, block, ROW_GEOMETRY, (vu)GLEANER_NONE);
 #endif
 
@@ -401,7 +401,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   scattered.pdf = pick(scattered.pdf, zero_f(), passes);
   alive = (alive & none(passes)) | (active & passes);
 #endif
-  v3 start = leave_surface(p, h.error, h.geometric, out);
+  v3 start = offset_ray_origin(p, h.error, h.geometric, out);
   vu next_bounce = bounce + 1u;
   alive = alive & (next_bounce <= (vu)META_BOUNCE_MASK) & finite3(start);
 
@@ -443,7 +443,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 #endif
 }
 
-#ifdef VEILS
+#ifdef TRANSPARENT_SHADOWS
 
 // Shadow rays and their closest hits: adds the light samples that arrived, and sends on, weakened, those of point, spot
 // and directional lights that met a surface which is not opaque. The others are blocked by it: their light is found by
@@ -478,7 +478,7 @@ kernel WIDE void path_pass(global float* restrict shadows, global float* restric
   load_color(scene, &h, &m, passes);
   contribution = scale3(contribution, one_f() - m.opacity);
   passes = passes & (max_component(contribution) > zero_f());
-  v3 start = leave_surface(h.p, h.error, h.geometric, direction);
+  v3 start = offset_ray_origin(h.p, h.error, h.geometric, direction);
   passes = passes & finite3(start);
   set_row_3(shadows, SHADOW_ROWS, block, ROW_ORIGIN, start);
   set_row_3(shadows, SHADOW_ROWS, block, ROW_DIRECTION,

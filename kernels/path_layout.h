@@ -23,12 +23,12 @@
 
 // Rows of a block of 16 shadow rays: RTCRay16, then what arrives if nothing is in the way. Where a scene has both alpha
 // and lights that no scattering finds, its shadow rays go through what is not opaque: they ask for the closest hit.
-#define VEILED_SHADOW_ROWS 24u
+#define TRANSPARENT_SHADOW_ROWS 24u
 #if defined(NEED_ALPHA) && defined(NEED_PUNCTUAL_LIGHTS)
-#define VEILS
+#define TRANSPARENT_SHADOWS
 #define ROW_CONTRIBUTION 20u
 #define ROW_SHADOW_SLOT 23u
-#define SHADOW_ROWS VEILED_SHADOW_ROWS
+#define SHADOW_ROWS TRANSPARENT_SHADOW_ROWS
 #else
 #define ROW_CONTRIBUTION 12u
 #define ROW_SHADOW_SLOT 15u  // the slot and the bits below; the slot count: no ray
@@ -71,8 +71,6 @@
 #define COUNTER_ALIVE 0u
 #define COUNTER_SHADOW 1u
 #define COUNTERS 16u
-
-#define REPORTED_ITEMS 8u
 
 #ifndef ROULETTE_DEPTH
 #define ROULETTE_DEPTH 3u

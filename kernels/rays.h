@@ -94,7 +94,7 @@ FN v3 surface_point(v3 p0, v3 e1, v3 e2, vf b1, vf b2, v3* error) {
 // rounding error, component by component (pbrt-v4, 6.8.6), then by one unit in the last place. No scene-sized epsilon.
 // A share of the largest component's error comes on top: in a plane through 0, across an axis, the bound itself is 0
 // and an any-hit query would find the plane at distance 0 (it made the floors at y = 0 black).
-FN v3 leave_surface(v3 p, v3 error, v3 n, v3 direction) {
+FN v3 offset_ray_origin(v3 p, v3 error, v3 n, v3 direction) {
   vf d = fabs(n.x) * error.x + fabs(n.y) * error.y + fabs(n.z) * error.z + 0.03125f * max_component(error);
   d = pick(-d, d, dot3(n, direction) > zero_f());
   v3 o = mad3(n, d, p);

@@ -184,9 +184,9 @@ FN void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active) {
 #endif
 }
 
-// Whether light goes on unbent where a surface is not opaque: by lot, in proportion. What is left of the number serves
-// again.
-FN vi passes_by_lot(const Surface* m, vi active, vf* u) {
+// Whether light passes an alpha-transparent surface undeflected: at random, in proportion. What is left of the number
+// serves again.
+FN vi stochastic_alpha(const Surface* m, vi active, vf* u) {
 #ifdef NEED_ALPHA
   vi passes = active & (m->opacity < one_f()) & (*u >= m->opacity);
   *u = pick(*u, min_f(*u / m->opacity, (vf)0.99999994f), m->opacity > zero_f());

@@ -38,6 +38,16 @@ FN vf max_component(v3 a) { return max_f(a.x, max_f(a.y, a.z)); }
 FN vi finite3(v3 a) { return finite_f(a.x) & finite_f(a.y) & finite_f(a.z); }
 FN v3 gather3(global const float* p, vu i) { return make3(gather_f(p, i), gather_f(p, i + 1u), gather_f(p, i + 2u)); }
 
+FN void scatter3(global float* p, vu i, v3 v) {
+  scatter_f(p, i, v.x);
+  scatter_f(p + 1, i, v.y);
+  scatter_f(p + 2, i, v.z);
+}
+
+// Of linear Rec. 709 colours.
+FN vf luminance(v3 c) { return c.x * 0.2126f + c.y * 0.7152f + c.z * 0.0722f; }
+FN float luminance_of(float r, float g, float b) { return 0.2126f * r + 0.7152f * g + 0.0722f * b; }
+
 // Three words in a row of what load_words() gave.
 FN v3 words3(const vf* words, uint first) { return make3(words[first], words[first + 1u], words[first + 2u]); }
 

@@ -7,7 +7,7 @@
 
 #include "coordinator/film/film.h"
 #include "coordinator/plan/allocation.h"
-#include "kernels/stage_records.h"
+#include "kernels/path_records.h"
 
 namespace gleaner::coordinator {
 

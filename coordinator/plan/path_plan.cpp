@@ -7,7 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "coordinator/blobs/sha256.h"
-#include "kernels/stage_records.h"
+#include "kernels/path_records.h"
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {

@@ -12,7 +12,7 @@ namespace gleaner::coordinator {
 class PathPlan final : public Plan {
  public:
   // Part of another method: light that a non-specular surface sends straight to the first one is left to virtual point
-  // lights, but for what they clamp (kernels/stage_records.h).
+  // lights, but for what they clamp (kernels/path_records.h).
   struct Covered {
     bool covered = false;
     float clamp = 0;  // of the geometry term, 1/m^2; infinity: none

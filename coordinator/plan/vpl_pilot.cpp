@@ -6,7 +6,8 @@
 #include <cstring>
 #include <limits>
 
-#include "kernels/stage_records.h"
+#include "kernels/cluster_records.h"
+#include "kernels/vpl_records.h"
 #include "scene/model/error.h"
 #include "scene/model/order.h"
 
@@ -24,10 +25,10 @@ constexpr double kFarShare = 0.015;
 // Point clusters' squared errors rise with their spacing to this power, about, on the same scenes: where shadows are
 // lost is a matter of a few places, which a few points tell badly at each spacing alone.
 constexpr double kSpacingPower = 0.4;
-// Disputed and other lights count differently to vpl_doubt() in kernels/vpl.cl, and a point in shadow is as exact as
-// one that gets so much of what it could.
+// Disputed and other lights count differently to vpl_residual_select() in kernels/vpl/residual.cl, and a point in
+// shadow is as exact as one that gets so much of what it could.
 constexpr double kAgreed = 0.2, kLeastLit = 0.1;
-// How steeply a neighbour may rise above a point's plane: SAME_SURFACE of kernels/vpl.cl.
+// How steeply a neighbour may rise above a point's plane: SAME_SURFACE of kernels/vpl/gather.cl.
 constexpr double kSameSurface = 0.25;
 
 // What VPLs leave is smooth, seen for longer than noise of the same strength, and foreseen less surely than it.
@@ -448,7 +449,7 @@ VplPilot::Split VplPilot::points_error(double spacing, double lights, double dou
 }
 
 double VplPilot::asked(double spacing, double doubt) const {
-  return doubt > 0 ? std::min(at(spacing).asked / doubt, double{MOST_DOUBTS}) : 0;
+  return doubt > 0 ? std::min(at(spacing).asked / doubt, double{MAX_RESIDUAL_SAMPLES}) : 0;
 }
 
 VplForecast forecast_vpl(const VplPilot& pilot, const std::vector<PathForecast>& paths, const VplWish& wish,

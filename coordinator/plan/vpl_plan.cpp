@@ -8,7 +8,9 @@
 #include <nlohmann/json.hpp>
 
 #include "coordinator/blobs/sha256.h"
-#include "kernels/stage_records.h"
+#include "kernels/cluster_records.h"
+#include "kernels/path_records.h"
+#include "kernels/vpl_records.h"
 #include "scene/model/error.h"
 #include "scene/model/order.h"
 
@@ -158,7 +160,7 @@ StageSpec VplPlan::trace(std::uint32_t set) const {
   // Several times the VPLs that are kept: which they are is then decided by what they carry.
   p.items_low = light_paths_;
   p.depth = settings_.depth ? settings_.depth - 1 : 0;
-  p.set = set;
+  p.pass = set;
   p.seed_low = static_cast<std::uint32_t>(settings_.seed);
   p.seed_high = static_cast<std::uint32_t>(settings_.seed >> 32);
   StageSpec spec;
@@ -302,7 +304,7 @@ void VplPlan::take_lights(std::uint32_t set, std::vector<float> rows, Step& step
     return;
   }
   ClusterParameters p = cluster_parameters(vpl_.clusters);
-  p.draw = vpl_.draw ? static_cast<std::uint32_t>(settings_.seed) * 4096 + set + 1 : 0;
+  p.random_representative = vpl_.draw ? static_cast<std::uint32_t>(settings_.seed) * 4096 + set + 1 : 0;
   p.lights = s.kept;
   StageSpec spec = cluster(step, "lights", table_of(bytes_of(rows)), p);
   spec.name = "vpl.cluster." + std::to_string(set);
@@ -650,7 +652,7 @@ void VplPlan::ask_visibility(std::uint32_t set, Step& step) {
   p.clusters = s.rows;
   p.point_clusters = point_rows_;
   p.clamp = clamp_;
-  p.least = static_cast<float>(vpl_.least);
+  p.cutoff = static_cast<float>(vpl_.least);
   StageSpec spec;
   spec.name = "vpl.visibility." + std::to_string(set);
   spec.kind = "vpl_visibility";
@@ -668,14 +670,14 @@ void VplPlan::ask_visibility(std::uint32_t set, Step& step) {
 void VplPlan::shade(std::uint32_t set, Step& step) {
   Set& s = sets_[set];
   VplPointParameters p = point_parameters(settings_, vpl_);
-  p.set = set;
+  p.pass = set;
   p.items_low = static_cast<std::uint32_t>(pixels());
   p.clusters = s.rows;
   p.point_clusters = point_rows_;
   p.fuzziness = vpl_.fuzziness;
   p.equal_weights = vpl_.equal_weights ? 1 : 0;
   p.clamp = clamp_;
-  p.doubt = static_cast<float>(vpl_.doubt);
+  p.residual_threshold = static_cast<float>(vpl_.doubt);
   StageSpec spec;
   spec.name = "vpl.shade." + std::to_string(set);
   spec.kind = "vpl_shade";

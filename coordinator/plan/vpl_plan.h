@@ -23,7 +23,8 @@
 #include "coordinator/plan/vpl_pilot.h"
 #include "coordinator/plan/vpl_settings.h"
 #include "coordinator/plan/way_points.h"
-#include "kernels/stage_records.h"
+#include "kernels/cluster_records.h"
+#include "kernels/vpl_records.h"
 
 namespace gleaner::coordinator {
 

@@ -6,7 +6,7 @@
 #include <cmath>
 
 #include "coordinator/plan/setting.h"
-#include "kernels/stage_records.h"
+#include "kernels/vpl_records.h"
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {
@@ -21,7 +21,7 @@ VplSettings make_vpl_settings(const FrameSettings& settings) {
   vpl.clusters = whole_setting(settings, "vpl.clusters", std::min(1536u, vpl.count), 0, 1u << 20);
   const auto points = static_cast<std::uint32_t>(std::clamp(pixels / 80, 256.0, 20000.0));
   vpl.point_clusters = whole_setting(settings, "vpl.point_clusters", points, 0, 1u << 22);
-  vpl.fuzziness = whole_setting(settings, "vpl.fuzziness", 6, 1, MOST_FUZZINESS);
+  vpl.fuzziness = whole_setting(settings, "vpl.fuzziness", 6, 1, MAX_FUZZINESS);
   vpl.sets = whole_setting(settings, "vpl.sets", vpl.sets, 1, 4096);
   vpl.samples = whole_setting(settings, "vpl.samples", vpl.samples, 1, 64);
   if (!std::has_single_bit(vpl.samples))

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <cstring>
 
-#include "kernels/stage_records.h"
+#include "kernels/vpl_records.h"
 
 namespace gleaner::coordinator {
 namespace {

@@ -9,7 +9,7 @@
 #include <unordered_map>
 
 #include "kernels/path_layout.h"
-#include "kernels/stage_records.h"
+#include "kernels/path_records.h"
 #include "tests/kernels/kernel_bench.h"
 #include "tests/radiometry/statistics.h"
 
@@ -20,7 +20,7 @@ constexpr double kFamily = 1e-3;
 
 constexpr const char* kText = R"CL(
 #include "kernels/sampling.h"
-#include "kernels/stage_records.h"
+#include "kernels/path_records.h"
 
 // As path_generate makes it of seed, pixel and sequence.
 FN vu key_of(uint seed, vu pixel, vu sequence) {

@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include "kernels/stage_records.h"
+#include "kernels/path_records.h"
 #include "scene/bvh/build.h"
 #include "scene/model/blob.h"
 #include "tests/numerics/tracing.h"

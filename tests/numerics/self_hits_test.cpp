@@ -1,5 +1,5 @@
-// Rays that leave a surface as the path tracer sends them (surface_point() and leave_surface() of kernels/rays.h) do
-// not find it again, whatever its size, and miss nothing that lies close before them.
+// Rays that leave a surface as the path tracer sends them (surface_point() and offset_ray_origin() of kernels/rays.h)
+// do not find it again, whatever its size, and miss nothing that lies close before them.
 
 #include <gtest/gtest.h>
 
@@ -25,7 +25,7 @@ kernel void spawn(global const float* corners, global const float* weights, glob
   d = make3(load_f(directions, block), load_f(directions + count, block), load_f(directions + 2 * count, block));
   v3 e1 = sub3(p[1], p[0]), e2 = sub3(p[2], p[0]);
   v3 at = surface_point(p[0], e1, e2, load_f(weights, block), load_f(weights + count, block), &error);
-  v3 o = leave_surface(at, error, normalize3(cross3(e1, e2)), d);
+  v3 o = offset_ray_origin(at, error, normalize3(cross3(e1, e2)), d);
   store_f(origins, block, o.x);
   store_f(origins + count, block, o.y);
   store_f(origins + 2 * count, block, o.z);

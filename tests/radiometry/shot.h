@@ -14,7 +14,7 @@
 #include <vector>
 
 #include "coordinator/film/write.h"
-#include "kernels/stage_records.h"
+#include "kernels/path_records.h"
 #include "scene/bvh/build.h"
 #include "scene/model/scene.h"
 #include "tests/radiometry/statistics.h"

@@ -8,7 +8,9 @@
 #include "cli/local_frame.h"
 #include "coordinator/plan/plan.h"
 #include "coordinator/plan/way_points.h"
-#include "kernels/stage_records.h"
+#include "kernels/cluster_records.h"
+#include "kernels/path_records.h"
+#include "kernels/vpl_records.h"
 #include "scene/library/library.h"
 #include "tests/radiometry/shot.h"
 

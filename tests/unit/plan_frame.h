@@ -8,7 +8,8 @@
 #include <vector>
 
 #include "coordinator/plan/plan.h"
-#include "kernels/stage_records.h"
+#include "kernels/path_records.h"
+#include "kernels/vpl_records.h"
 
 namespace gleaner::coordinator {
 

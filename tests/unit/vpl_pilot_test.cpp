@@ -15,7 +15,9 @@
 #include <set>
 
 #include "coordinator/plan/plan.h"
-#include "kernels/stage_records.h"
+#include "kernels/cluster_records.h"
+#include "kernels/path_records.h"
+#include "kernels/vpl_records.h"
 #include "scene/model/error.h"
 #include "tests/unit/plan_frame.h"
 

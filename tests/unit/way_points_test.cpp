@@ -15,7 +15,8 @@
 #include <nlohmann/json.hpp>
 
 #include "coordinator/plan/plan.h"
-#include "kernels/stage_records.h"
+#include "kernels/cluster_records.h"
+#include "kernels/vpl_records.h"
 #include "tests/unit/plan_frame.h"
 
 namespace gleaner::coordinator {

@@ -8,7 +8,8 @@
 #include <numeric>
 #include <span>
 
-#include "kernels/stage_records.h"
+#include "kernels/cluster_records.h"
+#include "kernels/vpl_records.h"
 #include "scene/model/error.h"
 #include "scene/model/order.h"
 #include "worker/stages/cluster_grid.h"
@@ -211,7 +212,8 @@ class KMeans {
 // The cluster's record: the member nearest to the centroid stands for all (a centroid may hang in the air), with what
 // they send in all.
 void write_clusters(const KMeans& means, const std::vector<std::uint32_t>& assigned, const std::vector<float>& data,
-                    std::size_t stride, std::uint32_t clusters, std::uint32_t draw, std::vector<float>& rows) {
+                    std::size_t stride, std::uint32_t clusters, std::uint32_t random_representative,
+                    std::vector<float>& rows) {
   const bool lights = stride == VPL_WORDS;
   const std::size_t count = data.size() / stride;
   std::vector<double> nearest(clusters, std::numeric_limits<double>::infinity());
@@ -230,10 +232,11 @@ void write_clusters(const KMeans& means, const std::vector<std::uint32_t>& assig
       sent[3 * k + c] += data[i * stride + VPL_SENT + c];
     }
   }
-  if (lights && draw) {
+  if (lights && random_representative) {
     std::vector<double> aim(clusters), sum(clusters, 0.0);
     for (std::uint32_t k = 0; k < clusters; ++k)
-      aim[k] = scene::unit_hash((std::uint64_t{draw} << 32) | k) * (flux[3 * k] + flux[3 * k + 1] + flux[3 * k + 2]);
+      aim[k] = scene::unit_hash((std::uint64_t{random_representative} << 32) | k) *
+               (flux[3 * k] + flux[3 * k + 1] + flux[3 * k + 2]);
     std::vector<bool> drawn(clusters, false);
     for (std::size_t i = 0; i < count; ++i) {
       const std::uint32_t k = assigned[i];
@@ -321,7 +324,7 @@ BatchResult run_cluster_stage(const Device& device, Workspace& workspace, Device
   } else {
     KMeans means(device, workspace, data, stride, parameters);
     assigned = means.run();
-    write_clusters(means, assigned, data, stride, parameters.clusters, parameters.draw, rows);
+    write_clusters(means, assigned, data, stride, parameters.clusters, parameters.random_representative, rows);
   }
   if (lights) std::memcpy(&rows[parameters.clusters * stride], assigned.data(), held * 4);
   BatchResult result;

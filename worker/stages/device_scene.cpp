@@ -158,7 +158,7 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
     if (need && (lights.cluster_slots || (std::strcmp(word, "PUNCTUAL_LIGHTS") &&
                                           std::strcmp(word, "EMISSIVE_TRIANGLES") && std::strcmp(word, "ENVIRONMENT"))))
       options_ += std::string(" -D NEED_") + word;
-  veils_ = needs.alpha && needs.punctual_lights && lights.cluster_slots;
+  transparent_ = needs.alpha && needs.punctual_lights && lights.cluster_slots;
   if (lights.cluster_slots) options_ += " -D CLUSTERS=" + std::to_string(lights.cluster_slots);
 }
 

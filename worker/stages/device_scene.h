@@ -18,13 +18,14 @@ class DeviceScene {
   // Compiler options that select the variant: one NEED_... a need, and how many light clusters there are.
   const std::string& kernel_options() const { return options_; }
   Tracer& tracer() { return *tracer_; }
-  // Shadow rays to punctual lights may meet surfaces that are not opaque (kernels/path_layout.h: VEILS).
-  bool veils() const { return veils_; }
+  // Shadow rays to punctual lights may meet surfaces that are not opaque (kernels/path_layout.h: TRANSPARENT_SHADOWS).
+  bool transparent_shadows() const { return transparent_; }
   // Sets the scene's buffers as arguments from `first` on, in the order of SCENE_PARAMETERS; returns the next index.
   unsigned set_arguments(cl::Kernel& kernel, unsigned first) const;
   // What light paths choose their lights from (kernels/scene_layout.h); zeros where nothing shines.
   const cl::Buffer& emission() const { return emission_; }
   bool shines() const { return shines_; }
+  const cl::Buffer& triangle_rows() const { return triangles_; }
   std::uint64_t triangles() const { return triangle_count_; }
   std::size_t bytes() const { return bytes_; }
 
@@ -36,7 +37,7 @@ class DeviceScene {
   cl::Buffer triangles_, materials_, textures_, texels_, srgb_, albedo_tables_, emitters_, clusters_, environment_,
       emission_;
   bool shines_ = false;
-  bool veils_ = false;
+  bool transparent_ = false;
   std::uint64_t triangle_count_ = 0;
   std::size_t bytes_ = 0;
 };

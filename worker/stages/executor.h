@@ -39,7 +39,7 @@ struct DeviceInfo {
 // All OpenCL devices; empty where there are none.
 std::vector<DeviceInfo> list_devices();
 
-// What a batch is of: one stage of one frame. Bytes are little-endian structs of kernels/stage_records.h.
+// What a batch is of: one stage of one frame. Bytes are little-endian structs of kernels/*_records.h.
 struct StageTask {
   std::string kind;  // which stage program runs, e.g. "path"
   std::vector<std::byte> parameters;

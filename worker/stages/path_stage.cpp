@@ -6,7 +6,7 @@
 #include <cstring>
 
 #include "kernels/path_layout.h"
-#include "kernels/stage_records.h"
+#include "kernels/path_records.h"
 #include "scene/model/error.h"
 #include "worker/stages/lane_threads.h"
 #include "worker/stages/launch.h"
@@ -87,8 +87,8 @@ class Lane {
         queue_(shared.device.make_queue()),
         generate_(shared.program, "path_generate"),
         shade_(shared.program, "path_shade"),
-        veils_(shared.scene.veils()),
-        connect_(shared.program, veils_ ? "path_pass" : "path_connect"),
+        transparent_(shared.scene.transparent_shadows()),
+        connect_(shared.program, transparent_ ? "path_pass" : "path_connect"),
         counters_(workspace.take("path.counters." + std::to_string(index), COUNTERS * 4)) {
     // One block more: ended lanes write behind the wave.
     const std::size_t blocks = shared.capacity / RAY_BLOCK + 1;
@@ -115,7 +115,7 @@ class Lane {
     connect_.setArg(0, shadows_);
     connect_.setArg(1, shared.slots);
     connect_.setArg(2, static_cast<cl_uint>(slot_count()));
-    if (veils_) {
+    if (transparent_) {
       connect_.setArg(4, counters_);
       shared.scene.set_arguments(connect_, 5);
     }
@@ -172,7 +172,7 @@ class Lane {
       if (counted[COUNTER_SHADOW]) {
         range.rows = shadow_rows();
         connect_.setArg(3, range.end());
-        if (veils_) {
+        if (transparent_) {
           shadowed += pass(range.end());
         } else {
           shared_.scene.tracer().any(queue_, shadows_, range);
@@ -191,7 +191,7 @@ class Lane {
   LaneCounters counters;
 
  private:
-  std::uint32_t shadow_rows() const { return veils_ ? VEILED_SHADOW_ROWS : SHADOW_ROWS; }
+  std::uint32_t shadow_rows() const { return transparent_ ? TRANSPARENT_SHADOW_ROWS : SHADOW_ROWS; }
 
   // Shadow rays through what is not opaque, one surface a turn. Rays that went on stand beside others that ended:
   // traced as single rays, so that an answer does not depend on its neighbours. Returns the tracer's seconds.
@@ -226,7 +226,7 @@ class Lane {
   Shared& shared_;
   cl::CommandQueue queue_;
   cl::Kernel generate_, shade_;
-  bool veils_;
+  bool transparent_;
   cl::Kernel connect_;
   cl::Buffer counters_, paths_[2], shadows_;
   unsigned shade_arguments_ = 0;

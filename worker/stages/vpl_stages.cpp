@@ -8,8 +8,9 @@
 #include <cstring>
 
 #include "kernels/cluster_grid.h"
+#include "kernels/cluster_records.h"
 #include "kernels/path_layout.h"
-#include "kernels/stage_records.h"
+#include "kernels/vpl_records.h"
 #include "scene/model/error.h"
 #include "worker/stages/cluster_grid.h"
 #include "worker/stages/lane_threads.h"
@@ -68,24 +69,33 @@ struct Batch {
   DeviceScene& scene;
   const StageTask& task;
   std::uint64_t first = 0, count = 0;
-  cl::Program program{};
+  unsigned fuzziness = 1;
   cl::Buffer parameters{};
   unsigned lanes = 1;
   std::atomic<std::uint64_t> next{0};
   std::atomic<bool> failed{false};
 
   Batch(const Device& d, Workspace& w, DeviceScene& s, const StageTask& t, std::uint64_t f, std::uint64_t c,
-        unsigned fuzziness)
+        unsigned f6)
       : device(d),
         workspace(w),
         scene(s),
         task(t),
         first(f),
         count(c),
-        program(d.build("kernels/vpl.cl", s.kernel_options() + " -D FUZZINESS=" + std::to_string(fuzziness))),
+        fuzziness(f6),
         lanes(d.info().cpu ? d.info().threads : 1) {
     cl::CommandQueue queue = device.make_queue();
     parameters = put(queue, "vpl.parameters", task.parameters.data(), task.parameters.size());
+  }
+
+  // A kernel of kernels/vpl/`file`. Each file is a program of its own, built for what it reads alone, so that a stage
+  // compiles nothing that it does not run, and two stages share what both run.
+  cl::Kernel kernel(const std::string& file, const char* name) const {
+    std::string options = "-D LANES=" + std::to_string(device.lanes());
+    if (file != "visibility.cl") options = scene.kernel_options();
+    if (file == "gather.cl" || file == "residual.cl") options += " -D FUZZINESS=" + std::to_string(fuzziness);
+    return cl::Kernel(device.build("kernels/vpl/" + file, options), name);
   }
 
   // Room for the last row's load of a whole line.
@@ -161,7 +171,7 @@ class Lane {
   cl::Buffer take(const std::string& name, std::size_t bytes) {
     return batch_.workspace.take("vpl." + name + "." + std::to_string(index_), bytes + 64);
   }
-  cl::Kernel kernel(const char* name) const { return cl::Kernel(batch_.program, name); }
+  cl::Kernel kernel(const std::string& file, const char* name) const { return batch_.kernel(file, name); }
 
   // `capacity` on CPU devices, whatever there is to do.
   void launch(cl::Kernel& kernel, std::uint32_t work, std::uint32_t capacity, unsigned lanes) {
@@ -230,8 +240,8 @@ class TraceLane : public Lane {
   TraceLane(Batch& batch, unsigned index)
       : Lane(batch, index),
         capacity_(path_capacity(batch.device)),
-        emit_(kernel("vpl_emit")),
-        walk_(kernel("vpl_walk_light")) {
+        emit_(kernel("trace.cl", "vpl_emit")),
+        walk_(kernel("trace.cl", "vpl_trace_step")) {
     const std::size_t blocks = capacity_ / RAY_BLOCK + 1;
     paths_ = take("paths", blocks * RAY_BLOCK * PATH_ROWS * 4);
     // A path's slots more: lanes with nothing to write do so behind the records.
@@ -282,8 +292,8 @@ class PointLane : public Lane {
   PointLane(Batch& batch, unsigned index, bool by_point)
       : Lane(batch, index),
         capacity_(path_capacity(batch.device)),
-        generate_(kernel("vpl_generate")),
-        walk_(kernel("vpl_walk")) {
+        generate_(kernel("points.cl", "vpl_camera_rays")),
+        walk_(kernel("points.cl", "vpl_point_step")) {
     const std::size_t blocks = capacity_ / RAY_BLOCK + 1;
     paths_ = take("paths", blocks * RAY_BLOCK * PATH_ROWS * 4);
     points_ = take("points", (capacity_ + RAY_BLOCK) * POINT_WORDS * 4);
@@ -331,49 +341,53 @@ class PointLane : public Lane {
 
 // --- Visibility ---
 
-// Asks rows of lights for points, some at a time. Held by the lanes of the stages that need answers.
+const std::string kVisibilityFile = "visibility.cl", kResidualFile = "residual.cl";
+
+// Asks rows of lights for points, some at a time. Held by the lanes of the stages that need answers. `file`: whose
+// queries these are; ask() is visibility.cl's.
 class Asker {
  public:
   Asker(Batch& batch, cl::CommandQueue& queue, cl::Buffer rays, cl::Buffer counters, cl::Buffer lights,
-        std::uint32_t width, std::uint32_t slices)
+        std::uint32_t width, std::uint32_t slices, const std::string& file)
       : batch_(batch),
         queue_(queue),
         width_(width),
         rays_(std::move(rays)),
         counters_(std::move(counters)),
-        ask_(batch.program, "visibility_rays"),
-        pack_(batch.program, "visibility_pack") {
-    const unsigned at = first_ = batch.scene.set_arguments(ask_, 0);
-    ask_.setArg(at + 3, lights);
-    ask_.setArg(at + 4, width);
-    ask_.setArg(at + 5, slices);
-    ask_.setArg(at + 9, rays_);
-    ask_.setArg(at + 10, counters_);
+        pack_(batch.kernel(file, "visibility_pack")) {
     pack_.setArg(0, rays_);
+    if (file != kVisibilityFile) return;
+    ask_ = batch.kernel(file, "vpl_visibility_rays");
+    ask_.setArg(0, batch.scene.triangle_rows());
+    ask_.setArg(4, lights);
+    ask_.setArg(5, width);
+    ask_.setArg(6, slices);
+    ask_.setArg(10, rays_);
+    ask_.setArg(11, counters_);
   }
 
   // Bits of `rows` points' slices (width / 32 words each) into `bits`; how many pairs of each row were left out into
-  // `left_out` (VISIBILITY_COUNTS words a row). chosen: a list of points, `listed`, or unused. least: what a light must
-  // be able to bring to each row's point.
+  // `left_out` (VISIBILITY_COUNTS words a row). chosen: a list of points, `listed`, or unused. cutoff: what a light
+  // must be able to bring to each row's point.
   void ask(const cl::Buffer& points, const cl::Buffer& chosen, bool listed, std::uint32_t point_base,
-           std::uint32_t rows, cl::Buffer& bits, cl::Buffer& left_out, const cl::Buffer& least, float clamp,
+           std::uint32_t rows, cl::Buffer& bits, cl::Buffer& left_out, const cl::Buffer& cutoff, float clamp,
            LaneCounters& counters) {
     queue_.enqueueFillBuffer(left_out, cl_uint{0}, 0, std::size_t{rows} * VISIBILITY_COUNTS * 4);
     static constexpr cl_uint zero = 0;  // read after the call, also where a later one throws
     queue_.enqueueWriteBuffer(counters_, CL_FALSE, 0, sizeof zero, &zero);
     const std::uint64_t all = std::uint64_t{rows} * width_;
     const std::uint32_t capacity = ray_capacity(batch_.device);
-    ask_.setArg(first_, points);
-    ask_.setArg(first_ + 1, chosen);
-    ask_.setArg(first_ + 2, static_cast<cl_uint>(listed));
-    ask_.setArg(first_ + 6, point_base);
-    ask_.setArg(first_ + 11, left_out);
-    ask_.setArg(first_ + 12, least);
-    ask_.setArg(first_ + 13, clamp);
+    ask_.setArg(1, points);
+    ask_.setArg(2, chosen);
+    ask_.setArg(3, static_cast<cl_uint>(listed));
+    ask_.setArg(7, point_base);
+    ask_.setArg(12, left_out);
+    ask_.setArg(13, cutoff);
+    ask_.setArg(14, clamp);
     for (std::uint64_t base = 0; base < all; base += capacity) {
       const auto count = static_cast<std::uint32_t>(std::min<std::uint64_t>(capacity, all - base));
-      ask_.setArg(first_ + 7, static_cast<cl_uint>(base));
-      ask_.setArg(first_ + 8, count);
+      ask_.setArg(8, static_cast<cl_uint>(base));
+      ask_.setArg(9, count);
       launch(batch_.device, queue_, ask_, count, capacity, batch_.device.lanes());
       RayRange range;
       // Sixteen lights as one point sees them, always the same sixteen.
@@ -406,8 +420,7 @@ class Asker {
   cl::CommandQueue& queue_;
   std::uint32_t width_;
   cl::Buffer rays_, counters_;
-  cl::Kernel ask_, pack_;
-  unsigned first_ = 0;
+  cl::Kernel ask_{}, pack_;
 };
 
 struct VisibilityTables {
@@ -421,18 +434,18 @@ class VisibilityLane : public Lane {
         p_(parameters),
         points_(tables.points),
         asker_(batch, queue_, take("rays", std::size_t{ray_capacity(batch.device)} * VISIBILITY_ROWS * 4),
-               counters_buffer_, tables.lights, parameters.clusters, 1),
-        least_of_(kernel("visibility_least")) {
+               counters_buffer_, tables.lights, parameters.clusters, 1, kVisibilityFile),
+        cutoff_of_(kernel("visibility.cl", "vpl_visibility_cutoff")) {
     rows_ = std::max<std::uint32_t>(1, 4 * ray_capacity(batch.device) / p_.clusters);
     bits_ = take("bits", std::size_t{rows_} * p_.clusters / 8);
     left_out_ = take("left_out", std::size_t{rows_} * VISIBILITY_COUNTS * 4);
-    least_ = take("least", (std::size_t{rows_} + RAY_BLOCK) * 4);
-    least_of_.setArg(0, points_);
-    least_of_.setArg(3, tables.lights);
-    least_of_.setArg(4, p_.clusters);
-    least_of_.setArg(5, p_.clamp);
-    least_of_.setArg(6, p_.least);
-    least_of_.setArg(7, least_);
+    cutoff_ = take("cutoff", (std::size_t{rows_} + RAY_BLOCK) * 4);
+    cutoff_of_.setArg(0, points_);
+    cutoff_of_.setArg(3, tables.lights);
+    cutoff_of_.setArg(4, p_.clusters);
+    cutoff_of_.setArg(5, p_.clamp);
+    cutoff_of_.setArg(6, p_.cutoff);
+    cutoff_of_.setArg(7, cutoff_);
   }
 
   void run(BatchResult& result) {
@@ -442,14 +455,14 @@ class VisibilityLane : public Lane {
     while (batch_.claim(rows_, begin, part)) {
       const auto rows = static_cast<std::uint32_t>(part);
       const auto base = static_cast<std::uint32_t>(batch_.first + begin);
-      if (p_.least > 0) {
-        least_of_.setArg(1, base);
-        least_of_.setArg(2, rows);
-        launch(least_of_, rows, (rows_ + RAY_BLOCK - 1) / RAY_BLOCK * RAY_BLOCK, batch_.device.lanes());
+      if (p_.cutoff > 0) {
+        cutoff_of_.setArg(1, base);
+        cutoff_of_.setArg(2, rows);
+        launch(cutoff_of_, rows, (rows_ + RAY_BLOCK - 1) / RAY_BLOCK * RAY_BLOCK, batch_.device.lanes());
       } else {
-        queue_.enqueueFillBuffer(least_, cl_float{0}, 0, std::size_t{rows} * 4);
+        queue_.enqueueFillBuffer(cutoff_, cl_float{0}, 0, std::size_t{rows} * 4);
       }
-      asker_.ask(points_, points_, false, base, rows, bits_, left_out_, least_, p_.clamp, counters);
+      asker_.ask(points_, points_, false, base, rows, bits_, left_out_, cutoff_, p_.clamp, counters);
       queue_.enqueueReadBuffer(bits_, CL_TRUE, 0, rows * words * 4, bits.data());
       queue_.enqueueReadBuffer(left_out_, CL_TRUE, 0, std::size_t{rows} * VISIBILITY_COUNTS * 4, left_out.data());
       std::byte* out = result.records.data() + begin * stride;
@@ -465,8 +478,8 @@ class VisibilityLane : public Lane {
   cl::Buffer points_;
   std::uint32_t rows_ = 0;
   Asker asker_;
-  cl::Kernel least_of_;
-  cl::Buffer bits_, left_out_, least_;
+  cl::Kernel cutoff_of_;
+  cl::Buffer bits_, left_out_, cutoff_;
 };
 
 // --- Shading ---
@@ -519,7 +532,7 @@ cl::Buffer put_lights(Batch& batch, cl::CommandQueue& queue, std::span<const std
   if (found != task.inputs.end())
     rows.insert(rows.end(), found->second.in_memory().begin(), found->second.in_memory().end());
   const std::size_t all = rows.size() / stride;
-  if (rows.size() % stride != 0 || all > DOUBT_LIGHT)
+  if (rows.size() % stride != 0 || all > RESIDUAL_LIGHT)
     throw Error::bad_input("stage " + task.kind, "input members", "rows of " + std::to_string(stride) + " bytes",
                            std::to_string(rows.size() - lights.size()) + " bytes");
   for (std::size_t row = 0; row < all; ++row) {
@@ -583,17 +596,15 @@ class ShadeLane : public PointLane {
         p_(parameters),
         tables_(tables),
         asker_(batch, queue_, take("rays", std::size_t{ray_capacity(batch.device)} * VISIBILITY_ROWS * 4),
-               counters_buffer_, tables.lights, tables.width, parameters.samples),
-        members_(kernel("vpl_members")),
-        gather_(kernel("vpl_gather")),
-        resolve_(kernel("vpl_resolve")),
-        doubt_(kernel("vpl_doubt")),
-        doubt_rays_(kernel("vpl_doubt_rays")),
-        settle_(kernel("vpl_settle")) {
+               counters_buffer_, tables.lights, tables.width, parameters.samples,
+               asks_alone_ ? kVisibilityFile : kResidualFile),
+        members_(kernel("gather.cl", "vpl_memberships")),
+        gather_(kernel("gather.cl", "vpl_gather")),
+        resolve_(kernel("gather.cl", "vpl_resolve")) {
     const std::size_t room = capacity_ + RAY_BLOCK;
-    rows_ = take("rows", room * MOST_FUZZINESS * 4);
-    weights_ = take("weights", room * MOST_FUZZINESS * 4);
-    lonely_ = take("lonely", room * 4);
+    rows_ = take("rows", room * MAX_FUZZINESS * 4);
+    weights_ = take("weights", room * MAX_FUZZINESS * 4);
+    unclustered_ = take("unclustered", room * 4);
     radiance_ = take("radiance", (room + 1) * 3 * 4);
     records_ = take("records", room * 3 * 4);
     report_ = take("report", (2 + REPORTED_ITEMS) * 4);
@@ -601,8 +612,8 @@ class ShadeLane : public PointLane {
     own_rows_ -= own_rows_ % 16;
     own_bits_ = take("own_bits", std::size_t{own_rows_} * tables.width / 8);
     left_out_ = take("left_out", std::size_t{own_rows_} * VISIBILITY_COUNTS * 4);
-    least_ = take("least", std::size_t{own_rows_} * 4);
-    queue_.enqueueFillBuffer(least_, cl_float{0}, 0, std::size_t{own_rows_} * 4);
+    cutoff_ = take("cutoff", std::size_t{own_rows_} * 4);
+    queue_.enqueueFillBuffer(cutoff_, cl_float{0}, 0, std::size_t{own_rows_} * 4);
     chosen_ = take("chosen", (std::size_t{own_rows_} + 16) * 4);
     members_.setArg(0, batch.parameters);
     members_.setArg(1, points_);
@@ -612,7 +623,7 @@ class ShadeLane : public PointLane {
     members_.setArg(6, CLUSTER_LEAST_COSINE);
     members_.setArg(7, rows_);
     members_.setArg(8, weights_);
-    members_.setArg(9, lonely_);
+    members_.setArg(9, unclustered_);
     gather_.setArg(0, batch.parameters);
     const unsigned at = gather_first_ = batch.scene.set_arguments(gather_, 1);
     gather_.setArg(at, points_);
@@ -629,7 +640,7 @@ class ShadeLane : public PointLane {
     gather_.setArg(at + 13, level_);
     gather_.setArg(at + 14, lobes_);
     sampled_ = take("sampled", room * 16);
-    if (!asks_alone_) prepare_doubts(room);
+    if (!asks_alone_) prepare_residual(room);
     resolve_.setArg(0, batch.parameters);
     resolve_.setArg(2, radiance_);
     resolve_.setArg(3, sampled_);
@@ -640,7 +651,7 @@ class ShadeLane : public PointLane {
   void run(BatchResult& result) {
     std::uint64_t begin = 0, part = 0;
     const std::uint32_t most = capacity_ / p_.samples;
-    std::vector<std::uint32_t> lonely(capacity_ + RAY_BLOCK);
+    std::vector<std::uint32_t> unclustered(capacity_ + RAY_BLOCK);
     while (batch_.claim(most, begin, part)) {
       // Whole rows of sixteen pixels: those beyond the part are the next one's, and dropped.
       const std::uint32_t blocks = (static_cast<std::uint32_t>(part) + 15) / 16;
@@ -656,15 +667,15 @@ class ShadeLane : public PointLane {
         gather_.setArg(gather_first_ + 7, tables_.bits);
         launch(gather_, paths);
         if (asks_alone_)
-          queue_.enqueueReadBuffer(lonely_, CL_TRUE, 0, std::size_t{paths} * 4, lonely.data());
+          queue_.enqueueReadBuffer(unclustered_, CL_TRUE, 0, std::size_t{paths} * 4, unclustered.data());
         else
-          ask_doubts(paths);
+          ask_residual(paths);
       } else {
         // Points that are none stay as they are.
         queue_.enqueueFillBuffer(radiance_, cl_float{0}, 0, std::size_t{paths} * 12);
-        std::fill(lonely.begin(), lonely.begin() + paths, 1u);
+        std::fill(unclustered.begin(), unclustered.begin() + paths, 1u);
       }
-      if (asks_alone_) ask_alone(lonely, paths);
+      if (asks_alone_) ask_alone(unclustered, paths);
       std::uint32_t reported[2 + REPORTED_ITEMS] = {};
       queue_.enqueueWriteBuffer(report_, CL_TRUE, 0, sizeof reported, reported);
       resolve_.setArg(1, static_cast<cl_uint>(part));
@@ -678,98 +689,101 @@ class ShadeLane : public PointLane {
   }
 
  private:
-  void prepare_doubts(std::size_t room) {
-    const std::size_t most = room * MOST_DOUBTS;
-    doubt_lights_ = take("doubt.lights", (most + 1) * 4);
-    doubt_terms_ = take("doubt.terms", (most + 1) * 12);
-    doubt_spacings_ = take("doubt.spacings", room * 4);
-    doubt_counts_ = take("doubt.counts", room * 4);
-    doubt_firsts_ = take("doubt.firsts", room * 4);
-    doubt_places_ = take("doubt.places", most * 4);
-    doubt_answers_ = take("doubt.answers", most / 8);
-    doubt_.setArg(0, batch_.parameters);
-    doubt_.setArg(1, points_);
-    doubt_.setArg(3, tables_.lights);
-    doubt_.setArg(4, tables_.boxes);
-    doubt_.setArg(5, tables_.width);
-    doubt_.setArg(6, p_.samples);
-    doubt_.setArg(7, tables_.bits);
-    doubt_.setArg(8, tables_.row_words);
-    doubt_.setArg(9, rows_);
-    doubt_.setArg(10, weights_);
-    doubt_.setArg(11, level_);
-    doubt_.setArg(12, doubt_lights_);
-    doubt_.setArg(13, static_cast<cl_uint>(most));
-    doubt_.setArg(14, doubt_counts_);
-    doubt_.setArg(15, doubt_spacings_);
-    doubt_rays_.setArg(0, batch_.parameters);
-    const unsigned at = doubt_rays_first_ = batch_.scene.set_arguments(doubt_rays_, 1);
-    doubt_rays_.setArg(at, points_);
-    doubt_rays_.setArg(at + 1, tables_.lights);
-    doubt_rays_.setArg(at + 2, doubt_places_);
-    doubt_rays_.setArg(at + 5, doubt_lights_);
-    doubt_rays_.setArg(at + 6, doubt_spacings_);
-    doubt_rays_.setArg(at + 7, asker_.rays());
-    doubt_rays_.setArg(at + 8, doubt_terms_);
-    doubt_rays_.setArg(at + 9, lobes_);
-    settle_.setArg(1, doubt_firsts_);
-    settle_.setArg(2, doubt_counts_);
-    settle_.setArg(3, doubt_lights_);
-    settle_.setArg(4, doubt_terms_);
-    settle_.setArg(5, doubt_answers_);
-    settle_.setArg(6, tables_.lights);
-    settle_.setArg(7, p_.clusters);
-    settle_.setArg(8, tables_.bits);
-    settle_.setArg(9, tables_.row_words);
-    settle_.setArg(10, rows_);
-    settle_.setArg(11, weights_);
-    settle_.setArg(12, radiance_);
-    settle_.setArg(13, sampled_);
+  void prepare_residual(std::size_t room) {
+    const std::size_t most = room * MAX_RESIDUAL_SAMPLES;
+    residual_lights_ = take("residual.lights", (most + 1) * 4);
+    residual_terms_ = take("residual.terms", (most + 1) * 12);
+    residual_spacings_ = take("residual.spacings", room * 4);
+    residual_counts_ = take("residual.counts", room * 4);
+    residual_firsts_ = take("residual.firsts", room * 4);
+    residual_places_ = take("residual.places", most * 4);
+    residual_answers_ = take("residual.answers", most / 8);
+    select_ = kernel(kResidualFile, "vpl_residual_select");
+    residual_rays_ = kernel(kResidualFile, "vpl_residual_rays");
+    apply_ = kernel(kResidualFile, "vpl_residual_apply");
+    select_.setArg(0, batch_.parameters);
+    select_.setArg(1, points_);
+    select_.setArg(3, tables_.lights);
+    select_.setArg(4, tables_.boxes);
+    select_.setArg(5, tables_.width);
+    select_.setArg(6, p_.samples);
+    select_.setArg(7, tables_.bits);
+    select_.setArg(8, tables_.row_words);
+    select_.setArg(9, rows_);
+    select_.setArg(10, weights_);
+    select_.setArg(11, level_);
+    select_.setArg(12, residual_lights_);
+    select_.setArg(13, static_cast<cl_uint>(most));
+    select_.setArg(14, residual_counts_);
+    select_.setArg(15, residual_spacings_);
+    residual_rays_.setArg(0, batch_.parameters);
+    const unsigned at = residual_rays_first_ = batch_.scene.set_arguments(residual_rays_, 1);
+    residual_rays_.setArg(at, points_);
+    residual_rays_.setArg(at + 1, tables_.lights);
+    residual_rays_.setArg(at + 2, residual_places_);
+    residual_rays_.setArg(at + 5, residual_lights_);
+    residual_rays_.setArg(at + 6, residual_spacings_);
+    residual_rays_.setArg(at + 7, asker_.rays());
+    residual_rays_.setArg(at + 8, residual_terms_);
+    residual_rays_.setArg(at + 9, lobes_);
+    apply_.setArg(1, residual_firsts_);
+    apply_.setArg(2, residual_counts_);
+    apply_.setArg(3, residual_lights_);
+    apply_.setArg(4, residual_terms_);
+    apply_.setArg(5, residual_answers_);
+    apply_.setArg(6, tables_.lights);
+    apply_.setArg(7, p_.clusters);
+    apply_.setArg(8, tables_.bits);
+    apply_.setArg(9, tables_.row_words);
+    apply_.setArg(10, rows_);
+    apply_.setArg(11, weights_);
+    apply_.setArg(12, radiance_);
+    apply_.setArg(13, sampled_);
   }
 
   // Points ask for some lights themselves, and are put right by the answers.
-  void ask_doubts(std::uint32_t paths) {
-    doubt_.setArg(2, paths);
-    launch(doubt_, paths);
+  void ask_residual(std::uint32_t paths) {
+    select_.setArg(2, paths);
+    launch(select_, paths);
     std::vector<std::uint32_t> counts(paths), firsts(paths), places;
-    queue_.enqueueReadBuffer(doubt_counts_, CL_TRUE, 0, std::size_t{paths} * 4, counts.data());
+    queue_.enqueueReadBuffer(residual_counts_, CL_TRUE, 0, std::size_t{paths} * 4, counts.data());
     for (std::uint32_t i = 0; i < paths; ++i) {
       firsts[i] = static_cast<std::uint32_t>(places.size());
-      for (std::uint32_t k = 0; k < counts[i]; ++k) places.push_back(i * MOST_DOUBTS + k);
+      for (std::uint32_t k = 0; k < counts[i]; ++k) places.push_back(i * MAX_RESIDUAL_SAMPLES + k);
     }
     if (places.empty()) return;
-    queue_.enqueueWriteBuffer(doubt_firsts_, CL_TRUE, 0, firsts.size() * 4, firsts.data());
-    queue_.enqueueWriteBuffer(doubt_places_, CL_TRUE, 0, places.size() * 4, places.data());
+    queue_.enqueueWriteBuffer(residual_firsts_, CL_TRUE, 0, firsts.size() * 4, firsts.data());
+    queue_.enqueueWriteBuffer(residual_places_, CL_TRUE, 0, places.size() * 4, places.data());
     const std::uint32_t capacity = ray_capacity(batch_.device);
     for (std::size_t base = 0; base < places.size(); base += capacity) {
       const auto count = static_cast<std::uint32_t>(std::min<std::size_t>(capacity, places.size() - base));
-      doubt_rays_.setArg(doubt_rays_first_ + 3, static_cast<cl_uint>(base));
-      doubt_rays_.setArg(doubt_rays_first_ + 4, count);
-      launch(doubt_rays_, count, capacity, batch_.device.lanes());
+      residual_rays_.setArg(residual_rays_first_ + 3, static_cast<cl_uint>(base));
+      residual_rays_.setArg(residual_rays_first_ + 4, count);
+      launch(residual_rays_, count, capacity, batch_.device.lanes());
       RayRange range;
       // One by one: which rays stand beside each other depends on the batch.
       range.incoherent = count;
-      asker_.answer(range, count, base, doubt_answers_, counters);
+      asker_.answer(range, count, base, residual_answers_, counters);
     }
     counters.shadow += places.size();
-    settle_.setArg(0, paths);
-    launch(settle_, paths, capacity_, 1);
+    apply_.setArg(0, paths);
+    launch(apply_, paths, capacity_, 1);
     queue_.finish();
   }
 
   // Points that no cluster speaks for, sixteen of one slice at a time.
-  void ask_alone(const std::vector<std::uint32_t>& lonely, std::uint32_t paths) {
+  void ask_alone(const std::vector<std::uint32_t>& unclustered, std::uint32_t paths) {
     std::vector<std::uint32_t> list;
     for (std::uint32_t slice = 0; slice < p_.samples; ++slice) {
       for (std::uint32_t block = slice; block < paths / 16; block += p_.samples)
         for (std::uint32_t i = 16 * block; i < 16 * block + 16; ++i)
-          if (lonely[i]) list.push_back(i);
+          if (unclustered[i]) list.push_back(i);
       list.resize((list.size() + 15) / 16 * 16, GLEANER_NONE);
     }
     for (std::size_t at = 0; at < list.size(); at += own_rows_) {
       const auto rows = static_cast<std::uint32_t>(std::min<std::size_t>(own_rows_, list.size() - at));
       queue_.enqueueWriteBuffer(chosen_, CL_TRUE, 0, std::size_t{rows} * 4, &list[at]);
-      asker_.ask(points_, chosen_, true, 0, rows, own_bits_, left_out_, least_, p_.clamp, counters);
+      asker_.ask(points_, chosen_, true, 0, rows, own_bits_, left_out_, cutoff_, p_.clamp, counters);
       gather_.setArg(gather_first_ + 2, cl_uint{1});
       gather_.setArg(gather_first_ + 3, rows);
       gather_.setArg(gather_first_ + 7, own_bits_);
@@ -778,15 +792,16 @@ class ShadeLane : public PointLane {
   }
 
   VplPointParameters p_;
-  // Points near no cluster ask every light where they do not have doubts to ask some.
-  bool asks_alone_ = !p_.point_clusters || !(p_.doubt > 0);
+  // Points near no cluster ask every light where they take no residual samples.
+  bool asks_alone_ = !p_.point_clusters || !(p_.residual_threshold > 0);
   const ShadeTables& tables_;
   Asker asker_;
-  cl::Kernel members_, gather_, resolve_, doubt_, doubt_rays_, settle_;
-  cl::Buffer level_, doubt_lights_, doubt_terms_, doubt_spacings_, doubt_counts_, doubt_firsts_, doubt_places_,
-      doubt_answers_;
-  unsigned doubt_rays_first_ = 0;
-  cl::Buffer rows_, weights_, lonely_, radiance_, sampled_, records_, report_, own_bits_, left_out_, least_, chosen_;
+  cl::Kernel members_, gather_, resolve_, select_{}, residual_rays_{}, apply_{};
+  cl::Buffer level_, residual_lights_, residual_terms_, residual_spacings_, residual_counts_, residual_firsts_,
+      residual_places_, residual_answers_;
+  unsigned residual_rays_first_ = 0;
+  cl::Buffer rows_, weights_, unclustered_, radiance_, sampled_, records_, report_, own_bits_, left_out_, cutoff_,
+      chosen_;
   std::uint32_t own_rows_ = 0;
   unsigned gather_first_ = 0;
 };
@@ -826,8 +841,8 @@ BatchResult run_vpl_visibility_stage(const Device& device, Workspace& workspace,
   if (p.clusters == 0 || p.clusters % 32 != 0 || p.clusters > (1u << 24))
     throw Error::bad_input("stage vpl_visibility", "clusters", "a multiple of 32 up to 2^24",
                            std::to_string(p.clusters));
-  if (!(p.clamp > 0) || !(p.least >= 0))
-    throw Error::bad_input("stage vpl_visibility", "clamp, least", "a number above 0, and one that is not below",
+  if (!(p.clamp > 0) || !(p.cutoff >= 0))
+    throw Error::bad_input("stage vpl_visibility", "clamp, cutoff", "a number above 0, and one that is not below",
                            "others");
   check_range(task, p.point_clusters, first, count);
   const double start = seconds_now();
@@ -856,8 +871,8 @@ BatchResult run_vpl_shade_stage(const Device& device, Workspace& workspace, Devi
   if (p.clusters == 0 || p.clusters % (32 * p.samples) != 0 || p.clusters > (1u << 24))
     throw Error::bad_input("stage vpl_shade", "clusters", "a multiple of 32 times the samples",
                            std::to_string(p.clusters));
-  if (p.fuzziness == 0 || p.fuzziness > MOST_FUZZINESS)
-    throw Error::bad_input("stage vpl_shade", "fuzziness", "1 to " + std::to_string(MOST_FUZZINESS),
+  if (p.fuzziness == 0 || p.fuzziness > MAX_FUZZINESS)
+    throw Error::bad_input("stage vpl_shade", "fuzziness", "1 to " + std::to_string(MAX_FUZZINESS),
                            std::to_string(p.fuzziness));
   const double start = seconds_now();
   BatchResult result;

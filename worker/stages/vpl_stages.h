@@ -1,5 +1,5 @@
 #pragma once
-// Stage kinds "vpl_trace", "vpl_points", "vpl_visibility" and "vpl_shade" (kernels/vpl.cl).
+// Stage kinds "vpl_trace", "vpl_points", "vpl_visibility" and "vpl_shade" (kernels/vpl/).
 
 #include "worker/stages/device_scene.h"
 #include "worker/stages/executor.h"

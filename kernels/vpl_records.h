@@ -1,67 +1,12 @@
-// What stages take and give, as bytes on the wire and as kernels read them. Compiled by OpenCL C and by C++;
-// little-endian.
-#ifndef GLEANER_KERNELS_STAGE_RECORDS_H
-#define GLEANER_KERNELS_STAGE_RECORDS_H
+// Records of virtual point lights (kernels/vpl/).
+#ifndef GLEANER_KERNELS_VPL_RECORDS_H
+#define GLEANER_KERNELS_VPL_RECORDS_H
 
-#include "scene/model/records.h"
+#include "kernels/records.h"
 
 #ifndef __OPENCL_VERSION__
 namespace gleaner::kernels {
-using scene::Camera;
 #endif
-
-// Samples of one item at most: an item's samples are consecutive points of an Owen-scrambled Sobol sequence.
-#define GLEANER_PATH_MAX_ITEM_SAMPLES 64
-// Points of a sequence before the pixel begins another one.
-#define GLEANER_PATH_SEQUENCE 4096u
-
-// Stage kind "path". An item is (pixel, chunk): samples_per_item camera paths through one pixel. Without the input
-// "items", item i is pixel i % (width * height), chunk first_chunk + i / (width * height); with it, item i is what the
-// list says. A pixel has two independently scrambled sequences; chunk c goes on with sequence c % 2 where its last
-// chunk ended, so that a pixel's samples stay well spread however many there come to be, and the two tell its variance.
-typedef struct {
-  Camera camera;
-  gl_uint width, height;      // pixels
-  gl_uint samples_per_item;   // a power of two, at most GLEANER_PATH_MAX_ITEM_SAMPLES
-  gl_uint last_item_samples;  // samples of the stage's last item (a budget need not divide), 1..samples_per_item
-  gl_uint depth;              // most scatterings on a light's way; 0 = until Russian roulette ends it
-  gl_uint first_chunk;
-  gl_uint seed_low, seed_high;
-  gl_uint features;               // 1: records are PathFeatureRecord, else PathRecord
-  gl_uint items_low, items_high;  // items of the whole stage
-  // 1: light that reaches the first non-specular surface straight from another one is left to virtual point lights
-  // (kernels/vpl.cl), but for what they clamp and for lobes that are not rough; records then end with three words more,
-  // the sums of what was clamped.
-  gl_uint covered;
-  gl_float clamp;  // covered: the geometry term's bound, 1/m^2; infinity: none
-  gl_uint reserved[3];
-} PathParameters;
-GLEANER_SIZE(PathParameters, 128);
-
-// One entry of the input "items".
-typedef struct {
-  gl_uint pixel;
-  gl_uint chunk;
-} PathItem;
-GLEANER_SIZE(PathItem, 8);
-
-// Sums (not means) over the item's samples. Direct: light seen, or reflected once after specular bounces; the rest is
-// indirect.
-typedef struct {
-  gl_float direct[3];
-  gl_float indirect[3];
-} PathRecord;
-GLEANER_SIZE(PathRecord, 24);
-
-typedef struct {
-  gl_float direct[3];
-  gl_float indirect[3];
-  gl_float albedo[3];
-  gl_float normal[3];
-  gl_float depth;  // metres along the camera ray; 0 where nothing was hit
-  gl_float hits;   // samples that hit anything
-} PathFeatureRecord;
-GLEANER_SIZE(PathFeatureRecord, 56);
 
 // Virtual point lights (VPLs), and clusters of them: rows of VPL_WORDS words. The first line is all that diffuse
 // surfaces read of each other.
@@ -94,7 +39,7 @@ GLEANER_SIZE(PathFeatureRecord, 56);
 typedef struct {
   gl_uint items_low, items_high;
   gl_uint depth;  // most scatterings that end in a VPL; 0 = until Russian roulette ends the path
-  gl_uint set;    // sets are independent of each other
+  gl_uint pass;   // passes are independent of each other
   gl_uint seed_low, seed_high;
   gl_uint reserved[2];
 } VplTraceParameters;
@@ -126,8 +71,8 @@ GLEANER_SIZE(VplTraceParameters, 32);
 typedef struct {
   Camera camera;
   gl_uint width, height;  // pixels
-  gl_uint samples;        // of a pixel in this set: a power of two, at most 64
-  gl_uint set;
+  gl_uint samples;        // of a pixel in this pass: a power of two, at most 64
+  gl_uint pass;
   gl_uint seed_low, seed_high;
   gl_uint items_low, items_high;
   gl_uint depth;           // most scatterings on a light's way; 0 = without end
@@ -139,25 +84,11 @@ typedef struct {
   gl_uint fuzziness;       // clusters a point belongs to
   gl_uint equal_weights;   // 1: eq. 8, else eq. 9-10
   gl_float clamp;          // bound of the geometry term, 1/m^2; infinity: none
-  gl_float doubt;  // a point asks itself for a light that would bring it more than this share of its light, for lesser
-                   // ones by lot; 0: none, and points near no cluster ask for all
+  // A point asks itself for a light that would bring it more than this share of its light, for lesser ones at random
+  // (kernels/vpl/residual.cl); 0: none, and points near no cluster ask for every light.
+  gl_float residual_threshold;
 } VplPointParameters;
 GLEANER_SIZE(VplPointParameters, 128);
-
-// Stage kinds "vpl_cluster" (input "lights": rows of VPL_WORDS) and "point_cluster" (input "points"); solo. An item is
-// a cluster; its record is a row of VPL_WORDS or POINT_WORDS words, of flux 0 or triangle GLEANER_NONE where empty.
-// vpl_cluster says behind its clusters which one each of the lights is in: uints, in the lights' order, in rows of
-// VPL_WORDS.
-typedef struct {
-  gl_uint clusters;
-  gl_uint iterations;
-  gl_float least_cosine;  // eq. 7: nt
-  gl_uint draw;    // 0: the member nearest to the centroid stands for its cluster; else one drawn by what it sends, by
-                   // this key: the mean over many keys is what all members would give
-  gl_uint lights;  // rows of "lights", all of some flux
-  gl_uint reserved[3];
-} ClusterParameters;
-GLEANER_SIZE(ClusterParameters, 32);
 
 // Stage kind "vpl_visibility" (inputs "lights", "points"). An item is a point cluster; its record is a bit a light, 32
 // to a word, then how many were not asked because they face away, and how many because they bring next to nothing.
@@ -166,12 +97,9 @@ typedef struct {
   gl_uint clusters;        // rows of "lights", a multiple of 32
   gl_uint point_clusters;  // rows of "points"
   gl_float clamp;          // bound of the geometry term, 1/m^2
-  gl_float least;  // of what a light would bring in the mean if nothing stood between: what can bring less is not asked
+  gl_float cutoff;  // share of what an unshadowed light would bring in the mean: what can bring less is not asked
 } VisibilityParameters;
 GLEANER_SIZE(VisibilityParameters, 16);
-
-// Normals that may share a cluster, and points that a cluster may speak for: eq. 7's threshold nt, sqrt(3) / 2.
-#define CLUSTER_LEAST_COSINE 0.8660254f
 
 // A cluster nearer than so many times its radius shines from its members' places, not from its representative's. On
 // white-room (4000 clusters of 10000 VPLs) the error is 11.7 % without it, 8.0, 7.5, 7.2 and 7.1 % for 2, 4, 8 and 16.
@@ -181,14 +109,14 @@ GLEANER_SIZE(VisibilityParameters, 16);
 #define LIGHT_BOX_WORDS 8u
 #define LIGHT_BOX_BRIGHTEST 6u
 
-#define MOST_FUZZINESS 8u
-#define MOST_DOUBTS 128u  // lights that a point asks for itself
-// A doubt: a light's row, and why it is asked for.
-#define DOUBT_LIGHT 0xffffffu      // in "lights", or behind them in "members"
-#define DOUBT_BY_LOT 0x80000000u   // its answer corrects what clusters said of many
-#define DOUBT_CERTAIN 0x40000000u  // it would have been asked for whatever the lot
-#define DOUBT_AGREED 0x20000000u   // the point's clusters agree on it
-#define DOUBT_THIN 0x10000000u     // of its neighbours only some were looked at
+#define MAX_FUZZINESS 8u
+#define MAX_RESIDUAL_SAMPLES 128u  // of a point
+// A residual sample: a light's row, and why it was selected.
+#define RESIDUAL_LIGHT 0xffffffu         // in "lights", or behind them in "members"
+#define RESIDUAL_STOCHASTIC 0x80000000u  // its answer corrects what clusters said of many
+#define RESIDUAL_CERTAIN 0x40000000u     // it would have been selected whatever the random number
+#define RESIDUAL_AGREED 0x20000000u      // the point's clusters agree on it
+#define RESIDUAL_SUBSAMPLED 0x10000000u  // of its neighbours only some were looked at
 
 #ifndef __OPENCL_VERSION__
 }  // namespace gleaner::kernels

@@ -1,0 +1,68 @@
+// Records of the path tracer (kernels/path.cl).
+#ifndef GLEANER_KERNELS_PATH_RECORDS_H
+#define GLEANER_KERNELS_PATH_RECORDS_H
+
+#include "kernels/records.h"
+
+#ifndef __OPENCL_VERSION__
+namespace gleaner::kernels {
+#endif
+
+// Samples of one item at most: an item's samples are consecutive points of an Owen-scrambled Sobol sequence.
+#define GLEANER_PATH_MAX_ITEM_SAMPLES 64
+// Points of a sequence before the pixel begins another one.
+#define GLEANER_PATH_SEQUENCE 4096u
+
+// Stage kind "path". An item is (pixel, chunk): samples_per_item camera paths through one pixel. Without the input
+// "items", item i is pixel i % (width * height), chunk first_chunk + i / (width * height); with it, item i is what the
+// list says. A pixel has two independently scrambled sequences; chunk c goes on with sequence c % 2 where its last
+// chunk ended, so that a pixel's samples stay well spread however many there come to be, and the two tell its variance.
+typedef struct {
+  Camera camera;
+  gl_uint width, height;      // pixels
+  gl_uint samples_per_item;   // a power of two, at most GLEANER_PATH_MAX_ITEM_SAMPLES
+  gl_uint last_item_samples;  // samples of the stage's last item (a budget need not divide), 1..samples_per_item
+  gl_uint depth;              // most scatterings on a light's way; 0 = until Russian roulette ends it
+  gl_uint first_chunk;
+  gl_uint seed_low, seed_high;
+  gl_uint features;               // 1: records are PathFeatureRecord, else PathRecord
+  gl_uint items_low, items_high;  // items of the whole stage
+  // 1: light that reaches the first non-specular surface straight from another one is left to virtual point lights
+  // (kernels/vpl/), but for what they clamp and for lobes that are not rough; records then end with three words more,
+  // the sums of what was clamped.
+  gl_uint covered;
+  gl_float clamp;  // covered: the geometry term's bound, 1/m^2; infinity: none
+  gl_uint reserved[3];
+} PathParameters;
+GLEANER_SIZE(PathParameters, 128);
+
+// One entry of the input "items".
+typedef struct {
+  gl_uint pixel;
+  gl_uint chunk;
+} PathItem;
+GLEANER_SIZE(PathItem, 8);
+
+// Sums (not means) over the item's samples. Direct: light seen, or reflected once after specular bounces; the rest is
+// indirect.
+typedef struct {
+  gl_float direct[3];
+  gl_float indirect[3];
+} PathRecord;
+GLEANER_SIZE(PathRecord, 24);
+
+typedef struct {
+  gl_float direct[3];
+  gl_float indirect[3];
+  gl_float albedo[3];
+  gl_float normal[3];
+  gl_float depth;  // metres along the camera ray; 0 where nothing was hit
+  gl_float hits;   // samples that hit anything
+} PathFeatureRecord;
+GLEANER_SIZE(PathFeatureRecord, 56);
+
+#ifndef __OPENCL_VERSION__
+}  // namespace gleaner::kernels
+#endif
+
+#endif

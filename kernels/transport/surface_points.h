@@ -1,0 +1,104 @@
+// Surface points: camera paths through mirrors and glass to the first surface that scatters diffusely.
+//
+//   repeat
+//     trace                   closest hits
+//     step_to_surface_point   a bare mirror or glass sends the path on; any other surface ends it with a point
+//   until no path is left
+//
+// Include it where a method shades or clusters what the camera sees. How camera rays are dealt out to items, and what
+// is kept of a point, is the method's own (kernels/vpl/points.cl).
+#ifndef GLEANER_KERNELS_TRANSPORT_SURFACE_POINTS_H
+#define GLEANER_KERNELS_TRANSPORT_SURFACE_POINTS_H
+
+#include "kernels/transport/scattering.h"
+
+typedef struct {
+  Vertex vertex;
+  vi found;       // lanes whose path ends here, with a point
+  vu slot;        // the path's
+  v3 direction;   // of the ray that found it
+  v3 throughput;  // of the camera path
+  v3 albedo;      // of the diffuse layer, as seen from the ray
+  vu table;       // the albedo table of the lobe above that layer, or GLEANER_NONE
+  vf table_row;
+  vi rough;  // the surface has a rough lobe (kernels/bsdf.h)
+} SurfacePoint;
+
+// Moves one block of camera paths. samples: length of the pixels' sequences of random numbers. max_depth: most
+// scatterings on a light's way, of which `needed` are still to come where a point is found (0 = no limit). `counters`
+// gets the number of paths that continue.
+FN SurfacePoint step_to_surface_point(const Scene* scene, global float* paths, uint block, uint samples, uint max_depth,
+                                      uint needed, global uint* counters) {
+  SurfacePoint point;
+  vu meta = row_u(paths, PATH_ROWS, block, ROW_META);
+  vi active = take_hits(paths, block, meta);
+  point.found = no_lanes();
+  if (!any_lane(active)) return point;
+  v3 origin = row_3(paths, PATH_ROWS, block, ROW_ORIGIN);
+  v3 direction = row_3(paths, PATH_ROWS, block, ROW_DIRECTION);
+  v3 throughput = row_3(paths, PATH_ROWS, block, ROW_THROUGHPUT);
+  vu slot = row_u(paths, PATH_ROWS, block, ROW_SLOT);
+  vu key = row_u(paths, PATH_ROWS, block, ROW_KEY);
+  vu depth = meta & META_DEPTH_MASK;
+  vu bounce = (meta >> META_BOUNCE) & META_BOUNCE_MASK;
+  vu sample = (meta >> META_SAMPLE) & META_SAMPLE_MASK;
+  Vertex v = meet_surface(scene, paths, PATH_ROWS, block, active);
+  throughput = absorbed(scene, &v.hit, origin, direction, throughput, active);
+  vu pair_key = hash_combine(key, bounce * 4u + 1u);
+  vf u_lobe, u_glass, d0, d1, u_roulette, u_spare;
+  sample_pair(pair_key, sample, samples, 0u, &u_roulette, &u_spare);
+  sample_pair(pair_key, sample, samples, 2u, &u_lobe, &u_glass);
+  sample_pair(pair_key, sample, samples, 3u, &d0, &d1);
+  choose_alpha(&v, &u_glass);
+  prepare_scattering(scene, &v, direction);
+
+  const Surface* m = &v.surface;
+  vi here = v.active & none(v.passes);
+  point.slot = slot;
+  point.direction = direction;
+  point.throughput = throughput;
+  point.albedo = m->base;
+  point.table = (vu)GLEANER_NONE;
+  point.table_row = zero_f();
+#ifdef NEED_LOBE
+  // A bare metal has no layer below its lobe; unless it is rough, a path goes through it as through a mirror.
+  point.rough = has_rough_lobe(m);
+  vi bare = (m->lobe_share >= one_f()) & none(point.rough);
+  point.albedo = scale3(point.albedo, m->left_view * (one_f() - m->metallic) / m->left_mean);
+  point.table = m->table;
+  point.table_row = m->table_row;
+#else
+  point.rough = no_lanes();
+  vi bare = no_lanes();
+#endif
+#ifdef NEED_TRANSMISSIVE
+  vi glass = u_glass < m->transmission;
+#else
+  vi glass = no_lanes();
+#endif
+  vi continues = here & (bare | glass);
+  point.found = here & none(continues) & ((max_component(point.albedo) > zero_f()) | point.rough);
+  if (max_depth) point.found = point.found & (depth + needed <= (vu)max_depth);
+
+  BsdfSample scattered = sample_bsdf(scene, m, v.frame.view, v.frame.from_back, u_lobe, u_glass, d0, d1);
+  NextRay next;
+  next.direction = from_frame(&v.frame, scattered.direction);
+  next.throughput = mul3(throughput, scattered.weight);
+  next.alive =
+      continues & (max_component(next.throughput) > zero_f()) & finite3(next.throughput) & finite3(next.direction);
+  next.depth = min(depth + 1u, (vu)META_DEPTH_MASK);
+  // Two mirrors may face each other.
+  russian_roulette(&next, next.depth >= 8u, min_f(max_component(next.throughput), (vf)ROULETTE_MOST), u_roulette);
+  leave_vertex(&v, direction, throughput, depth, &next);
+  next.alive = next.alive & (bounce < (vu)META_BOUNCE_MASK);
+  uint kept;
+  rank_lanes(next.alive, &kept);
+  if (kept) {
+    atomic_add(counters, kept);
+    set_path(paths, block, &next, slot, next.depth | ((bounce + 1u) << META_BOUNCE) | (sample << META_SAMPLE), key);
+  }
+  point.vertex = v;
+  return point;
+}
+
+#endif

@@ -1,0 +1,88 @@
+// Points that virtual point lights light. Stage kinds "vpl_points" and "vpl_shade".
+//
+//   vpl_camera_rays   camera rays of pixels and samples
+//   repeat
+//     trace           closest hits
+//     vpl_point_step  through mirrors and glass, to a diffuse layer or a rough lobe: its row is the path's point
+//   until no path is left                                             (kernels/transport/surface_points.h)
+#include "kernels/camera.h"
+#include "kernels/transport/surface_points.h"
+#include "kernels/vpl_records.h"
+#include "kernels/wide.h"
+
+// Camera rays of `count` paths from item `first` on. Sixteen pixels in a row, then their next samples: what a work-item
+// handles at once are neighbours that look at one slice of the lights. by_point: an item is one path, of every
+// stride-th pixel.
+kernel WIDE void vpl_camera_rays(global const VplPointParameters* restrict parameters, uint first_low, uint first_high,
+                                 uint count, uint by_point, global float* restrict paths,
+                                 global float* restrict points) {
+  uint block = (uint)get_global_id(0);
+  uint first_lane = block * LANES;
+  if (first_lane >= count) return;
+  vu lane = (vu)first_lane + lane_index();
+  uint samples = parameters->samples;
+  ulong first = ((ulong)first_high << 32) | first_low;
+  ulong total = ((ulong)parameters->items_high << 32) | parameters->items_low;
+  vu item, sample;
+  if (by_point) {
+    item = lane + (uint)first;
+    sample = item & (samples - 1u);
+  } else {
+    vu row = lane >> 4;
+    sample = row & (samples - 1u);
+    item = (row / samples) * 16u + (lane & 15u) + (uint)first;
+  }
+  NextRay ray;
+  ray.alive = (lane < count) & (item < (vu)(uint)total);
+  if (by_point) item *= parameters->stride;
+  vu pixel = min(item, (vu)(parameters->width * parameters->height - 1u));
+  vu key = hash_combine(hash_combine(hash_combine((vu)parameters->seed_low, (vu)parameters->seed_high), pixel),
+                        (vu)(parameters->pass ^ 0x53505400u));
+  vf jx, jy;
+  sample_pair(key, sample, samples, 0u, &jx, &jy);
+  camera_ray(&parameters->camera, parameters->width, parameters->height, pixel, jx, jy, &ray.origin, &ray.direction);
+  ray.throughput = splat3(one_f());
+  set_path(paths, block, &ray, lane, sample << META_SAMPLE, key);
+  for (uint k = 0; k < POINT_WORDS; ++k)
+    store_f(points + POINT_WORDS * first_lane + k * LANES, 0, as_vf((vu)GLEANER_NONE));
+}
+
+#ifdef NEED_LOBE
+FN void write_lobe(global float* lobes, vu at, const SurfacePoint* point) {
+  const Surface* m = &point->vertex.surface;
+  scatter3(lobes + LOBE_VIEW, at, negate3(point->direction));
+  scatter3(lobes + LOBE_THROUGHPUT, at, point->throughput);
+  scatter3(lobes + LOBE_F0, at, lobe_f0(m));
+  scatter_f(lobes + LOBE_F90, at, lobe_f90(m));
+  scatter_f(lobes + LOBE_ALPHA, at, pick(zero_f(), m->alpha, point->rough));
+}
+#endif
+
+// `lobed`: the points' rough lobes are kept too.
+kernel WIDE void vpl_point_step(global const VplPointParameters* restrict parameters, SCENE_PARAMETERS, uint count,
+                                global float* paths, global float* points, global uint* counters, uint lobed,
+                                global float* restrict lobes) {
+  uint block = (uint)get_global_id(0);
+  if (block * LANES >= count) return;
+  Scene scene_value = SCENE_FROM_PARAMETERS;
+  const Scene* scene = &scene_value;
+  // Of the scatterings that are allowed, the VPL and this point need two.
+  SurfacePoint point = step_to_surface_point(scene, paths, block, parameters->samples, parameters->depth, 2u, counters);
+  if (!any_lane(point.found)) return;
+  const Hit* h = &point.vertex.hit;
+  vu at = pick_u((vu)count, point.slot, point.found) * POINT_WORDS;
+  global uint* words = (global uint*)points;
+  scatter3(points + POINT_POSITION, at, h->p);
+  scatter3(points + POINT_NORMAL, at, point.vertex.frame.normal);
+  scatter_u(words + POINT_TABLE, at, point.table);
+  scatter_f(points + POINT_ROW, at, point.table_row);
+  scatter_f(points + POINT_WEIGHT, at, one_f());
+  scatter3(points + POINT_ALBEDO, at, scale3(mul3(point.throughput, point.albedo), (vf)INV_PI));
+  scatter_u(words + POINT_TRIANGLE, at, point.vertex.primitive);
+  scatter_f(points + POINT_B1, at, h->b1);
+  scatter_f(points + POINT_B2, at, h->b2);
+  scatter_f(points + POINT_COS, at, one_f());
+#ifdef NEED_LOBE
+  if (lobed) write_lobe(lobes, pick_u((vu)count, point.slot, point.found) * LOBE_WORDS, &point);
+#endif
+}

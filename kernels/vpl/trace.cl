@@ -1,0 +1,246 @@
+// Virtual point lights (VPLs) from light paths. Stage kind "vpl_trace".
+//
+//   vpl_emit        a light path's first ray                                  (kernels/transport/emission.h)
+//   repeat
+//     trace         closest hits
+//     vpl_trace_step   the path's carried flux + what this diffuse layer or rough lobe sends on
+//                      while that sum passes the next of its evenly spaced thresholds: leave a VPL of one spacing's
+//                      flux scatter                                                (kernels/transport/scattering.h)
+//   until no path is left
+//
+// The thresholds begin at a random offset, so that VPLs stand for the light without bias; all of a path's VPLs have one
+// luminance, however long it is. A path whose slots are full keeps every second VPL at twice the flux, and doubles its
+// spacing.
+#include "kernels/transport/emission.h"
+#include "kernels/transport/scattering.h"
+#include "kernels/vpl_records.h"
+#include "kernels/wide.h"
+
+// Light paths in flight: rows of kernels/path_layout.h with meanings of their own.
+#define ROW_RANGE ROW_PDF      // of the punctual light's window; 0: none, or passed already
+#define ROW_SENT ROW_ETA       // what the path's surfaces have sent on so far, by vpl_weight
+#define ROW_SPACING ROW_COVER  // of the thresholds at first, in the same unit
+// ROW_META of a light path.
+#define LIGHT_BOUNCE_MASK 255u
+#define LIGHT_DEPTH 8u
+#define LIGHT_COUNT 16u      // slots taken
+#define LIGHT_DOUBLINGS 20u  // of the spacing
+#define MAX_DOUBLINGS 20u
+
+#define VPL_SEQUENCE 65536u
+
+#ifdef NEED_LIGHTS
+
+// What decides how many VPLs stand for some flux: its luminance, or a trace of it all where it has next to none.
+FN vf vpl_weight(v3 flux) { return max_f(luminance(flux), (flux.x + flux.y + flux.z) * 1e-3f); }
+
+kernel WIDE void vpl_emit(global const VplTraceParameters* restrict parameters, SCENE_PARAMETERS,
+                          global const float* restrict emission, uint first_low, uint first_high, uint count,
+                          global float* restrict paths) {
+  uint block = (uint)get_global_id(0);
+  uint first_lane = block * LANES;
+  if (first_lane >= count) return;
+  Scene scene_value = SCENE_FROM_PARAMETERS;
+  const Scene* scene = &scene_value;
+  vu lane = (vu)first_lane + lane_index();
+  ulong first = (((ulong)first_high << 32) | first_low) + first_lane;
+  vu sample = ((vu)(uint)(first & (VPL_SEQUENCE - 1u)) + lane_index()) & (VPL_SEQUENCE - 1u);
+  // Each run of 65,536 paths has a sequence of its own; blocks of 16 never straddle two.
+  uint sequence = (uint)(first >> 16);
+  vu key = hash_combine(hash_combine(hash_combine((vu)parameters->seed_low, (vu)parameters->seed_high),
+                                     (vu)(parameters->pass ^ 0x56504c00u)),
+                        (vu)sequence);
+  vf u_light, u_spare, u0, u1, d0, d1;
+  sample_pair(key, sample, VPL_SEQUENCE, 0u, &u_light, &u_spare);
+  sample_pair(key, sample, VPL_SEQUENCE, 1u, &u0, &u1);
+  sample_pair(key, sample, VPL_SEQUENCE, 2u, &d0, &d1);
+  EmittedRay ray = emit_light(scene, emission, u_light, u0, u1, d0, d1);
+  NextRay start;
+  start.origin = ray.origin;
+  start.direction = ray.direction;
+  start.throughput = ray.flux;
+  start.alive = (lane < count) & ray.valid;
+  set_path(paths, block, &start, lane, (vu)0u, key);
+  set_row_f(paths, PATH_ROWS, block, ROW_RANGE, ray.range);
+  set_row_u(paths, PATH_ROWS, block, ROW_TOTAL, sample);
+  set_row_f(paths, PATH_ROWS, block, ROW_SENT, zero_f());
+  // A white surface sends on 1 / pi of it.
+  set_row_f(paths, PATH_ROWS, block, ROW_SPACING, vpl_weight(ray.flux) * (vf)(0.25f * INV_PI));
+}
+
+// What of the flux that meets a surface its diffuse layer and rough lobe send on.
+typedef struct {
+  v3 flux;  // sent on, W/sr at a cosine of 1
+  vu table;
+  vf table_row;
+#ifdef NEED_LOBE
+  vi rough;
+  v3 f0;
+  vf f90;
+#endif
+} Reflection;
+
+FN Reflection reflect_flux(const Vertex* v, v3 flux, vf correction) {
+  Reflection r;
+  const Surface* m = &v->surface;
+  v3 layer = scale3(m->base, (vf)INV_PI);
+  r.table = (vu)GLEANER_NONE;
+  r.table_row = zero_f();
+#ifdef NEED_LOBE
+  layer = scale3(layer, m->left_view * (one_f() - m->metallic) / m->left_mean);
+  r.table = m->table;
+  r.table_row = m->table_row;
+  r.rough = has_rough_lobe(m);
+  r.f0 = lobe_f0(m);
+  r.f90 = lobe_f90(m);
+  layer = pick3(layer, add3(layer, mean_lobe(r.f0, r.f90, v->frame.view.z)), r.rough);
+#endif
+  r.flux = scale3(mul3(flux, layer), correction);
+  return r;
+}
+
+// Of the VPLs in a path's slots every second one is dropped, and the others carry twice as much.
+FN void halve_vpls(global float* records, vu slot, vu odd) {
+  vu first = slot * VPL_PATH_SLOTS;
+  for (uint k = 0; k < VPL_PATH_SLOTS / 2u; ++k) {
+    vu from = (first + 2u * k + odd) * VPL_WORDS, to = (first + k) * VPL_WORDS;
+    for (uint word = 0; word < VPL_WORDS; ++word) {
+      vf value = gather_f(records, from + word);
+      uint twice = (word >= VPL_FLUX && word < VPL_FLUX + 3u) || (word >= VPL_SENT && word < VPL_SENT + 3u);
+      scatter_f(records, to + word, twice ? value * 2.0f : value);
+    }
+  }
+  for (uint k = VPL_PATH_SLOTS / 2u; k < VPL_PATH_SLOTS; ++k)
+    for (uint word = VPL_FLUX; word < VPL_FLUX + 3u; ++word)
+      scatter_f(records, (first + k) * VPL_WORDS + word, zero_f());
+}
+
+// `flux`: of the VPL. `incoming`: what the surface scatters for it; a rough lobe shines by that. Slots may hold what
+// halve_vpls() left there: every word is written.
+FN void write_vpl(global float* records, vu at, const Vertex* v, const Reflection* r, v3 geometric, v3 direction,
+                  v3 flux, v3 incoming, vu depth) {
+  global uint* words = (global uint*)records;
+  scatter3(records + VPL_POSITION, at, v->hit.p);
+  scatter3(records + VPL_NORMAL, at, v->frame.normal);
+  scatter3(records + VPL_GEOMETRIC, at, geometric);
+  scatter3(records + VPL_FLUX, at, flux);
+  scatter_u(words + VPL_TABLE, at, r->table);
+  scatter_f(records + VPL_ROW, at, r->table_row);
+  scatter3(records + VPL_ERROR, at, v->hit.error);
+  scatter_f(records + VPL_RADIUS, at, zero_f());
+  scatter_f(records + VPL_COS, at, one_f());
+  scatter_f(records + VPL_COUNT, at, one_f());
+  scatter_f(records + VPL_DEPTH, at, to_f(depth) + 1.0f);
+#ifdef NEED_LOBE
+  scatter3(records + VPL_SENT, at, pick3(splat3(zero_f()), incoming, r->rough));
+  scatter3(records + VPL_F0, at, r->f0);
+  scatter_f(records + VPL_F90, at, r->f90);
+  scatter_f(records + VPL_ALPHA, at, pick(zero_f(), v->surface.alpha, r->rough));
+  scatter3(records + VPL_INCOMING, at, negate3(direction));
+#endif
+}
+
+// The thresholds of a block's paths: `sent` over `spacing`, VPLs made so far, doublings of the spacing.
+typedef struct {
+  vf sent, spacing;
+  vu made, doublings;
+} Thresholds;
+
+// Leaves a VPL for each threshold that the flux of this reflection passes, in `layered` lanes.
+FN void leave_vpls(global float* records, uint count, vu slot, vu key, vu sample, const Vertex* v, const Reflection* r,
+                   v3 geometric, v3 direction, v3 flux, vf correction, vu depth, vi layered, Thresholds* t) {
+  vf weight = vpl_weight(r->flux);
+  v3 share = scale3(r->flux, one_f() / weight);
+  t->sent += pick(zero_f(), weight, layered);
+  vf offset, unused;
+  sample_pair(key, sample, VPL_SEQUENCE, 0u, &unused, &offset);
+  vu random = hash_combine(hash_combine(key, sample), 0x6d61726bu);
+  for (;;) {
+    // Doubled spacings shift the thresholds by whole old ones.
+    vf shift = offset + to_f(random & (((vu)1u << t->doublings) - 1u));
+    vf scale = to_f((vu)1u << t->doublings);
+    vi passed = layered & ((shift + to_f(t->made) * scale) * t->spacing < t->sent);
+    if (!any_lane(passed)) break;
+    vi full = passed & (t->made >= VPL_PATH_SLOTS);
+    // Lanes with nothing to write do so behind the records.
+    if (any_lane(full)) {
+      layered = layered & (none(full) | (t->doublings < MAX_DOUBLINGS));
+      vu odd = (random >> t->doublings) & 1u;
+      halve_vpls(records, pick_u((vu)count, slot, full), odd);
+      t->made = pick_u(t->made, (vu)(VPL_PATH_SLOTS / 2u), full);
+      t->doublings = pick_u(t->doublings, min(t->doublings + 1u, (vu)MAX_DOUBLINGS), full);
+      continue;
+    }
+    vu at = pick_u((vu)count * VPL_PATH_SLOTS, slot * VPL_PATH_SLOTS + t->made, passed) * VPL_WORDS;
+    vf carried = t->spacing * scale;
+    write_vpl(records, at, v, r, geometric, direction, scale3(share, carried),
+              scale3(flux, correction * carried / weight), depth);
+    t->made += pick_u((vu)0u, (vu)1u, passed);
+  }
+}
+
+kernel WIDE void vpl_trace_step(global const VplTraceParameters* restrict parameters, SCENE_PARAMETERS, uint count,
+                                global float* paths, global float* records, global uint* counters) {
+  uint block = (uint)get_global_id(0);
+  if (block * LANES >= count) return;
+  Scene scene_value = SCENE_FROM_PARAMETERS;
+  const Scene* scene = &scene_value;
+  vu meta = row_u(paths, PATH_ROWS, block, ROW_META);
+  vi active = take_hits(paths, block, meta);
+  if (!any_lane(active)) return;
+  v3 origin = row_3(paths, PATH_ROWS, block, ROW_ORIGIN);
+  v3 direction = row_3(paths, PATH_ROWS, block, ROW_DIRECTION);
+  v3 flux = row_3(paths, PATH_ROWS, block, ROW_THROUGHPUT);
+  vf range = row_f(paths, PATH_ROWS, block, ROW_RANGE);
+  vu slot = row_u(paths, PATH_ROWS, block, ROW_SLOT);
+  vu key = row_u(paths, PATH_ROWS, block, ROW_KEY);
+  vu sample = row_u(paths, PATH_ROWS, block, ROW_TOTAL);
+  vu bounce = meta & LIGHT_BOUNCE_MASK;
+  vu depth = (meta >> LIGHT_DEPTH) & 255u;
+  Thresholds thresholds;
+  thresholds.sent = row_f(paths, PATH_ROWS, block, ROW_SENT);
+  thresholds.spacing = row_f(paths, PATH_ROWS, block, ROW_SPACING);
+  thresholds.made = (meta >> LIGHT_COUNT) & 15u;
+  thresholds.doublings = (meta >> LIGHT_DOUBLINGS) & 31u;
+  Vertex v = meet_surface(scene, paths, PATH_ROWS, block, active);
+  // KHR_lights_punctual's window over the first segment.
+  vf ratio = length3(sub3(v.hit.p, origin)) / range;
+  vf window = clamp_f(one_f() - ratio * ratio * ratio * ratio, zero_f(), one_f());
+  flux = scale3(flux, pick(one_f(), window, range > zero_f()));
+  flux = absorbed(scene, &v.hit, origin, direction, flux, active);
+  vu pair_key = hash_combine(key, bounce * 4u + 16u);
+  ScatterNumbers u;
+  vf u_spare;
+  sample_pair(pair_key, sample, VPL_SEQUENCE, 0u, &u_spare, &u.u_roulette);
+  sample_pair(pair_key, sample, VPL_SEQUENCE, 2u, &u.u_lobe, &u.u_glass);
+  sample_pair(pair_key, sample, VPL_SEQUENCE, 3u, &u.d0, &u.d1);
+  choose_alpha(&v, &u.u_glass);
+  prepare_scattering(scene, &v, direction);
+  v3 geometric = pick3(v.hit.geometric, negate3(v.hit.geometric), dot3(v.hit.geometric, direction) > zero_f());
+  vf correction = shading_normal_correction(&v, geometric, direction);
+
+  vi layered = v.active & none(v.passes) & ((depth < parameters->depth) | ((vu)parameters->depth == 0u));
+#ifdef NEED_TRANSMISSIVE
+  // What glass does with the path is not the diffuse layer's.
+  layered = layered & (u.u_glass >= v.surface.transmission);
+#endif
+  Reflection r = reflect_flux(&v, flux, correction);
+  layered = layered & (max_component(r.flux) > zero_f()) & finite3(r.flux);
+  if (any_lane(layered))
+    leave_vpls(records, count, slot, key, sample, &v, &r, geometric, direction, flux, correction, depth, layered,
+               &thresholds);
+
+  NextRay next = scatter_flux(scene, &v, geometric, correction, direction, flux, depth, parameters->depth, &u);
+  next.alive = next.alive & (bounce < (vu)LIGHT_BOUNCE_MASK);
+  uint kept;
+  rank_lanes(next.alive, &kept);
+  if (kept == 0u) return;
+  atomic_add(counters, kept);
+  vu next_meta = ((bounce + 1u) & LIGHT_BOUNCE_MASK) | (next.depth << LIGHT_DEPTH) | (thresholds.made << LIGHT_COUNT) |
+                 (thresholds.doublings << LIGHT_DOUBLINGS);
+  set_row_f(paths, PATH_ROWS, block, ROW_SENT, thresholds.sent);
+  set_path(paths, block, &next, slot, next_meta, key);
+  set_row_f(paths, PATH_ROWS, block, ROW_RANGE, zero_f());
+}
+
+#endif
