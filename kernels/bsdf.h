@@ -68,16 +68,19 @@ FN vf table_lookup(const Scene* scene, vu first, vf row, vf mu) {
 
 // 1 - s E(mu): what the specular lobe leaves to the layer under it.
 FN vf left_to_layer(const Scene* scene, const Surface* m, vf mu) {
+  // Lanes without a table read the first row there is, whatever row they hold.
   vi has = m->table != GLEANER_NONE;
-  return pick(one_f(), table_lookup(scene, pick_u((vu)0u, m->table, has), m->table_row, mu), has);
+  vf row = pick(zero_f(), m->table_row, has);
+  return pick(one_f(), table_lookup(scene, pick_u((vu)0u, m->table, has), row, mu), has);
 }
 
 FN vf left_mean_of(const Scene* scene, const Surface* m) {
   vi has = m->table != GLEANER_NONE;
   vu first = pick_u((vu)0u, m->table, has) + GLEANER_ALBEDO_NODES;
 #ifdef NEED_MATERIAL_TEXTURES
-  vu r = to_u(m->table_row);
-  vf s = m->table_row - to_f(r);
+  vf row = pick(zero_f(), m->table_row, has);
+  vu r = to_u(row);
+  vf s = row - to_f(r);
   vu a = first + r * (GLEANER_ALBEDO_NODES + 1u);
   vu b = pick_u(a, a + (GLEANER_ALBEDO_NODES + 1u), s > zero_f());
   vf mean = mix(gather_f(scene->albedo_tables, a), gather_f(scene->albedo_tables, b), s);

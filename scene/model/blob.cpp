@@ -291,6 +291,7 @@ Bvh parse_bvh(std::span<const std::byte> bytes, std::size_t triangle_count, cons
                   bvh.triangles[i]);
   }
   if (bvh.nodes.empty()) reader.fail("nodes", "a root", 0);
+  if (bvh.max_depth > kMaxBvhDepth) reader.fail("max_depth", "at most " + std::to_string(kMaxBvhDepth), bvh.max_depth);
   // A traversal that follows these children ends, and never needs a deeper stack than it was promised.
   std::vector<bool> reached(bvh.nodes.size());
   std::vector<std::pair<std::uint32_t, std::uint32_t>> open = {{0, 1}};  // node, depth of its children

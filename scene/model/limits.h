@@ -7,6 +7,8 @@
 namespace gleaner::scene {
 
 inline constexpr std::size_t kMaxTriangles = std::size_t(1) << 27;  // a leaf of the BVH names a slot in 27 bits
+// Of a leaf of the BVH: build_bvh() makes no deeper tree. The OpenCL tracer keeps a stack of as many entries a ray.
+inline constexpr std::uint32_t kMaxBvhDepth = 64;
 inline constexpr std::size_t kMaxVertices = 3 * kMaxTriangles;
 inline constexpr std::size_t kMaxTexels = std::size_t(1) << 30;
 inline constexpr std::uint32_t kMaxTextureSide = 16384;

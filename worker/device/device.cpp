@@ -75,6 +75,7 @@ std::vector<Found> find_devices() {
       info.compute_units = device.getInfo<CL_DEVICE_MAX_COMPUTE_UNITS>();
       info.memory_bytes = device.getInfo<CL_DEVICE_GLOBAL_MEM_SIZE>();
       info.threads = info.cpu ? default_threads(info) : 1;
+      info.lanes = info.cpu ? 16 : 1;
       info.trace = info.cpu && embree_available() ? TraceKind::embree : TraceKind::opencl;
       info.tracer = tracer_description(info.trace);
       found.push_back(one);
@@ -161,6 +162,9 @@ Device::Device(const DeviceChoice& choice) {
                         " (see gleaner devices)");
   device_ = found[index].device;
   info_ = found[index].info;
+  if (choice.lanes != 0 && choice.lanes != 1 && choice.lanes != 16)
+    throw Error::failed("a work-item has 1 or 16 lanes, not " + std::to_string(choice.lanes));
+  if (choice.lanes) info_.lanes = choice.lanes;
   if (choice.threads > 0 && info_.cpu) info_.threads = static_cast<unsigned>(choice.threads);
   if (choice.trace == TraceKind::embree && !(info_.cpu && embree_available()))
     throw Error::failed("device " + info_.name + " cannot trace with Embree: " +
@@ -175,12 +179,16 @@ cl::Buffer Device::make_buffer(std::size_t bytes, cl_mem_flags flags) const {
   return cl::Buffer(context_, flags, std::max<std::size_t>(bytes, 1));
 }
 
-cl::Program Device::build(const std::string& file, const std::string& options) const {
+Program Device::build(const std::string& file, const std::string& options) const {
   std::lock_guard lock(programs_mutex_);
   auto [program, fresh] = programs_.try_emplace(file + " " + options);
   if (fresh) {
     try {
-      program->second = compile(file, options);
+      std::string text;
+      std::set<std::string> seen;
+      flatten(file, seen, text);
+      program->second = {file, compile(file, text, options),
+                         std::make_shared<const KernelDeclarations>(parse_kernels(text, file))};
     } catch (...) {
       programs_.erase(program);
       throw;
@@ -189,10 +197,7 @@ cl::Program Device::build(const std::string& file, const std::string& options) c
   return program->second;
 }
 
-cl::Program Device::compile(const std::string& file, const std::string& options) const {
-  std::string text;
-  std::set<std::string> seen;
-  flatten(file, seen, text);
+cl::Program Device::compile(const std::string& file, const std::string& text, const std::string& options) const {
   const std::string all_options = "-cl-std=CL1.2 " + options;
   std::uint64_t hash = 0xcbf29ce484222325ull;
   for (const std::string& part : {info_.platform, info_.name, info_.driver, info_.version, all_options, text})

@@ -7,8 +7,10 @@
 #include <string>
 #include <vector>
 
+#include "worker/device/device_info.h"
+#include "worker/device/kernel_profile.h"
 #include "worker/device/opencl.h"
-#include "worker/stages/executor.h"
+#include "worker/device/program.h"
 
 namespace gleaner::worker {
 
@@ -20,24 +22,28 @@ class Device {
   const DeviceInfo& info() const { return info_; }
   const cl::Context& context() const { return context_; }
   const cl::Device& device() const { return device_; }
-  cl::CommandQueue make_queue() const { return cl::CommandQueue(context_, device_); }
+  cl::CommandQueue make_queue() const {
+    return cl::CommandQueue(context_, device_, profile_->on() ? CL_QUEUE_PROFILING_ENABLE : 0);
+  }
   // Rays that a work-item handles at once (kernels/lanes.h).
-  unsigned lanes() const { return info_.cpu ? 16 : 1; }
+  unsigned lanes() const { return info_.lanes; }
+  KernelProfile& profile() const { return *profile_; }
 
   // Builds `file` of the kernels with `options`, once; a binary that an earlier run left is taken from the cache folder
   // ($GLEANER_CACHE, else $XDG_CACHE_HOME/gleaner, else ~/.cache/gleaner; PoCL has its own, $POCL_CACHE_DIR).
   // Thread-safe. Throws Error::failed with the compiler's log.
-  cl::Program build(const std::string& file, const std::string& options) const;
+  Program build(const std::string& file, const std::string& options) const;
 
   // A buffer of at least one byte. On CPU devices it lies in memory that host and kernels share.
   cl::Buffer make_buffer(std::size_t bytes, cl_mem_flags flags = CL_MEM_READ_WRITE) const;
 
  private:
-  cl::Program compile(const std::string& file, const std::string& options) const;
+  cl::Program compile(const std::string& file, const std::string& text, const std::string& options) const;
 
   DeviceInfo info_;
+  std::unique_ptr<KernelProfile> profile_ = std::make_unique<KernelProfile>();
   mutable std::mutex programs_mutex_;
-  mutable std::map<std::string, cl::Program> programs_;  // by file and options
+  mutable std::map<std::string, Program> programs_;  // by file and options
   cl::Device device_;
   cl::Context context_;
 };

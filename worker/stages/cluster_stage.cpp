@@ -11,9 +11,11 @@
 #include "kernels/cluster_records.h"
 #include "kernels/vpl_records.h"
 #include "scene/model/error.h"
+#include "scene/model/limits.h"
 #include "scene/model/order.h"
 #include "worker/stages/cluster_grid.h"
-#include "worker/stages/launch.h"
+#include "worker/wavefront/counters.h"
+#include "worker/wavefront/input_rows.h"
 
 namespace gleaner::worker {
 namespace {
@@ -41,20 +43,19 @@ float cosine(const float* a, const float* b) { return a[0] * b[0] + a[1] * b[1] 
 
 class KMeans {
  public:
-  KMeans(const Device& device, Workspace& workspace, const std::vector<float>& data, std::size_t stride,
-         const ClusterParameters& parameters)
-      : device_(device),
-        workspace_(workspace),
+  KMeans(const StageRun& run, const std::vector<float>& data, std::size_t stride, const ClusterParameters& parameters)
+      : device_(run.device),
+        workspace_(run.workspace),
         data_(data),
         stride_(stride),
         count_(data.size() / stride),
         parameters_(parameters),
-        queue_(device.make_queue()),
-        program_(device.build("kernels/cluster.cl", "-D FUZZINESS=1 -D LANES=" + std::to_string(device.lanes()))) {
+        queue_(run.device.make_queue()),
+        kernel_(run.device, run.build_plain("cluster.cl", " -D FUZZINESS=1"), "cluster_assign") {
     const std::size_t room = (count_ + 15) / 16 * 16;
-    data_buffer_ = workspace.take("cluster.data", (data.size() + 16) * 4);
+    data_buffer_ = workspace_.take("cluster.data", (data.size() + 16) * 4);
     queue_.enqueueWriteBuffer(data_buffer_, CL_TRUE, 0, data.size() * 4, data.data());
-    assigned_buffer_ = workspace.take("cluster.assigned", room * 4);
+    assigned_buffer_ = workspace_.take("cluster.assigned", room * 4);
     assigned_.resize(count_);
   }
 
@@ -108,18 +109,17 @@ class KMeans {
       queue_.enqueueWriteBuffer(buffer, CL_TRUE, 0, values.size() * 4, values.data());
       return buffer;
     };
-    cl::Kernel kernel(program_, "cluster_assign");
-    kernel.setArg(0, data_buffer_);
-    kernel.setArg(1, static_cast<cl_uint>(stride_));
-    kernel.setArg(4, put("cluster.grid", grid.header));
-    kernel.setArg(5, put("cluster.cells", grid.cells));
-    kernel.setArg(6, put("cluster.seeds", grid.seeds));
-    kernel.setArg(7, parameters_.least_cosine);
-    kernel.setArg(8, assigned_buffer_);
+    kernel_.set("data", data_buffer_)
+        .set("stride", static_cast<cl_uint>(stride_))
+        .set("grid", put("cluster.grid", grid.header))
+        .set("cells", put("cluster.cells", grid.cells))
+        .set("seeds", put("cluster.seeds", grid.seeds))
+        .set("least_cosine", parameters_.least_cosine)
+        .set("assigned", assigned_buffer_);
     for (std::size_t base = 0; base < count_; base += kAssignItems) {
-      kernel.setArg(2, static_cast<cl_uint>(base));
-      kernel.setArg(3, static_cast<cl_uint>(std::min<std::size_t>(kAssignItems, count_ - base)));
-      launch(device_, queue_, kernel, kAssignItems, kAssignItems, device_.lanes());
+      kernel_.set("base", static_cast<cl_uint>(base))
+          .set("count", static_cast<cl_uint>(std::min<std::size_t>(kAssignItems, count_ - base)));
+      kernel_.launch(queue_, {.work = kAssignItems, .capacity = kAssignItems, .lanes = device_.lanes()});
     }
     queue_.enqueueReadBuffer(assigned_buffer_, CL_TRUE, 0, count_ * 4, assigned_.data());
   }
@@ -202,7 +202,7 @@ class KMeans {
   std::size_t stride_, count_;
   ClusterParameters parameters_;
   cl::CommandQueue queue_;
-  cl::Program program_;
+  Kernel kernel_;
   cl::Buffer data_buffer_, assigned_buffer_;
   std::vector<float> centroids_;  // kCentroidWords each
   std::vector<bool> alive_;
@@ -273,56 +273,62 @@ void write_clusters(const KMeans& means, const std::vector<std::uint32_t>& assig
   }
 }
 
+// The rows that there is something to cluster in. Throws Error::bad_input for places or fluxes that are not finite.
+std::vector<float> read_data(const InputRows& input, bool lights) {
+  const std::size_t stride = input.row_bytes() / 4;
+  std::vector<float> data, row(stride);
+  data.reserve(input.rows() * stride);
+  input.visit(0, input.rows(), [&](std::uint64_t number, std::span<const std::byte> rows) {
+    for (std::size_t at = 0; at < rows.size(); at += stride * 4, ++number) {
+      std::memcpy(row.data(), &rows[at], stride * 4);
+      std::uint32_t triangle = GLEANER_NONE;
+      if (!lights) std::memcpy(&triangle, &row[POINT_TRIANGLE], 4);
+      const bool holds =
+          lights ? row[VPL_FLUX] > 0 || row[VPL_FLUX + 1] > 0 || row[VPL_FLUX + 2] > 0 : triangle != GLEANER_NONE;
+      if (!holds) continue;
+      for (std::size_t k = 0; k < 6; ++k)
+        if (!(std::abs(row[k]) <= 2 * scene::kMaxCoordinate))
+          input.fail(number, "position and normal", "finite numbers of a scene's size", std::to_string(row[k]));
+      data.insert(data.end(), row.begin(), row.end());
+    }
+  });
+  return data;
+}
+
+ClusterParameters read_parameters(const StageRun& run, bool lights) {
+  const auto p = run.parameters<ClusterParameters>();
+  const std::uint64_t all = p.clusters + (lights ? (std::uint64_t{p.lights} + VPL_WORDS - 1) / VPL_WORDS : 0);
+  if (run.first != 0 || run.count != all || p.clusters == 0 || p.clusters > (1u << 24))
+    throw Error::bad_input(run.where(), "items", "all of its clusters, 1 to 2^24, and the rows of what is in them",
+                           std::to_string(run.first) + " + " + std::to_string(run.count));
+  if (p.iterations > 1000 || !(p.least_cosine >= -1 && p.least_cosine <= 1))
+    throw Error::bad_input(run.where(), "parameters", "at most 1000 iterations, a cosine", "other numbers");
+  return p;
+}
+
 }  // namespace
 
-BatchResult run_cluster_stage(const Device& device, Workspace& workspace, DeviceScene&, const StageTask& task,
-                              std::uint64_t first, std::uint64_t count) {
-  const std::string where = "stage " + task.kind;
-  const auto parameters = read_parameters<ClusterParameters>(task);
-  const bool lights = task.kind == "vpl_cluster";
-  const std::uint64_t all =
-      parameters.clusters + (lights ? (std::uint64_t{parameters.lights} + VPL_WORDS - 1) / VPL_WORDS : 0);
-  if (first != 0 || count != all || parameters.clusters == 0 || parameters.clusters > (1u << 24))
-    throw Error::bad_input(where, "items", "all of its clusters, 1 to 2^24, and the rows of what is in them",
-                           std::to_string(first) + " + " + std::to_string(count));
-  if (parameters.iterations > 1000 || !(parameters.least_cosine >= -1 && parameters.least_cosine <= 1))
-    throw Error::bad_input(where, "parameters", "at most 1000 iterations, a cosine", "other numbers");
-  const char* const name = lights ? "lights" : "points";
+BatchResult run_cluster_stage(const StageRun& run) {
+  const bool lights = run.task.kind == "vpl_cluster";
+  const ClusterParameters parameters = read_parameters(run, lights);
   const std::size_t stride = lights ? VPL_WORDS : POINT_WORDS;
-  const auto input = task.inputs.find(name);
-  if (input == task.inputs.end() || input->second.bytes() % (stride * 4) != 0)
-    throw Error::bad_input(where, std::string("input ") + name, "rows of " + std::to_string(stride * 4) + " bytes",
-                           input == task.inputs.end() ? "none" : std::to_string(input->second.bytes()) + " bytes");
+  const InputRows input(run.task, lights ? "lights" : "points", stride * 4);
   const double start = seconds_now();
-  std::vector<float> data;
-  data.reserve(input->second.bytes() / 4);
-  std::vector<float> row(stride);
-  for (std::size_t at = 0; at < input->second.bytes(); at += stride * 4) {
-    std::memcpy(row.data(), input->second.in_memory().data() + at, stride * 4);
-    std::uint32_t triangle = GLEANER_NONE;
-    if (!lights) std::memcpy(&triangle, &row[POINT_TRIANGLE], 4);
-    const bool holds =
-        lights ? row[VPL_FLUX] > 0 || row[VPL_FLUX + 1] > 0 || row[VPL_FLUX + 2] > 0 : triangle != GLEANER_NONE;
-    if (!holds) continue;
-    for (std::size_t k = 0; k < 6; ++k)
-      if (!std::isfinite(row[k]))
-        throw Error::bad_input(where, "row " + std::to_string(at / (stride * 4)), "finite numbers", "others");
-    data.insert(data.end(), row.begin(), row.end());
-  }
+  const std::vector<float> data = read_data(input, lights);
   const std::size_t held = data.size() / stride;
   if (lights && held != parameters.lights)
-    throw Error::bad_input(where, "input lights", std::to_string(parameters.lights) + " rows of some flux",
+    throw Error::bad_input(run.where(), "input lights", std::to_string(parameters.lights) + " rows of some flux",
                            std::to_string(held));
-  std::vector<float> rows(count * stride, 0.0f);
+  std::vector<float> rows(run.count * stride, 0.0f);
   if (!lights)
-    for (std::size_t k = 0; k < count; ++k) std::memset(&rows[k * stride + POINT_TRIANGLE], 0xff, 4);
+    for (std::size_t k = 0; k < run.count; ++k) std::memset(&rows[k * stride + POINT_TRIANGLE], 0xff, 4);
   std::vector<std::uint32_t> assigned(held);
   if (held <= parameters.clusters) {
     // As many clusters as there is to cluster: each stands for itself, exactly.
     std::copy(data.begin(), data.end(), rows.begin());
     std::iota(assigned.begin(), assigned.end(), 0u);
   } else {
-    KMeans means(device, workspace, data, stride, parameters);
+    KMeans means(run, data, stride, parameters);
     assigned = means.run();
     write_clusters(means, assigned, data, stride, parameters.clusters, parameters.random_representative, rows);
   }

@@ -122,6 +122,9 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
 
   emission_ = upload(device, queue, lights.emission.data(), bytes_of(lights.emission));
   shines_ = !lights.emission.empty();
+  for (const scene::Material& material : scene->materials)
+    if (material.albedo_table != GLEANER_NONE)
+      albedo_rows_[material.albedo_table] = std::max(albedo_rows_[material.albedo_table], material.albedo_rows);
   triangle_count_ = scene->triangle_count();
 
   if (device.info().trace == TraceKind::embree) {
@@ -160,6 +163,23 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
       options_ += std::string(" -D NEED_") + word;
   transparent_ = needs.alpha && needs.punctual_lights && lights.cluster_slots;
   if (lights.cluster_slots) options_ += " -D CLUSTERS=" + std::to_string(lights.cluster_slots);
+}
+
+bool DeviceScene::has_albedo_row(std::uint32_t table, float row) const {
+  const auto found = albedo_rows_.find(table);
+  return found != albedo_rows_.end() && row >= 0 && row <= static_cast<float>(found->second - 1);
+}
+
+void DeviceScene::set_arguments(Kernel& kernel) const {
+  kernel.set("triangles", triangles_)
+      .set("materials", materials_)
+      .set("textures", textures_)
+      .set("texels", texels_)
+      .set("srgb", srgb_)
+      .set("albedo_tables", albedo_tables_)
+      .set("emitters", emitters_)
+      .set("clusters", clusters_)
+      .set("environment", environment_);
 }
 
 unsigned DeviceScene::set_arguments(cl::Kernel& kernel, unsigned first) const {

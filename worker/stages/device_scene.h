@@ -1,11 +1,12 @@
 #pragma once
 // A scene on a device: the tables that kernels read, the tracer, and which kernel variant the scene needs.
 
+#include <map>
 #include <memory>
 #include <string>
 
 #include "scene/model/blob.h"
-#include "worker/device/device.h"
+#include "worker/device/kernel.h"
 #include "worker/trace/tracer.h"
 
 namespace gleaner::worker {
@@ -20,13 +21,17 @@ class DeviceScene {
   Tracer& tracer() { return *tracer_; }
   // Shadow rays to punctual lights may meet surfaces that are not opaque (kernels/path_layout.h: TRANSPARENT_SHADOWS).
   bool transparent_shadows() const { return transparent_; }
-  // Sets the scene's buffers as arguments from `first` on, in the order of SCENE_PARAMETERS; returns the next index.
+  // Sets the parameters that SCENE_PARAMETERS stands for.
+  void set_arguments(Kernel& kernel) const;
+  // The same of a kernel whose source is not the product's: from index `first` on; returns the next one.
   unsigned set_arguments(cl::Kernel& kernel, unsigned first) const;
   // What light paths choose their lights from (kernels/scene_layout.h); zeros where nothing shines.
   const cl::Buffer& emission() const { return emission_; }
   bool shines() const { return shines_; }
-  const cl::Buffer& triangle_rows() const { return triangles_; }
   std::uint64_t triangles() const { return triangle_count_; }
+  const cl::Buffer& triangle_rows() const { return triangles_; }
+  // Whether an albedo table of the scene's materials begins at `table` and has this (fractional) row.
+  bool has_albedo_row(std::uint32_t table, float row) const;
   std::size_t bytes() const { return bytes_; }
 
  private:
@@ -39,6 +44,7 @@ class DeviceScene {
   bool shines_ = false;
   bool transparent_ = false;
   std::uint64_t triangle_count_ = 0;
+  std::map<std::uint32_t, std::uint32_t> albedo_rows_;  // by table
   std::size_t bytes_ = 0;
 };
 

@@ -1,41 +1,28 @@
 #include "worker/stages/executor.h"
 
+#include <algorithm>
 #include <list>
-#include <map>
 
 #include "scene/model/error.h"
-#include "worker/device/device.h"
-#include "worker/stages/cluster_stage.h"
-#include "worker/stages/device_scene.h"
-#include "worker/stages/path_stage.h"
-#include "worker/stages/vpl_stages.h"
+#include "worker/stages/stage_table.h"
 
 namespace gleaner::worker {
 namespace {
 
-using StageProgram = BatchResult (*)(const Device&, Workspace&, DeviceScene&, const StageTask&, std::uint64_t,
-                                     std::uint64_t);
-
-const std::map<std::string, StageProgram>& stage_programs() {
-  static const std::map<std::string, StageProgram> programs = {
-      {"path", run_path_stage},
-      {"vpl_trace", run_vpl_trace_stage},
-      {"vpl_cluster", run_cluster_stage},
-      {"vpl_points", run_vpl_points_stage},
-      {"point_cluster", run_cluster_stage},
-      {"vpl_visibility", run_vpl_visibility_stage},
-      {"vpl_shade", run_vpl_shade_stage},
-  };
-  return programs;
-}
-
 // Scenes kept warm: so many, and at most so much of the device's memory.
 constexpr std::size_t kMostScenes = 4;
+
+// Of the device's memory, what stays taken between batches, and what tables may take.
+std::size_t most_workspace(const DeviceInfo& info) { return info.memory_bytes / 8; }
+std::size_t most_tables(const DeviceInfo& info) {
+  return static_cast<std::size_t>(std::min<std::uint64_t>(info.memory_bytes / 16, std::uint64_t{512} << 20));
+}
 
 }  // namespace
 
 struct Executor::Impl {
-  explicit Impl(const DeviceChoice& choice) : device(choice), workspace(device) {}
+  explicit Impl(const DeviceChoice& choice)
+      : device(choice), workspace(device, most_workspace(device.info())), tables(most_tables(device.info())) {}
 
   DeviceScene& scene(const std::string& id) {
     for (auto held = scenes.begin(); held != scenes.end(); ++held)
@@ -48,6 +35,7 @@ struct Executor::Impl {
 
   Device device;
   Workspace workspace;
+  KeptTables tables;
   std::list<std::pair<std::string, std::unique_ptr<DeviceScene>>> scenes;  // the latest used first
 };
 
@@ -90,11 +78,23 @@ void Executor::load_scene(const std::string& id, std::shared_ptr<const scene::Sc
   }
 }
 
+void Executor::profile_kernels() { impl_->device.profile().turn_on(); }
+std::map<std::string, KernelTime> Executor::kernel_times() { return impl_->device.profile().take(); }
+
 BatchResult Executor::run(const StageTask& task, std::uint64_t first, std::uint64_t count) {
-  auto program = stage_programs().find(task.kind);
-  if (program == stage_programs().end()) throw Error::bad_input("stage", "kind", "one this worker knows", task.kind);
+  const StageKind& kind = stage_kind_of(task);
+  const StageRun batch{.device = impl_->device,
+                       .workspace = impl_->workspace,
+                       .tables = impl_->tables,
+                       .scene = impl_->scene(task.scene),
+                       .task = task,
+                       .programs = kind.programs,
+                       .first = first,
+                       .count = count};
   try {
-    return program->second(impl_->device, impl_->workspace, impl_->scene(task.scene), task, first, count);
+    BatchResult result = kind.run(batch);
+    impl_->workspace.end_batch();
+    return result;
   } catch (const cl::Error& error) {
     throw Error::failed("stage " + task.kind + ", items " + std::to_string(first) + " + " + std::to_string(count) +
                         ", on " + info().name + ": " + describe(error));

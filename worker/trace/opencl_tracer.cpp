@@ -1,19 +1,28 @@
 #include <mutex>
 
 #include "scene/model/error.h"
+#include "scene/model/limits.h"
+#include "worker/device/kernel.h"
 #include "worker/trace/tracer.h"
 
 namespace gleaner::worker {
 namespace {
 
+// Entries of a traversal stack: one a level below the root suffices; multiples of 16 keep the number of variants small.
+// It becomes memory of each work-item, so that a blob must not choose it freely.
+std::uint32_t stack_size(const scene::Bvh& bvh) {
+  if (bvh.max_depth > scene::kMaxBvhDepth)
+    throw Error::bad_input("BVH", "max_depth", "at most " + std::to_string(scene::kMaxBvhDepth),
+                           std::to_string(bvh.max_depth));
+  return (bvh.max_depth / 16 + 1) * 16;
+}
+
 class OpenClTracer final : public Tracer {
  public:
   OpenClTracer(const Device& device, const scene::Bvh& bvh, const cl::Buffer& triangles)
-      : cpu_(device.info().cpu),
+      : device_(device),
         triangles_(triangles),
-        // One entry a level below the root suffices; multiples of 16 keep the number of variants small.
-        program_(device.build("kernels/bvh_trace.cl",
-                              "-D LANES=1 -D STACK_SIZE=" + std::to_string((bvh.max_depth / 16 + 1) * 16))),
+        program_(device.build("kernels/bvh_trace.cl", "-D LANES=1 -D STACK_SIZE=" + std::to_string(stack_size(bvh)))),
         nodes_(device.make_buffer(bvh.nodes.size() * sizeof(scene::BvhNode), CL_MEM_READ_ONLY)),
         slots_(device.make_buffer(bvh.triangles.size() * sizeof(std::uint32_t), CL_MEM_READ_ONLY)),
         overflow_(device.make_buffer(sizeof(std::uint32_t))) {
@@ -35,22 +44,17 @@ class OpenClTracer final : public Tracer {
  private:
   void run(const char* name, cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) {
     if (range.end() == 0) return;
-    // A kernel object of its own per call: arguments belong to the object, and lanes call at the same time.
-    cl::Kernel kernel(program_, name);
-    kernel.setArg(0, nodes_);
-    kernel.setArg(1, slots_);
-    kernel.setArg(2, triangles_);
-    kernel.setArg(3, rays);
-    kernel.setArg(4, range.rows);
-    kernel.setArg(5, range.end());
-    kernel.setArg(6, overflow_);
-    constexpr std::size_t group = 64;
-    // On CPU devices always a grid of the buffer's size: PoCL 3.1 loses count of a kernel's users where two threads
-    // launch it with several sizes (pocl_release_dlhandle_cache aborts).
-    std::size_t items = range.end();
-    if (cpu_) items = rays.getInfo<CL_MEM_SIZE>() / (range.rows * sizeof(float));
-    queue.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange((items + group - 1) / group * group),
-                               cl::NDRange(group));
+    Kernel kernel(device_, program_, name);
+    kernel.set("nodes", nodes_)
+        .set("slots", slots_)
+        .set("triangles", triangles_)
+        .set("rays", rays)
+        .set("rows", range.rows)
+        .set("count", range.end())
+        .set("overflow", overflow_);
+    kernel.launch(
+        queue,
+        {.work = range.end(), .capacity = rays.getInfo<CL_MEM_SIZE>() / (range.rows * sizeof(float)), .group = 64});
     std::uint32_t overflow = 0;
     queue.enqueueReadBuffer(overflow_, CL_TRUE, 0, sizeof overflow, &overflow);
     if (overflow) {
@@ -62,9 +66,9 @@ class OpenClTracer final : public Tracer {
     }
   }
 
-  bool cpu_;
+  const Device& device_;
   cl::Buffer triangles_;
-  cl::Program program_;
+  Program program_;
   cl::Buffer nodes_, slots_, overflow_;
 };
 

@@ -1,0 +1,87 @@
+#include "worker/device/kernel.h"
+
+#include <algorithm>
+
+#include "scene/model/error.h"
+
+namespace gleaner::worker {
+namespace {
+
+// The declaration of `name` that the compiler saw: the one with as many parameters as the driver counts.
+const std::vector<KernelParameter>& declaration(const Program& program, const std::string& name,
+                                                const cl::Kernel& kernel) {
+  const auto count = kernel.getInfo<CL_KERNEL_NUM_ARGS>();
+  const std::vector<KernelParameter>* found = nullptr;
+  const auto same = [](const KernelParameter& a, const KernelParameter& b) {
+    return a.name == b.name && a.kind == b.kind;
+  };
+  const auto [begin, end] = program.kernels->equal_range(name);
+  for (auto it = begin; it != end; ++it) {
+    if (it->second.size() != count) continue;
+    if (found && !std::ranges::equal(*found, it->second, same))
+      throw Error::failed(program.file + ": kernel " + name + " has several declarations of " + std::to_string(count) +
+                          " parameters");
+    found = &it->second;
+  }
+  if (!found)
+    throw Error::failed(program.file + ": kernel " + name + ": the driver counts " + std::to_string(count) +
+                        " parameters, and no declaration has as many");
+  return *found;
+}
+
+}  // namespace
+
+Kernel::Kernel(const Device& device, const Program& program, const std::string& name)
+    : device_(device),
+      name_(name),
+      kernel_(program.handle, name.c_str()),
+      parameters_(declaration(program, name, kernel_)),
+      set_(parameters_.size()),
+      unset_(parameters_.size()) {}
+
+unsigned Kernel::index_of(std::string_view name, KernelParameter::Kind kind) {
+  const auto found = std::ranges::find(parameters_, name, &KernelParameter::name);
+  if (found == parameters_.end()) throw Error::failed("kernel " + name_ + " has no parameter " + std::string(name));
+  if (found->kind != kind) throw Error::failed("kernel " + name_ + ": " + std::string(name) + " is of another type");
+  const auto index = static_cast<unsigned>(found - parameters_.begin());
+  if (!set_[index]) {
+    set_[index] = true;
+    --unset_;
+  }
+  return index;
+}
+
+Kernel& Kernel::set(std::string_view name, const cl::Buffer& buffer) {
+  kernel_.setArg(index_of(name, KernelParameter::Kind::buffer), buffer);
+  return *this;
+}
+Kernel& Kernel::set(std::string_view name, cl_uint value) {
+  kernel_.setArg(index_of(name, KernelParameter::Kind::uint), value);
+  return *this;
+}
+Kernel& Kernel::set(std::string_view name, cl_float value) {
+  kernel_.setArg(index_of(name, KernelParameter::Kind::real), value);
+  return *this;
+}
+Kernel& Kernel::set_words(const std::string& name, std::uint64_t value) {
+  set(name + "_low", static_cast<cl_uint>(value));
+  return set(name + "_high", static_cast<cl_uint>(value >> 32));
+}
+
+void Kernel::launch(cl::CommandQueue& queue, const Grid& grid) {
+  if (unset_) {
+    const auto missing = std::ranges::find(set_, false) - set_.begin();
+    throw Error::failed("kernel " + name_ + " was launched without " +
+                        parameters_[static_cast<std::size_t>(missing)].name);
+  }
+  const bool cpu = device_.info().cpu;
+  const std::size_t items = ((cpu ? grid.capacity : grid.work) + grid.lanes - 1) / grid.lanes;
+  const std::size_t group = grid.group ? grid.group : cpu ? 8 : 64;
+  const bool timed = device_.profile().on();
+  cl::Event event;
+  queue.enqueueNDRangeKernel(kernel_, cl::NullRange, cl::NDRange((items + group - 1) / group * group),
+                             cl::NDRange(group), nullptr, timed ? &event : nullptr);
+  if (timed) device_.profile().add(name_, event, grid.work);
+}
+
+}  // namespace gleaner::worker

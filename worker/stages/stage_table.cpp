@@ -1,0 +1,50 @@
+#include "worker/stages/stage_table.h"
+
+#include <algorithm>
+
+#include "scene/model/error.h"
+#include "worker/stages/cluster_stage.h"
+#include "worker/stages/path_stage.h"
+#include "worker/stages/vpl/stages.h"
+
+namespace gleaner::worker {
+
+const std::vector<StageKind>& stage_table() {
+  static const std::vector<StageKind> table = {
+      {"path", run_path_stage, {"kernels/path.cl"}, {{.name = "items", .required = false, .own_items = true}}},
+      {"vpl_trace", run_vpl_trace_stage, {"kernels/vpl/trace.cl"}, {}},
+      {"vpl_cluster", run_cluster_stage, {"kernels/cluster.cl"}, {{.name = "lights"}}},
+      {"vpl_points", run_vpl_points_stage, {"kernels/vpl/points.cl"}, {}},
+      {"point_cluster", run_cluster_stage, {"kernels/cluster.cl"}, {{.name = "points"}}},
+      {"vpl_visibility",
+       run_vpl_visibility_stage,
+       {"kernels/vpl/visibility.cl"},
+       {{.name = "lights"}, {.name = "points"}}},
+      {"vpl_shade",
+       run_vpl_shade_stage,
+       {"kernels/vpl/points.cl", "kernels/vpl/gather.cl", "kernels/vpl/residual.cl", "kernels/vpl/visibility.cl"},
+       {{.name = "lights"},
+        {.name = "members", .required = false},
+        {.name = "points", .required = false},
+        {.name = "visibility", .required = false}}},
+  };
+  return table;
+}
+
+const StageKind& stage_kind_of(const StageTask& task) {
+  const auto kind = std::ranges::find(stage_table(), std::string_view(task.kind), &StageKind::kind);
+  if (kind == stage_table().end()) throw Error::bad_input("stage", "kind", "one this worker knows", task.kind);
+  const std::string where = "stage " + task.kind;
+  for (const auto& [name, input] : task.inputs) {
+    const auto rule = std::ranges::find(kind->inputs, std::string_view(name), &StageInputRule::name);
+    if (rule == kind->inputs.end()) throw Error::bad_input(where, "input " + name, "an input that it reads", "another");
+    if (input.own_items && !rule->own_items)
+      throw Error::bad_input(where, "input " + name, "the whole artifact", "records of its own items");
+  }
+  for (const StageInputRule& rule : kind->inputs)
+    if (rule.required && !task.inputs.contains(std::string(rule.name)))
+      throw Error::bad_input(where, "input " + std::string(rule.name), "an artifact", "none");
+  return *kind;
+}
+
+}  // namespace gleaner::worker

@@ -1,0 +1,32 @@
+#pragma once
+// Every kind of stage that a worker can run: one row each.
+
+#include <string_view>
+#include <vector>
+
+#include "worker/stages/stage.h"
+
+namespace gleaner::worker {
+
+using StageProgram = BatchResult (*)(const StageRun& run);
+
+struct StageInputRule {
+  std::string_view name;
+  bool required = true;
+  bool own_items = false;  // a batch may be given the records of its own items alone
+};
+
+struct StageKind {
+  std::string_view kind;
+  StageProgram run;
+  std::vector<std::string_view> programs;  // files of kernels that it builds
+  std::vector<StageInputRule> inputs;
+};
+
+const std::vector<StageKind>& stage_table();
+
+// The task's row. Throws Error::bad_input for a kind that is not in the table, an input that the kind does not read or
+// does not read in part, and one that it needs and does not get.
+const StageKind& stage_kind_of(const StageTask& task);
+
+}  // namespace gleaner::worker
