@@ -224,7 +224,8 @@ kernel WIDE void vpl_residual_rays(global const VplPointParameters* restrict par
                   (sample & RESIDUAL_CERTAIN) != 0u);
   v3 glossy = splat3(zero_f());
 #ifdef NEED_LOBE
-  PointLobe lobe = load_point_lobe(w, lobes, point, active);
+  // Of all lanes: those behind the last sample write its term as well.
+  PointLobe lobe = load_point_lobe(w, lobes, point, all_lanes());
   vf r = sqrt(inverse), gain;
   v3 own;
   flux = lobe_flux(scene, l, second, &lobe, n, scale3(sub3(q, p), r), side * r, &own, &gain);

@@ -622,29 +622,32 @@ TEST(Vpl, ClustersDoNotFlickerOnAWay) {
   }
 }
 
-// Batches of any size give the same records, and so do two threads.
+// Batches of any size give the same records, and so do two threads: with mirrors and glass, and with lobes at both
+// ends.
 TEST(Vpl, RecordsDoNotDependOnBatches) {
-  const Frame frame = frame_of("cornell-glass", {}, {}, 40, 4,
-                               {{"vpl.count", "200"}, {"vpl.clusters", "50"}, {"vpl.point_clusters", "30"}});
-  const Rendered whole = render(frame);
   worker::Executor two({.device = -1, .threads = 2, .trace = worker::TraceKind::automatic});
-  two.load_scene("scene", frame.scene, nullptr);
-  for (const auto& [name, task] : whole.tasks) {
-    if (!name.starts_with("vpl.") || name.find("cluster") != std::string::npos) continue;
-    const auto& records = whole.records.at(name);
-    worker::StageTask again = task;
-    again.scene = "scene";
-    const std::uint64_t step = 48;
-    const std::uint64_t items = name == "vpl.visibility.0" ? task.inputs.at("points").bytes() / (POINT_WORDS * 4)
-                                : name == "vpl.trace.0"    ? records.size() / (VPL_WORDS * VPL_PATH_SLOTS)
-                                : name == "vpl.points"     ? records.size() / POINT_WORDS
-                                                           : records.size() / 3;
-    const std::size_t stride = records.size() / items;
-    for (std::uint64_t first = 0; first < items; first += step * 3) {
-      const std::uint64_t count = std::min(step, items - first);
-      const auto result = two.run(again, first, count);
-      ASSERT_EQ(std::memcmp(result.records.data(), &records[first * stride], count * stride * 4), 0)
-          << name << " from " << first;
+  for (const char* scene : {"cornell-glass", "cornell-textured"}) {
+    const Frame frame =
+        frame_of(scene, {}, {}, 40, 4, {{"vpl.count", "200"}, {"vpl.clusters", "50"}, {"vpl.point_clusters", "30"}});
+    const Rendered whole = render(frame);
+    two.load_scene(scene, frame.scene, nullptr);
+    for (const auto& [name, task] : whole.tasks) {
+      if (!name.starts_with("vpl.") || name.find("cluster") != std::string::npos) continue;
+      const auto& records = whole.records.at(name);
+      worker::StageTask again = task;
+      again.scene = scene;
+      const std::uint64_t step = 48;
+      const std::uint64_t items = name == "vpl.visibility.0" ? task.inputs.at("points").bytes() / (POINT_WORDS * 4)
+                                  : name == "vpl.trace.0"    ? records.size() / (VPL_WORDS * VPL_PATH_SLOTS)
+                                  : name == "vpl.points"     ? records.size() / POINT_WORDS
+                                                             : records.size() / 3;
+      const std::size_t stride = records.size() / items;
+      for (std::uint64_t first = 0; first < items; first += step * 3) {
+        const std::uint64_t count = std::min(step, items - first);
+        const auto result = two.run(again, first, count);
+        ASSERT_EQ(std::memcmp(result.records.data(), &records[first * stride], count * stride * 4), 0)
+            << scene << ", " << name << " from " << first;
+      }
     }
   }
 }
