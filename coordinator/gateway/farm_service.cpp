@@ -65,15 +65,19 @@ Status FarmService::UploadBlob(grpc::ServerContext*, grpc::ServerReader<pb::Uplo
     return Status::OK;
   }
   try {
-    BlobStore::Upload upload(blobs_, id, bytes);
+    auto upload = blobs_.begin_upload(id, bytes);
+    if (!upload) {
+      reply->set_held_before(true);
+      return Status::OK;
+    }
     while (stream->Read(&part)) {
       if (part.part_case() != pb::UploadBlobRequest::kData)
         return {StatusCode::INVALID_ARGUMENT, "blob " + id + ": a second header"};
       if (part.data().size() > piece_bytes)
         return {StatusCode::INVALID_ARGUMENT, "blob " + id + ": a piece is at most 1 MiB"};
-      upload.append(std::as_bytes(std::span(part.data())));
+      upload->append(std::as_bytes(std::span(part.data())));
     }
-    upload.commit();
+    upload->commit();
   } catch (const Error& error) {
     bool callers_fault = error.kind() == ErrorKind::bad_input;
     return {callers_fault ? StatusCode::INVALID_ARGUMENT : StatusCode::RESOURCE_EXHAUSTED, error.what()};

@@ -58,7 +58,7 @@ class StreamSession final : public WorkerSession {
       for (const auto& input : work->inputs) {
         pb::StageInput& to = *out.add_inputs();
         to.set_name(input.name);
-        to.set_blob(input.blob);
+        to.set_artifact(input.blob);
       }
       out.set_record_bytes(work->record_bytes);
       out.set_scene_blob(work->scene_blob);
@@ -232,6 +232,8 @@ Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
         case pb::WorkerMessage::kLeaving:
           farm_.drain(worker);
           break;
+        case pb::WorkerMessage::kWrongPart:  // nothing is retained yet that it could be about
+          return {StatusCode::INVALID_ARGUMENT, "a part that was never told"};
         case pb::WorkerMessage::kHello:
           return {StatusCode::INVALID_ARGUMENT, "a second Hello"};
         case pb::WorkerMessage::MESSAGE_NOT_SET:
@@ -252,17 +254,24 @@ Status WorkerHub::FetchBlob(grpc::ServerContext*, const pb::FetchBlobRequest* re
     if (!is_sha256_hex(request->id()))
       return {StatusCode::INVALID_ARGUMENT,
               "blob id: expected 64 lower-case hexadecimal digits, found \"" + request->id().substr(0, 80) + "\""};
-    Blob blob = blobs_.get(request->id());
+    auto blob = blobs_.source(request->id());
     if (!blob) return {StatusCode::NOT_FOUND, "no blob " + request->id()};
+    if (request->offset() > blob->bytes() || request->length() > blob->bytes() - request->offset())
+      return {StatusCode::OUT_OF_RANGE, "blob " + request->id() + ": expected a range inside of its " +
+                                            std::to_string(blob->bytes()) + " bytes, found " +
+                                            std::to_string(request->length()) + " from " +
+                                            std::to_string(request->offset()) + " on"};
+    std::uint64_t left = request->length() > 0 ? request->length() : blob->bytes() - request->offset();
+    std::uint64_t offset = request->offset();
     pb::BlobPiece piece;
-    piece.set_total_bytes(blob->size());
-    std::size_t offset = 0;
+    piece.set_total_bytes(blob->bytes());
     do {
-      std::size_t bytes = std::min(piece_bytes, blob->size() - offset);
-      piece.set_data(blob->data() + offset, bytes);
-      offset += bytes;
+      piece.mutable_data()->resize(std::min<std::uint64_t>(piece_bytes, left));
+      blob->read(offset, std::as_writable_bytes(std::span(*piece.mutable_data())));
+      offset += piece.data().size();
+      left -= piece.data().size();
       if (!stream->Write(piece)) return Status::OK;
-    } while (offset < blob->size());
+    } while (left > 0);
     return Status::OK;
   });
 }

@@ -122,7 +122,7 @@ class FarmEngine : public testing::Test {
     farm_settings.scheduler.fixed_batch_items = batch_items;
     farm_settings.scheduler.lease_floor = 1000;
     farm_settings.paths = [this](const std::string& job, std::uint32_t frame) {
-      std::string stem = (folder_.path() / job / ("frame" + std::to_string(frame))).string();
+      std::string stem = (folder_.path() / job / std::string("frame").append(std::to_string(frame))).string();
       return FramePaths{stem + ".exr", stem + ".png", stem + ".json"};
     };
     farm_settings.log = [](const std::string&) {};
@@ -354,7 +354,7 @@ TEST_F(FarmEngine, AFailedRangeGoesElsewhereAndManyFailuresEndTheJobWithItsMessa
   std::vector<std::unique_ptr<ScriptedWorker>> workers;
   for (int i = 0; i < 4; ++i) {
     workers.push_back(std::make_unique<ScriptedWorker>());
-    workers.back()->join(farm, "w" + std::to_string(i));
+    workers.back()->join(farm, std::string("w").append(std::to_string(i)));
   }
   std::string job = farm.submit(request());
   bool over = eventually([&] {

@@ -69,7 +69,7 @@ class Wire : public testing::Test {
     return stream->Finish();
   }
 
-  static pb::WorkerMessage hello(const std::string& name = "peer", std::uint32_t protocol = 1) {
+  static pb::WorkerMessage hello(const std::string& name = "peer", std::uint32_t protocol = gateway::protocol_version) {
     pb::WorkerMessage message;
     message.mutable_hello()->set_name(name);
     message.mutable_hello()->set_protocol(protocol);
@@ -318,7 +318,7 @@ TEST_F(Wire, WorkersSpeakInOrder) {
       {"silence", {}, StatusCode::OK},
       {"no hello", {heartbeat}, StatusCode::INVALID_ARGUMENT},
       {"an empty message", {nothing}, StatusCode::INVALID_ARGUMENT},
-      {"another protocol", {hello("peer", 2)}, StatusCode::FAILED_PRECONDITION},
+      {"another protocol", {hello("peer", gateway::protocol_version + 1)}, StatusCode::FAILED_PRECONDITION},
       {"no name", {hello("")}, StatusCode::INVALID_ARGUMENT},
       {"a name with a slash", {hello("../peer")}, StatusCode::INVALID_ARGUMENT},
       {"a long name", {long_name}, StatusCode::INVALID_ARGUMENT},
@@ -436,6 +436,54 @@ TEST_F(Wire, BlobsAreFetchedByTheirIdsAlone) {
   EXPECT_EQ(fetch(no_such_id, nullptr).error_code(), StatusCode::NOT_FOUND);
   for (const std::string& bad : {std::string(), std::string("../blobs"), std::string(64, '/'), std::string(64, 'G')})
     EXPECT_EQ(fetch(bad, nullptr).error_code(), StatusCode::INVALID_ARGUMENT) << bad;
+}
+
+TEST_F(Wire, RangesOfBlobsLieInsideOfThem) {
+  std::string bytes(2500000, 'b');
+  for (std::size_t i = 0; i < bytes.size(); ++i) bytes[i] = static_cast<char>(i * 31 >> 7);
+  ASSERT_TRUE(upload({header(id_of(bytes), bytes.size()), data(bytes.substr(0, 1 << 20)),
+                      data(bytes.substr(1 << 20, 1 << 20)), data(bytes.substr(2 << 20))})
+                  .ok());
+  auto fetch = [&](std::uint64_t offset, std::uint64_t length, std::string& out) {
+    ClientContext context;
+    pb::FetchBlobRequest request;
+    request.set_id(id_of(bytes));
+    request.set_offset(offset);
+    request.set_length(length);
+    auto reader = workers_->FetchBlob(&context, request);
+    pb::BlobPiece piece;
+    while (reader->Read(&piece)) {
+      EXPECT_EQ(piece.total_bytes(), bytes.size());
+      out += piece.data();
+    }
+    return reader->Finish().error_code();
+  };
+  constexpr std::uint64_t most = std::numeric_limits<std::uint64_t>::max();
+  struct {
+    std::uint64_t offset, length;
+    StatusCode code;
+  } const ranges[] = {
+      {0, 0, StatusCode::OK},
+      {7, 1200000, StatusCode::OK},
+      {2400000, 0, StatusCode::OK},
+      {2400000, 100000, StatusCode::OK},
+      {2499999, 1, StatusCode::OK},
+      {2500000, 0, StatusCode::OK},  // nothing is left, and nothing comes
+      {2500000, 1, StatusCode::OUT_OF_RANGE},
+      {2400000, 100001, StatusCode::OUT_OF_RANGE},
+      {2500001, 0, StatusCode::OUT_OF_RANGE},
+      {1, most, StatusCode::OUT_OF_RANGE},
+      {most, 2, StatusCode::OUT_OF_RANGE},
+      {most, most, StatusCode::OUT_OF_RANGE},
+  };
+  for (const auto& [offset, length, code] : ranges) {
+    std::string got;
+    EXPECT_EQ(fetch(offset, length, got), code) << length << " from " << offset;
+    if (code == StatusCode::OK)
+      EXPECT_EQ(got, bytes.substr(offset, length > 0 ? length : std::string::npos)) << length << " from " << offset;
+    else
+      EXPECT_TRUE(got.empty());
+  }
 }
 
 TEST_F(Wire, ADamagedBlobOnDiskIsNotServedAndCanBeSentAgain) {

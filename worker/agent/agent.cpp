@@ -24,7 +24,7 @@ namespace pb = gleaner::v1;
 
 namespace {
 
-constexpr std::uint32_t protocol_version = 1;
+constexpr std::uint32_t protocol_version = 2;
 constexpr std::size_t piece_bytes = std::size_t{1} << 20;
 constexpr std::size_t most_unsent = 2;  // results: a device faster than the network waits
 constexpr double first_backoff_seconds = 0.2, longest_backoff_seconds = 10;
@@ -225,8 +225,8 @@ struct Agent::Impl {
       prepare_scene(lease);
       for (const pb::StageInput& input : lease.inputs()) {
         TaskInput& to = task.inputs[input.name()];
-        to = TaskInput(blobs.fetch_and_keep(input.blob()));
-        to.artifact = input.blob();
+        to = TaskInput(blobs.fetch_and_keep(input.artifact()));
+        to.artifact = input.artifact();
       }
       Clock::time_point begin = Clock::now();
       out.result = runner->run(task, lease.first(), lease.count());
