@@ -81,8 +81,9 @@ void write_triangles(const scene::Scene& scene, const std::vector<std::uint32_t>
 }  // namespace
 
 cl::Buffer DeviceScene::upload(const Device& device, cl::CommandQueue& queue, const void* data, std::size_t bytes) {
-  // Kernels of lanes with nothing to read take row 0: no table is ever empty.
-  constexpr std::size_t least = 256;
+  // Lanes with nothing to look up read row 0: no table is smaller than a row of the largest, which is of albedos.
+  constexpr std::size_t least = 1024;
+  static_assert(least >= 4 * (GLEANER_ALBEDO_NODES + 1));
   cl::Buffer buffer = device.make_buffer(std::max(bytes, least), CL_MEM_READ_ONLY);
   if (bytes < least) {
     const std::array<std::byte, least> zero{};
@@ -166,6 +167,7 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
 }
 
 bool DeviceScene::has_albedo_row(std::uint32_t table, float row) const {
+  if (table == 0 && row == 0) return true;  // every scene has it (upload)
   const auto found = albedo_rows_.find(table);
   return found != albedo_rows_.end() && row >= 0 && row <= static_cast<float>(found->second - 1);
 }
