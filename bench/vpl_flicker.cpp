@@ -7,7 +7,7 @@
 // the light that clusters let VPLs bring to the camera, less what they bring where every point asks for itself
 // (vpl.point_clusters=0); all else is the same bit by bit. Figures are RMS over the mean of that light: over pixels,
 // and over means of blocks of 8x8 pixels, some cluster's part of the picture: the noise of what points ask by lot
-// (vpl.doubt), which pixels do not share, is mostly gone from these.
+// (vpl.residual_threshold), which pixels do not share, is mostly gone from these.
 
 #include <cmath>
 #include <cstdio>
@@ -95,7 +95,7 @@ int main(int argc, char** argv) {
     settings.camera = scene->cameras.front().camera;
     settings.camera.half_width =
         settings.camera.half_height * static_cast<float>(settings.width) / static_cast<float>(settings.height);
-    settings.set = {{"vpl.compensate", "0"}, {"vpl.sets", "1"}, {"vpl.samples", "16"}};
+    settings.set = {{"vpl.compensate", "0"}, {"vpl.passes", "1"}, {"vpl.samples", "16"}};
     for (int k = 5; k < argc; ++k) {
       const std::string word = argv[k];
       const std::size_t equals = word.find('=');

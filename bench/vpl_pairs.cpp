@@ -74,13 +74,13 @@ int main(int argc, char** argv) {
     settings.camera = scene->cameras.front().camera;
     settings.camera.half_width =
         settings.camera.half_height * static_cast<float>(settings.width) / static_cast<float>(settings.height);
-    settings.set = {{"vpl.count", argv[3]}, {"vpl.compensate", "0"}, {"vpl.sets", "1"}, {"vpl.samples", "1"}};
+    settings.set = {{"vpl.count", argv[3]}, {"vpl.compensate", "0"}, {"vpl.passes", "1"}, {"vpl.samples", "1"}};
     coordinator::FrameSettings clustered = settings, pairs = settings;
     clustered.set["vpl.clusters"] = argv[4];
     clustered.set["vpl.point_clusters"] = argv[5];
     pairs.set["vpl.clusters"] = "0";
     pairs.set["vpl.point_clusters"] = "0";
-    clustered.set["vpl.doubt"] = argc > 9 ? argv[9] : "0.02";
+    clustered.set["vpl.residual_threshold"] = argc > 9 ? argv[9] : "0.02";
     clustered.set["vpl.clamp"] = pairs.set["vpl.clamp"] = argc > 8 ? argv[8] : "0.05";
 
     worker::Executor executor({});

@@ -57,7 +57,8 @@ class Bench {
   Shaded shade(const Settings& set, std::uint64_t seed) {
     coordinator::FrameSettings settings = settings_;
     settings.seed = seed;
-    settings.set = {{"vpl.compensate", "0"}, {"vpl.samples", "1"}, {"vpl.sets", "1"}, {"vpl.draw", "0"}};
+    settings.set = {
+        {"vpl.compensate", "0"}, {"vpl.samples", "1"}, {"vpl.passes", "1"}, {"vpl.random_representative", "0"}};
     for (const auto& [key, value] : set) settings.set[key] = value;
     auto plan = coordinator::make_plan(settings, coordinator::summarize(*scene_));
     Shaded made;
@@ -176,7 +177,7 @@ int main(int argc, char** argv) {
     // Lights grow denser in proportion to their number; the bound stays.
     const auto with = [&](Settings set, double count = kCount, double doubt = 0.2) {
       set["vpl.clamp"] = std::to_string(factor * kCount / count);
-      set["vpl.doubt"] = std::to_string(doubt);
+      set["vpl.residual_threshold"] = std::to_string(doubt);
       return set;
     };
     const Shaded exact = bench.shade(with(none), 1);
@@ -196,7 +197,7 @@ int main(int argc, char** argv) {
       const double told = std::sqrt(foreseen(kCount, clusters, 0, 0).clusters);
       print("VPL clusters", set["vpl.clusters"], told, rms(bench.shade(with(set), 1), exact), mean);
       if (clusters != 768) continue;
-      set["vpl.draw"] = std::string("1");
+      set["vpl.random_representative"] = std::string("1");
       const double drawn = pilot.clusters_error(0, clusters, true) * (1 - clusters / double{kCount});
       print("", "768, one drawn by lot", std::sqrt(drawn), rms(bench.shade(with(set), 1), exact), mean);
     }

@@ -24,6 +24,7 @@ void add_workers(CLI::App& app, Run& run);
 void add_why(CLI::App& app, Run& run);
 void add_replay(CLI::App& app, Run& run);
 void add_explain(CLI::App& app, Run& run);
+void add_methods(CLI::App& app, Run& run);
 void add_info(CLI::App& app, Run& run);
 void add_compare(CLI::App& app, Run& run);
 void add_scene(CLI::App& app, Run& run);

@@ -7,6 +7,7 @@
 
 #include "cli/commands.h"
 #include "cli/frame_options.h"
+#include "coordinator/plan/methods.h"
 #include "coordinator/plan/plan.h"
 
 namespace gleaner::cli {
@@ -19,8 +20,21 @@ struct ExplainWords {
   bool json = false;
 };
 
+// The method's settings, each with what it was given or else what it takes.
+std::vector<std::pair<const coordinator::Setting*, std::string>> settings_of(const coordinator::FrameSettings& frame) {
+  std::vector<std::pair<const coordinator::Setting*, std::string>> settings;
+  for (const coordinator::Setting& setting : coordinator::method_of(frame.method).settings) {
+    const auto given = frame.set.find(std::string(setting.name));
+    settings.emplace_back(&setting,
+                          given == frame.set.end() ? "default: " + std::string(setting.usual) : given->second);
+  }
+  return settings;
+}
+
 void print_json(const LoadedFrame& frame, const coordinator::Plan& plan) {
   ordered_json needs = ordered_json::array(), skips = ordered_json::array();
+  ordered_json settings = ordered_json::object();
+  for (const auto& [setting, value] : settings_of(frame.settings)) settings[std::string(setting->name)] = value;
   const std::uint32_t bits = needs_of(frame.scene).bits();
   for (std::size_t i = 0; i < scene::need_names().size(); ++i)
     if (bits >> i & 1) needs.push_back(scene::need_names()[i]);
@@ -32,6 +46,7 @@ void print_json(const LoadedFrame& frame, const coordinator::Plan& plan) {
                                {"camera", frame.camera_name},
                                {"needs", needs},
                                {"stages", plan.outline()},
+                               {"settings", settings},
                                {"skips", skips},
                                {"parameters", ordered_json::parse(plan.parameters_json())}};
   // Names come from the file as they are; JSON must be UTF-8 all the same.
@@ -46,6 +61,10 @@ void print(const LoadedFrame& frame, const coordinator::Plan& plan) {
   const std::vector<coordinator::Skip> skips = plan.skips();
   fmt::print("left out{}\n", skips.empty() ? ": nothing" : "");
   for (const coordinator::Skip& skip : skips) fmt::print("  {}: {}\n", skip.what, skip.why);
+  if (const auto settings = settings_of(frame.settings); !settings.empty()) {
+    fmt::print("settings\n");
+    for (const auto& [setting, value] : settings) fmt::print("  {} = {}: {}\n", setting->name, value, setting->help);
+  }
   const ordered_json parameters = ordered_json::parse(plan.parameters_json());
   if (!parameters.empty()) fmt::print("parameters\n");
   for (const auto& [name, value] : parameters.items()) fmt::print("  {} = {}\n", name, value.dump());

@@ -8,6 +8,7 @@
 #include <numbers>
 #include <optional>
 
+#include "coordinator/plan/methods.h"
 #include "coordinator/plan/way_points.h"
 #include "scene/import/import.h"
 #include "scene/model/error.h"
@@ -149,7 +150,7 @@ void settle_size(const FrameOptions& options, const scene::NamedCamera& camera, 
 
 void add_frame_options(CLI::App& command, FrameOptions& options) {
   command.add_option("SCENE", options.scene, "scene: .gltf, .glb or .obj")->required();
-  command.add_option("--method", options.method, "path or vpl (others come)")->capture_default_str();
+  command.add_option("--method", options.method, coordinator::method_names())->capture_default_str();
   command.add_option("--size", options.size, "film in pixels, e.g. 1280x720 (default: the camera's)");
   command.add_option("--spp", options.spp, "mean number of samples a pixel")
       ->capture_default_str()
@@ -164,7 +165,10 @@ void add_frame_options(CLI::App& command, FrameOptions& options) {
   command
       .add_option("--time-limit", options.time_limit, "seconds after which the frame is finished with what there is")
       ->check(CLI::PositiveNumber);
-  command.add_option("--set", options.set, "KEY=VALUE: a method's parameter")->take_all()->allow_extra_args(false);
+  command.add_option("--set", options.set, "NAME=VALUE: one of the settings below")
+      ->take_all()
+      ->allow_extra_args(false);
+  command.footer(coordinator::settings_help());
   command.add_option("--environment", options.environment,
                      "lat-long .exr or .hdr that lights the scene from all around");
   command
@@ -189,22 +193,18 @@ LoadedFrame load_frame(const FrameOptions& options) {
   settings.target_error = options.target_error;
   for (const std::string& entry : options.set) {
     auto equals = entry.find('=');
-    if (equals == std::string::npos || equals == 0) throw malformed("--set", "KEY=VALUE", entry);
-    std::string key = entry.substr(0, equals), value = entry.substr(equals + 1);
-    if (key == "depth") {
-      auto depth = number<std::uint32_t>(value);
-      if (!depth) throw malformed("--set depth", "a whole number that is not negative", value);
-      settings.depth = *depth;
-    } else {
-      settings.set[key] = value;
-    }
+    if (equals == std::string::npos || equals == 0) throw malformed("--set", "NAME=VALUE", entry);
+    settings.set[entry.substr(0, equals)] = entry.substr(equals + 1);
   }
+  std::vector<std::string> words = coordinator::rename_old_settings(settings.set);
+  coordinator::check_set(settings.set);
+  if (const auto depth = coordinator::whole_setting(settings, "depth")) settings.depth = *depth;
+  settings.set.erase("depth");
   if (!options.size.empty()) parse_size(options.size, settings.width, settings.height);
   frame.numbered = !options.frames.empty();
   if (frame.numbered) parse_frames(options.frames, frame.first_frame, frame.last_frame);
   const std::vector<LookAt> way = parse_way(options);
 
-  std::vector<std::string> words;
   frame.scene = scene::import_scene(options.scene);
   if (!options.environment.empty()) frame.scene.environment = scene::import_environment(options.environment);
   frame.scene_name = std::filesystem::path(options.scene).filename().string();

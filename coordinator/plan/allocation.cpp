@@ -3,7 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <string>
 #include <utility>
+
+#include "scene/model/error.h"
 
 namespace gleaner::coordinator {
 
@@ -82,6 +85,9 @@ std::vector<std::uint32_t> allocate_chunks(const std::vector<float>& variance, c
   std::vector<float> deviation(n);
   double largest = 0;
   for (std::size_t i = 0; i < n; ++i) {
+    if (!(variance[i] >= 0) || !std::isfinite(variance[i]))
+      throw Error::failed("sample allocation: pixel " + std::to_string(i) + " has variance " +
+                          std::to_string(variance[i]) + ", expected a finite number that is not negative");
     deviation[i] = std::sqrt(variance[i]);
     largest = std::max(largest, static_cast<double>(deviation[i]));
   }
@@ -97,9 +103,11 @@ std::vector<std::uint32_t> allocate_chunks(const std::vector<float>& variance, c
     return sum;
   };
   double low = 0, high = 1 / largest;
-  while (wanted(high) < static_cast<double>(extra)) high *= 2;
+  // A double's range is doubled through in this many steps, and halved to a billionth in fewer.
+  constexpr int kMostSteps = 2200;
+  for (int step = 0; step < kMostSteps && wanted(high) < static_cast<double>(extra); ++step) high *= 2;
   // What is left of the interval moves less than a chunk in all.
-  while (high - low > high * 1e-9) {
+  for (int step = 0; step < kMostSteps && high - low > high * 1e-9; ++step) {
     const double middle = (low + high) / 2;
     (wanted(middle) < static_cast<double>(extra) ? low : high) = middle;
   }

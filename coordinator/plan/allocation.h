@@ -4,16 +4,9 @@
 #include <cstdint>
 #include <vector>
 
-namespace gleaner::coordinator {
+#include "coordinator/film/accumulator.h"
 
-// What is known of a pixel: the variance of one chunk of samples (mean over the channels), and how many chunks it has.
-struct PixelNoise {
-  std::vector<float> chunk_variance;  // width * height, not negative
-  std::vector<std::uint32_t> chunks;  // width * height
-  std::uint32_t width = 0, height = 0;
-  std::vector<float> mean{};  // radiance (mean over the channels), width * height; empty: not known
-  float chunk_samples = 1;
-};
+namespace gleaner::coordinator {
 
 // For each pixel the mean of its neighbours' variances in a (2 radius + 1)^2 window, as far as they are of the other
 // colour of a chessboard; 1 where it has none (a picture of one pixel).
@@ -26,7 +19,8 @@ std::vector<float> edge_variance(const PixelNoise& noise);
 
 // Further chunks a pixel, `extra` in all. The sum over the pixels of variance / chunks is least where chunks go as the
 // square root of the variance (Lagrange); pixels that have more than their share already keep what they have. What
-// rounding down leaves goes, one chunk each, to where it takes most off. Deterministic.
+// rounding down leaves goes, one chunk each, to where it takes most off. Deterministic. Throws Error::failed for a
+// variance that is negative or not finite.
 std::vector<std::uint32_t> allocate_chunks(const std::vector<float>& variance, const std::vector<std::uint32_t>& chunks,
                                            std::uint64_t extra);
 

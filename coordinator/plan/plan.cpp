@@ -1,29 +1,12 @@
 #include "coordinator/plan/plan.h"
 
 #include <cmath>
-#include <set>
 
-#include "coordinator/plan/path_plan.h"
-#include "coordinator/plan/setting.h"
-#include "coordinator/plan/vpl_plan.h"
-#include "coordinator/plan/vpl_settings.h"
+#include "coordinator/film/accumulator.h"
+#include "coordinator/plan/methods.h"
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {
-namespace {
-
-// --set names of all methods: a name that belongs to another method is not an error, so that one command line serves
-// all.
-const std::set<std::string>& known_settings() {
-  static const std::set<std::string> names = {"depth",         "vpl.clamp", "vpl.clusters",       "vpl.compensate",
-                                              "vpl.count",     "vpl.doubt", "vpl.draw",           "vpl.equal_weights",
-                                              "vpl.fuzziness", "vpl.least", "vpl.point_clusters", "vpl.samples",
-                                              "vpl.sets"};
-  return names;
-}
-
-}  // namespace
-
 SceneSummary summarize(const scene::Scene& scene) {
   SceneSummary summary;
   summary.needs = scene::needs_of(scene);
@@ -50,17 +33,12 @@ FrameSettings checked(const FrameSettings& given) {
     throw Error::usage("--spp: expected 1 to 1048576 samples a pixel, found " + std::to_string(settings.spp));
   if (!(settings.target_error >= 0) || !std::isfinite(settings.target_error))
     throw Error::usage("--target-error: expected a number above 0");
-  for (const auto& [key, value] : settings.set)
-    if (!known_settings().contains(key)) {
-      std::string names;
-      for (const std::string& name : known_settings()) names += (names.empty() ? "" : ", ") + name;
-      throw Error::usage("--set " + key + ": no such setting; known: " + names);
-    }
-  settings.depth = whole_setting(settings, "depth", settings.depth, 0, 1u << 30);
-  if (settings.method == "auto") settings.method = "path";
-  if (settings.method != "path" && settings.method != "vpl")
-    throw Error::usage("--method: expected path or vpl, found " + settings.method);
-  if (settings.method == "vpl") make_vpl_settings(settings);
+  rename_old_settings(settings.set);
+  check_set(settings.set);
+  settings.depth = whole_setting(settings, "depth").value_or(settings.depth);
+  const Method& method = method_of(settings.method);
+  settings.method = method.name;
+  if (method.check) method.check(settings);
   return settings;
 }
 
@@ -70,13 +48,13 @@ void check_settings(const FrameSettings& settings, const SceneSummary&) { checke
 
 std::uint64_t predicted_memory(const FrameSettings& given, const SceneSummary&) {
   const FrameSettings settings = checked(given);
-  return settings.method == "vpl" ? VplPlan::memory(settings) : PathPlan::memory(settings);
+  return std::uint64_t{settings.width} * settings.height *
+         (Accumulator::bytes_a_pixel + method_of(settings.method).bytes_a_pixel);
 }
 
 std::unique_ptr<Plan> make_plan(const FrameSettings& given, const SceneSummary& scene) {
   const FrameSettings settings = checked(given);
-  if (settings.method == "vpl") return std::make_unique<VplPlan>(settings, scene);
-  return std::make_unique<PathPlan>(settings, scene);
+  return method_of(settings.method).make(settings, scene);
 }
 
 }  // namespace gleaner::coordinator

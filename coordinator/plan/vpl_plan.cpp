@@ -50,13 +50,6 @@ constexpr double kNoiseFitted = 3.6;
 constexpr int kFirst = 1;
 
 template <typename Parameters>
-Bytes bytes_of(const Parameters& parameters) {
-  Bytes bytes(sizeof parameters);
-  std::memcpy(bytes.data(), &parameters, sizeof parameters);
-  return bytes;
-}
-
-template <typename Parameters>
 Parameters parameters_of(const Bytes& bytes) {
   Parameters parameters;
   std::memcpy(&parameters, bytes.data(), sizeof parameters);
@@ -67,12 +60,6 @@ std::vector<float> floats_of(const Bytes& bytes) {
   std::vector<float> values(bytes.size() / 4);
   std::memcpy(values.data(), bytes.data(), values.size() * 4);
   return values;
-}
-
-std::shared_ptr<const Bytes> bytes_of(const std::vector<float>& values) {
-  auto bytes = std::make_shared<Bytes>(values.size() * 4);
-  std::memcpy(bytes->data(), values.data(), bytes->size());
-  return bytes;
 }
 
 // All that a light's row says of how bright it is.
@@ -135,24 +122,19 @@ VplPlan::Table VplPlan::table_of(std::shared_ptr<const Bytes> bytes) {
   return {id, std::move(bytes)};
 }
 
-// Beside the paths: the sets' sum, its squares, the preview and two sets' records, all RGB.
-std::uint64_t VplPlan::memory(const FrameSettings& settings) {
-  return PathPlan::memory(settings) + std::uint64_t{settings.width} * settings.height * 5 * 3 * sizeof(float);
-}
-
 VplPlan::VplPlan(const FrameSettings& settings, const SceneSummary& scene)
     : settings_(settings),
       scene_(scene),
       vpl_(make_vpl_settings(settings)),
       light_paths_(std::clamp(vpl_.count, 1024u, kMostPaths)),
-      sets_(vpl_.sets) {
+      sets_(vpl_.passes) {
   const std::uint64_t cameras = std::max<std::uint64_t>(2, kWayPointsLimit / std::min(pixels(), points_of_a_camera()));
   if (settings_.way.size() > cameras) settings_.way = way_of(settings_.way, cameras);
   seen_.resize(settings_.way.size());
   point_clusters_ = vpl_.point_clusters;
   sum_.assign(pixels() * 3, 0.0f);
   preview_.assign(pixels() * 3, 0.0f);
-  if (vpl_.sets > 1) square_.assign(pixels() * 3, 0.0f);
+  if (vpl_.passes > 1) square_.assign(pixels() * 3, 0.0f);
 }
 
 StageSpec VplPlan::trace(std::uint32_t set) const {
@@ -203,7 +185,7 @@ std::uint64_t VplPlan::points_of_a_camera() const {
 
 // How many point clusters a way may have.
 std::uint64_t VplPlan::most_way_clusters() const {
-  const std::uint64_t lights = std::uint64_t{vpl_.sets} * (vpl_.clusters ? vpl_.clusters : vpl_.count);
+  const std::uint64_t lights = std::uint64_t{vpl_.passes} * (vpl_.clusters ? vpl_.clusters : vpl_.count);
   const std::uint64_t most =
       std::min({kMostGrowth * vpl_.point_clusters, kMostVisibilityBytes * 8 / lights, kMostPointClusters});
   return std::max<std::uint64_t>(most, vpl_.point_clusters);
@@ -304,7 +286,8 @@ void VplPlan::take_lights(std::uint32_t set, std::vector<float> rows, Step& step
     return;
   }
   ClusterParameters p = cluster_parameters(vpl_.clusters);
-  p.random_representative = vpl_.draw ? static_cast<std::uint32_t>(settings_.seed) * 4096 + set + 1 : 0;
+  p.random_representative =
+      vpl_.random_representative ? static_cast<std::uint32_t>(settings_.seed) * 4096 + set + 1 : 0;
   p.lights = s.kept;
   StageSpec spec = cluster(step, "lights", table_of(bytes_of(rows)), p);
   spec.name = "vpl.cluster." + std::to_string(set);
@@ -422,10 +405,10 @@ void VplPlan::end_pilot(Step& step) {
     wish.count = vpl_.given.count;
     wish.clusters = vpl_.given.clusters;
     wish.point_clusters = vpl_.given.point_clusters;
-    wish.sets = vpl_.given.sets;
-    wish.doubt = vpl_.given.doubt;
+    wish.sets = vpl_.given.passes;
+    wish.doubt = vpl_.given.residual_threshold;
     // As many samples or as small an error: the more must points ask.
-    wish.most_doubt = wish.target > 0 ? 4 * wish.target : vpl_.doubt;
+    wish.most_doubt = wish.target > 0 ? 4 * wish.target : vpl_.residual_threshold;
     if (vpl_.given.clamp) wish.clamp = *vpl_.given.clamp * density_;
     // Between the bounds, as a power of them.
     const PathForecast &low = path_pilots_[0], &high = path_pilots_[1];
@@ -441,9 +424,9 @@ void VplPlan::end_pilot(Step& step) {
     vpl_.count = counts.count;
     vpl_.clusters = counts.clusters;
     vpl_.point_clusters = point_clusters_ = counts.point_clusters;
-    vpl_.sets = counts.sets;
-    vpl_.doubt = counts.doubt;
-    if (!vpl_.given.draw) vpl_.draw = counts.sets > 1;
+    vpl_.passes = counts.sets;
+    vpl_.residual_threshold = counts.doubt;
+    if (!vpl_.given.random_representative) vpl_.random_representative = counts.sets > 1;
     sets_.resize(counts.sets);
     if (counts.sets > 1)
       square_.assign(pixels() * 3, 0.0f);
@@ -577,8 +560,8 @@ bool VplPlan::take(Step paths, Step& step) {
 void VplPlan::begin_paths(Step& step) {
   paths_ = std::make_unique<PathPlan>(
       settings_, scene_,
-      PathPlan::Covered{indirect(), vpl_.compensate ? clamp_ : std::numeric_limits<float>::infinity(),
-                        forecast_ ? forecast_->vpl_mean : 0, forecast_ ? kVplCaution * forecast_->vpl() : 0});
+      PathSampler::Complement{indirect(), vpl_.compensate ? clamp_ : std::numeric_limits<float>::infinity(),
+                              forecast_ ? forecast_->vpl_mean : 0, forecast_ ? kVplCaution * forecast_->vpl() : 0});
   take(paths_->next(nullptr), step);
 }
 
@@ -652,7 +635,7 @@ void VplPlan::ask_visibility(std::uint32_t set, Step& step) {
   p.clusters = s.rows;
   p.point_clusters = point_rows_;
   p.clamp = clamp_;
-  p.cutoff = static_cast<float>(vpl_.least);
+  p.cutoff = static_cast<float>(vpl_.contribution_cutoff);
   StageSpec spec;
   spec.name = "vpl.visibility." + std::to_string(set);
   spec.kind = "vpl_visibility";
@@ -677,7 +660,7 @@ void VplPlan::shade(std::uint32_t set, Step& step) {
   p.fuzziness = vpl_.fuzziness;
   p.equal_weights = vpl_.equal_weights ? 1 : 0;
   p.clamp = clamp_;
-  p.residual_threshold = static_cast<float>(vpl_.doubt);
+  p.residual_threshold = static_cast<float>(vpl_.residual_threshold);
   StageSpec spec;
   spec.name = "vpl.shade." + std::to_string(set);
   spec.kind = "vpl_shade";
@@ -844,10 +827,10 @@ std::string VplPlan::parameters_json() const {
                         {"fuzziness", vpl_.fuzziness},
                         {"equal_weights", vpl_.equal_weights},
                         {"compensate", vpl_.compensate},
-                        {"doubt", vpl_.doubt},
-                        {"least", vpl_.least},
+                        {"residual_threshold", vpl_.residual_threshold},
+                        {"contribution_cutoff", vpl_.contribution_cutoff},
                         {"samples", vpl_.samples},
-                        {"sets", vpl_.sets},
+                        {"passes", vpl_.passes},
                         {"visibility_pairs", asked_}};
   if (std::isfinite(clamp_)) vpl["clamp_per_square_metre"] = clamp_;
   std::vector<std::uint32_t> made, kept, clusters;
@@ -883,7 +866,7 @@ std::vector<std::string> VplPlan::outline() const {
       lines.push_back(
           "vpl.pilot: a few points, lights and paths; from what they tell, the counts below are chosen that "
           "are not set");
-    const std::string sets = vpl_.sets > 1 ? ", for each of " + std::to_string(vpl_.sets) + " sets" : "";
+    const std::string sets = vpl_.passes > 1 ? ", for each of " + std::to_string(vpl_.passes) + " sets" : "";
     lines.push_back("vpl.trace: " + std::to_string(trace(0).items) + " light paths, split" + sets + "; " +
                     std::to_string(vpl_.count) + " VPLs are kept");
     if (vpl_.clusters)
@@ -906,6 +889,20 @@ std::vector<std::string> VplPlan::outline() const {
   }
   for (const std::string& line : PathPlan(settings_, scene_).outline()) lines.push_back(line);
   return lines;
+}
+
+Method vpl_method() {
+  return {
+      .name = "vpl",
+      .help =
+          "Virtual point lights (VPLs) with fuzzy clusters, explained in docs/explanation/vpl.md. * A pilot chooses "
+          "what is not set, for --spp or --target-error, unless vpl.count, vpl.clusters and vpl.point_clusters "
+          "are all set.",
+      .make = make_plan_of<VplPlan>,
+      // Beside the paths: the passes' sum, its squares, the preview and two passes' records, all RGB.
+      .bytes_a_pixel = kPathBytesAPixel + 5 * 3 * sizeof(float),
+      .check = [](const FrameSettings& settings) { make_vpl_settings(settings); },
+      .settings = vpl_setting_rules()};
 }
 
 }  // namespace gleaner::coordinator

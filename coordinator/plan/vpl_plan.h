@@ -32,9 +32,6 @@ class VplPlan final : public Plan {
  public:
   VplPlan(const FrameSettings& settings, const SceneSummary& scene);
 
-  // As PathPlan::memory().
-  static std::uint64_t memory(const FrameSettings& settings);
-
   Step next(const FinishedStage* finished) override;
   bool conclude(const std::vector<CutStage>& cut) override;
   void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override;
@@ -126,5 +123,7 @@ class VplPlan final : public Plan {
   std::vector<float> sum_, square_;  // a pixel's RGB over the shaded sets
   std::vector<float> preview_;       // of the set that is being shaded
 };
+
+Method vpl_method();
 
 }  // namespace gleaner::coordinator

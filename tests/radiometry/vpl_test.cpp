@@ -127,7 +127,7 @@ class VplMeetsPath : public testing::TestWithParam<Meeting> {};
 TEST_P(VplMeetsPath, WithoutClusters) {
   const Meeting& p = GetParam();
   Frame vpl = frame_of(p.scene, {}, p.camera, 24, 16,
-                       {{"vpl.count", "400"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}, {"vpl.sets", "2"}});
+                       {{"vpl.count", "400"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}, {"vpl.passes", "2"}});
   Frame path = vpl;
   path.settings.method = "path";
   path.settings.spp = 256;
@@ -165,7 +165,7 @@ std::shared_ptr<const Scene> rough_boxes() {
 
 TEST(Vpl, RoughLobesMeetThePathTracer) {
   Frame vpl = frame_of("cornell-glossy", {}, {}, 24, 16,
-                       {{"vpl.count", "400"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}, {"vpl.sets", "2"}});
+                       {{"vpl.count", "400"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}, {"vpl.passes", "2"}});
   vpl.scene = rough_boxes();
   Frame path = vpl;
   path.settings.method = "path";
@@ -212,7 +212,7 @@ TEST(Vpl, ClustersLightRoughLobes) {
   frame.scene = rough_boxes();
   const auto exact = render(frame).records.at("vpl.shade.0");
   frame.settings.set["vpl.point_clusters"] = "100";
-  frame.settings.set["vpl.doubt"] = "0.0001";
+  frame.settings.set["vpl.residual_threshold"] = "0.0001";
   const auto asked = render(frame).records.at("vpl.shade.0");
   frame.settings.set["vpl.clusters"] = "200";
   const auto clustered = render(frame).records.at("vpl.shade.0");
@@ -253,7 +253,7 @@ TEST(Vpl, DarkRoomsStayDark) {
 TEST(Vpl, AsManyClustersAsPointsAreAllPairs) {
   const Settings pairs = {{"vpl.count", "200"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}};
   const Settings clusters = {
-      {"vpl.count", "200"}, {"vpl.clusters", "200"}, {"vpl.point_clusters", "1024"}, {"vpl.least", "0"}};
+      {"vpl.count", "200"}, {"vpl.clusters", "200"}, {"vpl.point_clusters", "1024"}, {"vpl.contribution_cutoff", "0"}};
   for (const char* scene : {"cornell-box", "cornell-glossy", "cornell-glass"}) {
     const Rendered a = render(frame_of(scene, {}, {}, 32, 1, pairs)),
                    b = render(frame_of(scene, {}, {}, 32, 1, clusters));
@@ -290,7 +290,7 @@ TEST(Vpl, DoubtsAreSettled) {
   std::vector<double> errors;
   for (const char* doubt : {"0", "0.02", "0.001"}) {
     Settings set = base;
-    set["vpl.doubt"] = doubt;
+    set["vpl.residual_threshold"] = doubt;
     const auto shaded = render(frame_of("cornell-box", {}, {}, 32, 1, set)).records.at("vpl.shade.0");
     double square = 0, mean = 0;
     for (std::size_t i = 0; i < exact.size(); ++i) {
@@ -312,8 +312,8 @@ TEST(Vpl, PairsThatCarryNextToNothingAreNotAsked) {
                                           {{"vpl.count", "960"},
                                            {"vpl.clusters", "0"},
                                            {"vpl.point_clusters", "60"},
-                                           {"vpl.doubt", "0"},
-                                           {"vpl.least", least}}));
+                                           {"vpl.residual_threshold", "0"},
+                                           {"vpl.contribution_cutoff", least}}));
     VisibilityParameters p;
     const worker::StageTask& task = made.tasks.at("vpl.visibility.0");
     std::memcpy(&p, task.parameters.data(), sizeof p);
@@ -377,7 +377,7 @@ TEST(Vpl, ErrorFallsWithMoreLights) {
                               {"vpl.point_clusters", "0"},
                               {"vpl.samples", "64"},
                               {"vpl.clamp", "1"},
-                              {"vpl.sets", "1"}});
+                              {"vpl.passes", "1"}});
       frame.settings.seed = seed;
       const Film film = render(frame).film;
       for (const char* channel : {"indirect.R", "indirect.G", "indirect.B"})
@@ -446,7 +446,8 @@ TEST(Vpl, ForecastIsNearWhatTheLightsLeave) {
   double measured = 0, foreseen = 0;
   for (const std::uint64_t seed : {1, 2, 3}) {
     frame.settings.seed = seed;
-    frame.settings.set = {{"vpl.sets", "1"}, {"vpl.clusters", "384"}, {"vpl.count", "4000"}, {"vpl.doubt", "0.2"}};
+    frame.settings.set = {
+        {"vpl.passes", "1"}, {"vpl.clusters", "384"}, {"vpl.count", "4000"}, {"vpl.residual_threshold", "0.2"}};
     const Rendered made = render(frame);
     measured += squared_difference(made.film, truth, "indirect.") / (whole * whole) / 3;
     foreseen += std::pow(made.forecast, 2) / 3;
@@ -602,7 +603,7 @@ std::vector<Frame> move(const char* scene, float step, bool way) {
                               {{"vpl.count", "200"},
                                {"vpl.clusters", "0"},
                                {"vpl.point_clusters", "80"},
-                               {"vpl.doubt", "0"},
+                               {"vpl.residual_threshold", "0"},
                                {"vpl.compensate", "0"}}));
     frames.back().settings.camera.origin[0] += step * static_cast<float>(k);
     cameras.push_back(frames.back().settings.camera);

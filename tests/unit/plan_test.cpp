@@ -6,12 +6,12 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <set>
 
 #include "coordinator/plan/allocation.h"
-#include "coordinator/plan/path_film.h"
 #include "scene/library/library.h"
 #include "scene/model/error.h"
 #include "tests/radiometry/statistics.h"
@@ -386,6 +386,48 @@ TEST(Allocation, IsExactAndNearlyBest) {
     }
     EXPECT_LE(error(more), error(best) * 1.002) << "seed " << seed << ", " << n << " pixels, " << extra << " chunks";
   }
+}
+
+// Emission of 1e25 is legal, and its square no float.
+TEST(PathPlan, VeryBrightLightIsNoTrap) {
+  for (const double brightness : {1e-12, 1.0, 1e19, 1e25, 1e34}) {
+    Truth truth;
+    truth.mean.assign(48, brightness);
+    truth.sample = [brightness](std::uint32_t pixel, double u) { return brightness * (pixel % 5 ? 1.0 : 2 * u); };
+    PlannedFrame frame(settings(8, 6, 24), truth);
+    frame.run();
+    EXPECT_EQ(frame.samples(), 48u * 24) << brightness;
+    const Film film = frame.plan().film();
+    for (const float value : film.find("R")->values) {
+      EXPECT_GT(value, 0.3 * brightness);
+      EXPECT_LT(value, 2 * brightness);
+    }
+  }
+}
+
+TEST(PathPlan, RefusesRecordsThatAreNotFinite) {
+  const Truth truth = uneven(12);
+  for (const float bad : {std::numeric_limits<float>::infinity(), std::nanf("")}) {
+    PlannedFrame frame(settings(4, 3, 16), truth);
+    const FinishedStage good = frame.finish(frame.plan().next(nullptr));
+    auto records = std::make_shared<Bytes>(*good.records);
+    std::memcpy(records->data() + 7 * sizeof(kernels::PathFeatureRecord) + 4, &bad, sizeof bad);
+    const FinishedStage finished{good.name, records, 0, {}};
+    try {
+      frame.plan().next(&finished);
+      ADD_FAILURE() << "accepted " << bad;
+    } catch (const Error& error) {
+      EXPECT_THAT(error.what(), ::testing::HasSubstr("stage path.0, item 7: "));
+    }
+  }
+}
+
+TEST(Allocation, RefusesWhatIsNoVariance) {
+  for (const float bad : {std::numeric_limits<float>::infinity(), std::nanf(""), -1.0f})
+    EXPECT_THROW(allocate_chunks({1, bad, 2}, {2, 2, 2}, 10), Error) << bad;
+  // The widest range that floats have.
+  const auto more = allocate_chunks({1e-38f, 3e38f, 1e-38f}, {2, 2, 2}, 10);
+  EXPECT_EQ(more, (std::vector<std::uint32_t>{0, 10, 0}));
 }
 
 TEST(Allocation, NothingNoisyIsServedEvenly) {

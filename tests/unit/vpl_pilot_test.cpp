@@ -402,7 +402,7 @@ TEST(VplPlan, PilotDoesNotDependOnWhatEndsFirst) {
   std::map<std::string, Asked> first;
   std::string parameters;
   for (const std::uint64_t turn : {1, 2, 3, 4, 5, 6, 7, 8}) {
-    VplFrame frame(frame_settings({{"vpl.sets", "2"}}), turn);
+    VplFrame frame(frame_settings({{"vpl.passes", "2"}}), turn);
     frame.run();
     ASSERT_TRUE(frame.stages.contains("vpl.pilot.visibility"));
     if (first.empty()) {

@@ -376,7 +376,7 @@ TEST(VplWay, ClustersGrowWithWhatIsSeen) {
   EXPECT_NEAR(static_cast<double>(clusters(cameras_along(5, 0.75f))), 2 * 128, 0.3 * 128);
   EXPECT_EQ(clusters(cameras_along(32, 100)), 16u * 128);
   // A bit for each light: 2^30 bits in all sets are enough.
-  EXPECT_EQ(clusters(cameras_along(8, 100), {{"vpl.sets", "4096"}, {"vpl.clusters", "512"}, {"vpl.count", "600"}}),
+  EXPECT_EQ(clusters(cameras_along(8, 100), {{"vpl.passes", "4096"}, {"vpl.clusters", "512"}, {"vpl.count", "600"}}),
             512u);
 }
 

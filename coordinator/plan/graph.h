@@ -1,0 +1,178 @@
+#pragma once
+// A plan as a graph. Stages are added with their parameters and the artifacts they read; continuations run when the
+// stages they wait for have finished. Nothing depends on the order in which stages finish. Pure: no clock, no threads.
+//
+//   auto lights = graph.add({.name = "lights", .kind = "trace", .items = n, .output = {...}}, parameters);
+//   auto order = graph.add({.name = "order", ...}, OrderParameters{...}, {{"lights", lights}});
+//   graph.when({order}, [=, this] { shade(order.facts<OrderFacts>().rows, order); });
+//   Step step = graph.take_step();  // to the farm; what comes back goes to finish()
+
+#include <cstddef>
+#include <cstring>
+#include <functional>
+#include <map>
+#include <memory>
+#include <set>
+#include <span>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "coordinator/film/accumulator.h"
+#include "coordinator/plan/plan.h"
+#include "coordinator/plan/stage.h"
+
+namespace gleaner::coordinator {
+
+template <typename Struct>
+Bytes bytes_of(const Struct& value) {
+  static_assert(std::is_trivially_copyable_v<Struct>);
+  Bytes bytes(sizeof value);
+  std::memcpy(bytes.data(), &value, sizeof value);
+  return bytes;
+}
+
+template <typename Value>
+std::shared_ptr<const Bytes> bytes_of(const std::vector<Value>& values) {
+  static_assert(std::is_trivially_copyable_v<Value>);
+  auto bytes = std::make_shared<Bytes>(values.size() * sizeof(Value));
+  if (!values.empty()) std::memcpy(bytes->data(), values.data(), bytes->size());
+  return bytes;
+}
+
+class Graph {
+  struct Node;
+
+ public:
+  // A stage's output, or data of the plan's own. Copies name the same artifact. It is released once no copy exists and
+  // every stage that reads it has finished.
+  class Artifact {
+   public:
+    Artifact() = default;
+    explicit operator bool() const { return node_ != nullptr; }
+    const ArtifactId& id() const;
+    const std::string& stage() const;  // name of the stage that makes it; empty: data
+    bool finished() const;             // data always is
+
+    // Of a finished stage. Each throws Error::failed, naming the stage, where there is no such thing.
+    const Bytes& records() const;  // collected ones
+    std::shared_ptr<const Bytes> shared_records() const;
+    std::uint64_t record_count() const;
+    template <typename Facts>
+    Facts facts() const {
+      Facts facts;
+      read_facts(std::as_writable_bytes(std::span(&facts, 1)));
+      return facts;
+    }
+
+   private:
+    friend class Graph;
+    explicit Artifact(std::shared_ptr<Node> node) : node_(std::move(node)) {}
+    const FinishedStage& result() const;
+    void read_facts(std::span<std::byte> to) const;
+    std::shared_ptr<Node> node_;
+  };
+
+  struct Input {
+    std::string name;  // what the stage program calls it
+    Artifact artifact;
+    Extent extent = Extent::whole;
+  };
+
+  using Continuation = std::function<void()>;
+  // Records of items [first, first + count).
+  using RecordCall = std::function<void(std::uint64_t first, std::uint64_t count, const Bytes& records)>;
+
+  // `scene_blob`: id of the scene's blob, a part of every output's name.
+  explicit Graph(std::string scene_blob);
+  Graph(const Graph&) = delete;
+  Graph& operator=(const Graph&) = delete;
+  ~Graph();
+
+  Artifact data(std::shared_ptr<const Bytes> bytes);
+  template <typename Value>
+  Artifact data(const std::vector<Value>& values) {
+    return data(bytes_of(values));
+  }
+
+  // Asks for a stage: now, or as soon as all of its inputs exist. `stage` comes without parameters and inputs. Throws
+  // Error::failed where the frame had a stage of that name.
+  template <typename Parameters>
+  Artifact add(StageSpec stage, const Parameters& parameters, std::vector<Input> inputs = {}) {
+    stage.parameters = bytes_of(parameters);
+    return add_stage(std::move(stage), std::move(inputs));
+  }
+
+  // Something that the plan itself makes happen: it finishes when it is announced, once.
+  Artifact event();
+  void announce(const Artifact& event);
+
+  // `then` runs once, when all of these have finished; at the latest before the next step is taken.
+  void when(std::vector<Artifact> all, Continuation then);
+  // `call` gets every record of the stage once, before a continuation that waits for it: streamed ones as they arrive,
+  // in item order; collected ones all at once.
+  void on_records(const Artifact& stage, RecordCall call);
+  // `call` gets batches of a running stage as they arrive, in any order: for the live preview.
+  void on_preview(const Artifact& stage, RecordCall call);
+
+  // Throws Error::failed for a stage that was not asked for, that finished before, or whose records are not as many as
+  // it has.
+  void finish(const FinishedStage& finished);
+  void take(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records);
+  // What does not fit a running stage is passed over.
+  void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) const;
+  // What was asked for, provided and released since the last call.
+  Step take_step();
+  // Stages that were handed out and have not finished.
+  std::size_t running() const { return running_.size(); }
+
+ private:
+  struct Life;
+  struct Waiting;
+
+  Artifact add_stage(StageSpec stage, std::vector<Input> inputs);
+  std::shared_ptr<Life> life_of(const ArtifactId& id);
+  Node& running_stage(const std::string& name) const;
+  void hand_out(const std::shared_ptr<Node>& node);
+  void run_continuations();
+
+  std::string scene_blob_;
+  Step step_;
+  std::shared_ptr<std::vector<ArtifactId>> released_;
+  std::map<ArtifactId, std::weak_ptr<Life>> lives_;
+  std::set<std::string> names_;
+  std::map<std::string, std::shared_ptr<Node>> running_;
+  std::vector<std::shared_ptr<Node>> waiting_stages_;  // for their inputs, in the order in which they were added
+  std::vector<Waiting> waiting_;
+};
+
+// A plan that is a graph, and what its records add up to: the base of the methods' plans.
+class GraphPlan : public Plan {
+ public:
+  Step next(const FinishedStage* finished) final;
+  void take(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) final {
+    graph_.take(stage, first, count, records);
+  }
+  void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) final {
+    graph_.preview(stage, first, count, records);
+  }
+  Film preview_film() const final { return film_.preview(); }
+  Film film() const final { return film_.film(); }
+  std::vector<Skip> skips() const override { return skips_; }
+
+ protected:
+  GraphPlan(const FrameSettings& settings, const SceneSummary& scene)
+      : graph_(scene.blob), film_(settings.width, settings.height) {}
+  virtual void begin() = 0;       // asks for the first stages
+  virtual bool done() const = 0;  // the film is whole
+
+  Graph graph_;
+  Accumulator film_;
+  std::vector<Skip> skips_;
+};
+
+// The cut stage that makes `artifact`, or null.
+const CutStage* find_cut(const std::vector<CutStage>& cut, const Graph::Artifact& artifact);
+
+}  // namespace gleaner::coordinator

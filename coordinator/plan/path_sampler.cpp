@@ -1,0 +1,283 @@
+#include "coordinator/plan/path_sampler.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <nlohmann/json.hpp>
+
+#include "coordinator/plan/allocation.h"
+#include "scene/model/error.h"
+
+namespace gleaner::coordinator {
+namespace {
+
+using kernels::PathFeatureRecord;
+using kernels::PathItem;
+using kernels::PathParameters;
+using kernels::PathRecord;
+
+// Where only a target error is given, samples may grow to this a pixel before the frame gives up.
+constexpr std::uint64_t kMostSamplesForTarget = 1u << 16;
+// A stage's records and list stay below a gigabyte, however many samples are wanted.
+constexpr std::uint64_t kMostItems = std::uint64_t{1} << 25;
+// Neighbours asked about a pixel's noise: half of (2 r + 1)^2, two chunks each. Fewer would make the counts themselves
+// noisy.
+constexpr int kNoiseRadius = 3;
+
+// The budget in quarters: two chunks for every pixel first (the least that shows a variance), then as the noise asks.
+std::uint32_t chunk_samples(std::uint32_t spp) {
+  return std::clamp<std::uint32_t>(std::bit_floor(std::max(1u, spp / 4)), 1, GLEANER_PATH_MAX_ITEM_SAMPLES);
+}
+
+// One item's record, of which some words may be missing: those stay 0.
+struct Sums {
+  PathFeatureRecord record{};
+  float clamped[3] = {};
+};
+
+Sums read_sums(const std::byte* at, bool features, bool complement) {
+  Sums sums;
+  const std::size_t bytes = features ? sizeof(PathFeatureRecord) : sizeof(PathRecord);
+  std::memcpy(&sums.record, at, bytes);
+  if (complement) std::memcpy(sums.clamped, at + bytes, sizeof sums.clamped);
+  return sums;
+}
+
+bool finite(const Sums& sums) {
+  float words[sizeof sums / 4];
+  std::memcpy(words, &sums, sizeof sums);
+  return std::ranges::all_of(words, [](float word) { return std::isfinite(word); });
+}
+
+}  // namespace
+
+PathSampler::PathSampler(Graph& graph, Accumulator& film, const FrameSettings& settings)
+    : graph_(graph),
+      film_(film),
+      settings_(settings),
+      chunk_samples_(chunk_samples(settings.spp)),
+      first_chunks_(std::min<std::uint32_t>(2, settings.spp / chunk_samples_)) {
+  if (settings.target_error > 0) {
+    chunk_samples_ = 16;
+    first_chunks_ = 2;
+  }
+}
+
+std::uint64_t PathSampler::budget() const {
+  return pixels() * (settings_.target_error > 0 ? kMostSamplesForTarget : settings_.spp);
+}
+
+std::uint32_t PathSampler::samples_of(const Asked& asked, std::uint64_t item) const {
+  return item + 1 == asked.items ? asked.last_item_samples : chunk_samples_;
+}
+
+std::uint64_t PathSampler::samples_of(const Asked& asked, const ItemRange& range) const {
+  const bool last = range.count > 0 && range.first + range.count == asked.items;
+  return range.count * chunk_samples_ - (last ? chunk_samples_ - asked.last_item_samples : 0);
+}
+
+std::size_t PathSampler::record_bytes(const Asked& asked) const {
+  return (asked.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord)) + (complement_.complement ? 12 : 0);
+}
+
+PathItem PathSampler::item_of(const Asked& asked, std::uint64_t item) const {
+  if (!asked.list) return {static_cast<std::uint32_t>(item % pixels()), static_cast<std::uint32_t>(item / pixels())};
+  PathItem entry;
+  std::memcpy(&entry, asked.list->data() + item * sizeof entry, sizeof entry);
+  return entry;
+}
+
+void PathSampler::begin(const Complement& complement) {
+  complement_ = complement;
+  used_chunks_.assign(pixels(), first_chunks_);
+  ask({.artifact = {}, .items = pixels() * first_chunks_, .features = true, .last_item_samples = chunk_samples_});
+}
+
+void PathSampler::ask(Asked asked) {
+  PathParameters p{};
+  p.camera = settings_.camera;
+  p.width = settings_.width;
+  p.height = settings_.height;
+  p.samples_per_item = chunk_samples_;
+  p.last_item_samples = asked.last_item_samples;
+  p.depth = settings_.depth;
+  p.seed_low = static_cast<std::uint32_t>(settings_.seed);
+  p.seed_high = static_cast<std::uint32_t>(settings_.seed >> 32);
+  p.features = asked.features ? 1 : 0;
+  p.items_low = static_cast<std::uint32_t>(asked.items);
+  p.items_high = static_cast<std::uint32_t>(asked.items >> 32);
+  p.covered = complement_.complement ? 1 : 0;
+  p.clamp = complement_.clamp;
+  StageSpec spec;
+  spec.name = "path." + std::to_string(stages_.size());
+  spec.kind = "path";
+  spec.items = asked.items;
+  // 16 paths are one packet: what shares a packet must not depend on where batches are cut.
+  spec.tile = std::max(1u, 16 / chunk_samples_);
+  spec.work = static_cast<double>(samples_of(asked, {0, asked.items}));
+  spec.output.record_bytes = static_cast<std::uint32_t>(record_bytes(asked));
+  std::vector<Graph::Input> inputs;
+  if (asked.list) inputs.push_back({"items", graph_.data(asked.list), Extent::whole});
+  asked.artifact = graph_.add(std::move(spec), p, std::move(inputs));
+  graph_.on_preview(asked.artifact,
+                    [this](auto first, auto count, const Bytes& records) { draw(first, count, records); });
+  graph_.on_records(asked.artifact,
+                    [this](auto first, auto count, const Bytes& records) { absorb(first, count, records); });
+  graph_.when({asked.artifact}, [this] { continue_or_end(); });
+  spent_ += samples_of(asked, {0, asked.items});
+  stages_.push_back(std::move(asked));
+}
+
+// A stage of so many samples, given out by the noise seen so far.
+void PathSampler::spend(std::uint64_t samples) {
+  samples = std::min(samples, kMostItems * chunk_samples_);
+  const std::uint64_t whole = samples / chunk_samples_;
+  const auto rest = static_cast<std::uint32_t>(samples % chunk_samples_);
+  const std::uint64_t items = whole + (rest ? 1 : 0);
+  PixelNoise noise = film_.noise();
+  noise.chunk_samples = static_cast<float>(chunk_samples_);
+  const std::vector<std::uint32_t> more = allocate_by_noise(noise, used_chunks_, items, kNoiseRadius);
+  auto list = std::make_shared<Bytes>(items * sizeof(PathItem));
+  auto* item = reinterpret_cast<PathItem*>(list->data());
+  for (std::uint32_t pixel = 0; pixel < more.size(); ++pixel)
+    for (std::uint32_t k = 0; k < more[pixel]; ++k) *item++ = {pixel, used_chunks_[pixel]++};
+  ask({.artifact = {},
+       .items = items,
+       .features = false,
+       .last_item_samples = rest ? rest : chunk_samples_,
+       .list = std::move(list)});
+}
+
+// Adds `count` records, those of items from `first` on, to the film; the first lies `skip` records into the bytes.
+void PathSampler::absorb(std::uint64_t first, std::uint64_t count, const Bytes& records, std::uint64_t skip) {
+  const Asked& asked = stages_.back();
+  const std::size_t stride = record_bytes(asked);
+  for (std::uint64_t k = 0; k < count; ++k) {
+    const Sums sums = read_sums(records.data() + (skip + k) * stride, asked.features, complement_.complement);
+    if (!finite(sums))
+      throw Error::failed("stage " + asked.artifact.stage() + ", item " + std::to_string(first + k) +
+                          ": a sum that is not finite");
+    const std::uint32_t samples = samples_of(asked, first + k);
+    const PathItem item = item_of(asked, first + k);
+    const PathFeatureRecord& r = sums.record;
+    film_.add(item.pixel, item.chunk, r.direct, r.indirect, samples, samples == chunk_samples_);
+    if (asked.features)
+      film_.add_features(
+          item.pixel,
+          {{r.albedo[0], r.albedo[1], r.albedo[2]}, {r.normal[0], r.normal[1], r.normal[2]}, r.depth, r.hits}, samples);
+    if (complement_.complement) film_.add_clamped(item.pixel, sums.clamped);
+  }
+}
+
+void PathSampler::draw(std::uint64_t first, std::uint64_t count, const Bytes& records) {
+  const Asked& asked = stages_.back();
+  for (std::uint64_t k = 0; k < count; ++k) {
+    PathRecord record;
+    std::memcpy(&record, records.data() + k * record_bytes(asked), sizeof record);
+    film_.draw_samples(item_of(asked, first + k).pixel, record.direct, record.indirect, samples_of(asked, first + k));
+  }
+}
+
+// Samples that the target error still asks for; 0: it is met.
+std::uint64_t PathSampler::wanted_for_target() {
+  const double error = std::sqrt(film_.squared_error_bound());
+  // A black picture has no mean to be relative to.
+  const double mean = film_.mean_radiance() + complement_.mean, whole = mean > 0 ? mean : 1;
+  // Whatever the VPLs are off by, samples are not asked for more than four times what they would be alone.
+  const double target = std::pow(settings_.target_error * whole, 2);
+  const double share = std::sqrt(std::max(target - complement_.squared_error, 0.25 * target) / target);
+  const double relative = error / (whole * share);
+  if (!(relative > settings_.target_error)) return 0;
+  // Error falls as one over the root of the samples; the estimate is noisy, so no stage more than trebles them.
+  const double factor = std::clamp(std::pow(relative / settings_.target_error, 2) * 1.05, 1.1, 4.0);
+  return std::max<std::uint64_t>(static_cast<std::uint64_t>(static_cast<double>(spent_) * (factor - 1)),
+                                 chunk_samples_);
+}
+
+void PathSampler::continue_or_end() {
+  // Lists are large, and needed no more.
+  stages_.back().list.reset();
+  const std::uint64_t left = budget() - spent_;
+  if (settings_.target_error > 0) {
+    const std::uint64_t wanted = wanted_for_target();
+    done_ = wanted == 0 || left == 0;
+    if (wanted > 0 && left == 0)
+      warnings_.push_back("the target error was not reached with " + std::to_string(kMostSamplesForTarget) +
+                          " samples a pixel, the most that are taken for one");
+    if (!done_) spend(std::min(wanted, left));
+    return;
+  }
+  done_ = left == 0;
+  if (done_) return;
+  // A first look at two chunks is a noisy guide for a long way: half now, and the rest once more is known. Not for a
+  // few chunks: each stage ends with workers waiting for the last.
+  const bool halves = stages_.size() == 1 && left >= pixels() * chunk_samples_ * 2;
+  spend(halves ? left / 2 : left);
+}
+
+bool PathSampler::conclude(const std::vector<CutStage>& cut, std::vector<Skip>& skips) {
+  if (done_) return true;
+  // The first stage gives every pixel its first samples: before it is whole there are holes.
+  if (stages_.size() < 2) return false;
+  const Asked& asked = stages_.back();
+  std::uint64_t taken = 0;
+  if (const CutStage* part = find_cut(cut, asked.artifact))
+    for (const ItemRange& range : part->whole) {
+      // Streamed records have been taken as they came.
+      if (part->stage.records) absorb(range.first, range.count, *part->stage.records, range.first);
+      taken += samples_of(asked, range);
+    }
+  spent_ -= samples_of(asked, {0, asked.items}) - taken;
+  stages_.back().list.reset();
+  skips.push_back({"samples", "the time limit ended the frame", budget() - spent_});
+  return done_ = true;
+}
+
+double PathSampler::predicted_work() const {
+  if (settings_.target_error > 0 || done_) return 0;
+  return static_cast<double>(budget() - std::min(budget(), spent_));
+}
+
+nlohmann::json PathSampler::parameters() const {
+  nlohmann::json json = {{"spp", settings_.spp},          {"depth", settings_.depth},
+                         {"seed", settings_.seed},        {"samples_per_chunk", chunk_samples_},
+                         {"first_chunks", first_chunks_}, {"samples", spent_}};
+  if (settings_.target_error > 0) json["target_error"] = settings_.target_error;
+  return json;
+}
+
+std::vector<std::string> PathSampler::outline() const {
+  std::vector<std::string> lines;
+  const std::uint64_t first = pixels() * first_chunks_;
+  lines.push_back("path.0: " + std::to_string(first) +
+                  " items, split: " + std::to_string(first_chunks_ * chunk_samples_) +
+                  " samples in every pixel, with albedo, normal and depth");
+  if (settings_.target_error > 0)
+    lines.push_back("path.1 and on: split: samples where the noise is, until its estimate is below " +
+                    std::to_string(settings_.target_error) + " of the mean radiance");
+  else if (const std::uint64_t rest = budget() - std::min(budget(), first * chunk_samples_))
+    lines.push_back("path.1 and on: split: " + std::to_string(rest) + " samples where the noise is");
+  return lines;
+}
+
+std::vector<Skip> path_skips(const scene::SceneNeeds& n) {
+  std::vector<Skip> skips;
+  const auto skip = [&](bool needed, const char* what, const char* why) {
+    if (!needed) skips.push_back({what, why, 1});
+  };
+  skip(n.specular || n.glossy || n.metallic, "specular lobe", "no material has one");
+  skip(n.transmissive, "transmission", "no material lets light through");
+  skip(n.attenuation, "absorption in solids", "no solid absorbs");
+  skip(n.alpha, "alpha tests", "every surface is opaque");
+  skip(n.unlit, "unlit surfaces", "no material is unlit");
+  skip(n.textures, "texture lookups", "no material has a texture");
+  skip(n.normal_maps, "normal maps", "no material has one");
+  skip(n.smooth_normals, "interpolated normals", "every triangle is flat");
+  skip(n.emissive_triangles, "light samples on triangles", "no triangle emits");
+  skip(n.punctual_lights, "punctual lights", "the scene has none");
+  skip(n.environment, "environment light", "the scene has none");
+  return skips;
+}
+
+}  // namespace gleaner::coordinator

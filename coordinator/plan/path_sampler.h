@@ -1,0 +1,84 @@
+#pragma once
+// Camera paths of a frame, as stages of a graph: a first stage gives every pixel a few chunks of samples; the next ones
+// go where the error is. Method `path` is this alone; others take from it the light that they do not carry.
+
+#include <cstdint>
+#include <memory>
+#include <nlohmann/json_fwd.hpp>
+#include <string>
+#include <vector>
+
+#include "coordinator/film/accumulator.h"
+#include "coordinator/plan/graph.h"
+#include "kernels/path_records.h"
+
+namespace gleaner::coordinator {
+
+class PathSampler {
+ public:
+  // Part of a method whose virtual point lights (VPLs) carry what one non-specular surface sends straight to the next:
+  // paths bring the rest, and compensate the bounded geometry term.
+  struct Complement {
+    bool complement = false;
+    float clamp = 0;  // bound of the geometry term, 1/m^2; infinity: none
+    // What the VPLs are predicted to add to the picture: mean radiance, and squared error (a mean over pixels and
+    // channels), for which the samples have to leave room where a target error is given.
+    double mean = 0, squared_error = 0;
+  };
+
+  PathSampler(Graph& graph, Accumulator& film, const FrameSettings& settings);
+
+  void begin(const Complement& complement);
+  bool begun() const { return !stages_.empty(); }
+  bool done() const { return done_; }
+  // Takes what there is of a stage that is cut. False: some pixels have no sample yet, and nothing has changed.
+  bool conclude(const std::vector<CutStage>& cut, std::vector<Skip>& skips);
+
+  nlohmann::json parameters() const;
+  std::vector<std::string> outline() const;
+  std::vector<std::string> warnings() const { return warnings_; }
+  double predicted_work() const;  // of what is still to be asked for, in samples
+
+ private:
+  // A stage that was asked for: which pixel and chunk each of its items is.
+  struct Asked {
+    Graph::Artifact artifact;
+    std::uint64_t items = 0;
+    bool features = false;
+    std::uint32_t last_item_samples = 0;
+    std::shared_ptr<const Bytes> list{};  // PathItem each; null: pixel = item % pixels
+  };
+
+  std::uint64_t pixels() const { return std::uint64_t{settings_.width} * settings_.height; }
+  std::uint64_t budget() const;  // samples in all, at most
+  std::uint32_t samples_of(const Asked& asked, std::uint64_t item) const;
+  std::uint64_t samples_of(const Asked& asked, const ItemRange& range) const;
+  std::size_t record_bytes(const Asked& asked) const;
+  kernels::PathItem item_of(const Asked& asked, std::uint64_t item) const;
+  void ask(Asked asked);
+  void spend(std::uint64_t samples);
+  void absorb(std::uint64_t first, std::uint64_t count, const Bytes& records, std::uint64_t skip = 0);
+  void draw(std::uint64_t first, std::uint64_t count, const Bytes& records);
+  void continue_or_end();
+  std::uint64_t wanted_for_target();
+
+  Graph& graph_;
+  Accumulator& film_;
+  FrameSettings settings_;
+  Complement complement_;
+  std::uint32_t chunk_samples_ = 1, first_chunks_ = 1;
+  std::vector<std::uint32_t> used_chunks_;  // chunks handed out a pixel, the short last one included
+  std::uint64_t spent_ = 0;                 // samples asked for so far
+  std::vector<Asked> stages_;               // the last one runs
+  std::vector<std::string> warnings_;
+  bool done_ = false;
+};
+
+// What a plan with a sampler holds a pixel, beside its film: the records of the largest stage (the first, two chunks a
+// pixel), and how many chunks were handed out.
+inline constexpr std::uint64_t kPathBytesAPixel = 2 * (sizeof(kernels::PathFeatureRecord) + 12) + 4;
+
+// What a path tracer leaves out where the scene does not need it.
+std::vector<Skip> path_skips(const scene::SceneNeeds& needs);
+
+}  // namespace gleaner::coordinator
