@@ -472,7 +472,8 @@ TEST(Vpl, ClustersCarryTheirMembersLight) {
   const auto luminance = [](const std::array<double, 3>& c) { return 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2]; };
   const auto& traced = made.records.at("vpl.trace.0");
   const double paths = static_cast<double>(traced.size() / (VPL_WORDS * VPL_PATH_SLOTS));
-  const auto& bytes = *made.tasks.at("vpl.cluster.0").inputs.at("lights").load();
+  const auto held = made.tasks.at("vpl.cluster.0").inputs.at("lights").load();
+  const auto& bytes = *held;
   std::vector<float> kept(bytes.size() / 4);
   std::memcpy(kept.data(), bytes.data(), bytes.size());
   const auto& records = made.records.at("vpl.cluster.0");
@@ -504,7 +505,8 @@ TEST(Vpl, ClustersCarryTheirMembersLight) {
 // However long light paths are, none of what they leave stands for so much that it lights a spot.
 TEST(Vpl, NoLightOutshinesTheOthers) {
   const Rendered made = render(frame_of("furnace", {{"albedo", "0.95"}}, {}, 16, 1, {{"vpl.count", "4000"}}));
-  const auto& bytes = *made.tasks.at("vpl.cluster.0").inputs.at("lights").load();
+  const auto held = made.tasks.at("vpl.cluster.0").inputs.at("lights").load();
+  const auto& bytes = *held;
   std::vector<float> lights(bytes.size() / 4);
   std::memcpy(lights.data(), bytes.data(), bytes.size());
   double sum = 0, most = 0;
