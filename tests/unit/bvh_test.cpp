@@ -13,6 +13,7 @@
 
 #include "scene/bvh/build.h"
 #include "scene/library/library.h"
+#include "scene/model/limits.h"
 
 namespace gleaner::scene {
 namespace {
@@ -130,7 +131,7 @@ Shape check(const Scene& scene, const Bvh& bvh, const std::vector<std::uint32_t>
   std::sort(found.begin(), found.end());
   EXPECT_EQ(found, expected);
   EXPECT_EQ(shape.depth, bvh.max_depth);
-  EXPECT_LE(bvh.max_depth, kMaxBvhDepth);
+  EXPECT_LE(bvh.max_depth, scene::kMaxBvhDepth);
   EXPECT_LE(shape.largest_leaf, kMaxLeafTriangles);
   return shape;
 }
