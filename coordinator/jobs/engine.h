@@ -3,6 +3,8 @@
 // otherwise; a job's plan is guarded by the job's `plan_mutex`, which is taken first where both are held.
 
 #include <condition_variable>
+#include <deque>
+#include <list>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -30,10 +32,18 @@ struct Worker {
 
 struct Cancelled {};  // thrown on a job's thread
 
+// Memory of a job's that may be large: destroyed where the farm's mutex is not held.
+struct JobRemains {
+  std::vector<std::shared_ptr<RunningStage>> stages;
+  std::vector<std::shared_ptr<const Bytes>> records, artifacts;
+  std::deque<UndrawnBatch> undrawn;
+  std::vector<scene::Camera> cameras;
+};
+
 // The job's settings, with the camera that sees this frame; the way on which it lies was put there by submit().
 FrameSettings settings_of(const JobRequest& request, std::uint32_t frame);
 
-struct Farm::Impl {
+struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   Impl(FarmSettings farm_settings, BlobStore& store);
 
   Seconds now() const { return settings.clock(); }
@@ -50,14 +60,24 @@ struct Farm::Impl {
   // Jobs (job_queue.cpp).
   void changed(Job& job);                                  // mutex held
   std::shared_ptr<Job> find(const std::string& id) const;  // mutex held
+  std::shared_ptr<Job> accept(const JobRequest& request);  // checks it
   void start_queued();                                     // mutex held
+  bool has_memory_for(const Job& job) const;               // mutex held
+  std::string why_queued(const Job& job) const;            // mutex held
+  // Mutex held. The job has ended: it is shown so, its leases are revoked, the next one may start. What it held is
+  // handed out, to be destroyed where the mutex is not held.
+  JobRemains end_job(Job& job, JobState state, const std::string& message);
+  void forget_ended();  // mutex held; those beyond the bounds
   void join_ended_threads();
-  void run(const std::shared_ptr<Job>& job);
+  static void run(std::shared_ptr<Impl> self, std::shared_ptr<Job> job);  // the job's thread
 
   // Frames (frame_run.cpp, write_frame.cpp; on the job's thread).
   void run_frames(const std::shared_ptr<Job>& job);
   static bool same_camera(const Job& job, std::uint32_t a, std::uint32_t b);
-  void aim(Job& job, std::uint32_t frame);  // a plan for another frame of the job
+  // Runs `call`, which asks the plan or makes one, with the plan to itself; then a cancelled job ends here.
+  template <typename Call>
+  auto compute(Job& job, const Call& call);
+  void aim(Job& job, std::uint32_t frame);  // a plan for the frame
   FrameReport new_report(const Job& job, std::uint32_t frame) const;
   Film render(const std::shared_ptr<Job>& job, std::uint32_t frame);
   void reuse(Job& job, std::uint32_t frame, std::uint32_t rendered);
@@ -67,6 +87,7 @@ struct Farm::Impl {
   bool conclude(Job& job, std::unique_lock<std::mutex>& lock);
   // Whatever the frame still has with scheduler and workers is taken back; its figures move into the report.
   void end_frame(Job& job);
+  JobRemains withdraw(Job& job);  // mutex held; as end_frame()
   void write(Job& job, std::uint32_t frame, const Film& film, Seconds begun);
 
   // Stages (stages.cpp).
@@ -100,7 +121,15 @@ struct Farm::Impl {
   std::map<StageId, std::shared_ptr<RunningStage>> active_stages;
   KeptRecords kept{settings.kept_bytes};
   std::map<std::string, std::shared_ptr<Job>> jobs;
-  std::vector<std::string> order;  // of submission
+  std::list<std::shared_ptr<Job>> order;        // of submission
+  std::deque<std::shared_ptr<Job>> queue;       // those that wait
+  std::deque<std::shared_ptr<Job>> ended_jobs;  // the oldest end first
+  std::size_t running = 0;
+  std::uint64_t memory_taken = 0;  // predicted, by plans that are there
+  std::map<const Job*, std::thread> threads;
+  std::vector<std::thread> ended_threads;  // to be joined
+  std::condition_variable thread_ended;
+  std::set<std::string> kinds;  // of stages that ran so far
   std::thread timer;
 };
 

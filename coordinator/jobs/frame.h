@@ -4,13 +4,11 @@
 
 #include <condition_variable>
 #include <deque>
-#include <filesystem>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <set>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include "coordinator/jobs/job.h"
@@ -24,7 +22,7 @@ struct Job;
 
 // A stage that the scheduler knows.
 struct RunningStage {
-  Job* job = nullptr;  // lives as long as the farm
+  std::shared_ptr<Job> job;
   StageSpec spec;
   StageId id = 0;
   std::shared_ptr<const StageWork> work;
@@ -58,17 +56,19 @@ struct Job {
   std::string message;
   std::uint64_t version = 1;
   Seconds accepted = 0, ended = 0;
+  std::uint64_t memory = 0;  // predicted bytes of its plan
   double submitted_unix_seconds = 0;
   std::uint32_t frames_done = 0;
-  std::vector<std::filesystem::path> files;
 
-  // The plan's calls may take long: `plan_mutex`, taken before the farm's mutex where both are held, guards them.
+  // The plan's calls may take long: `plan_mutex`, taken before the farm's mutex where both are held, guards them. Who
+  // is not the job's thread must not wait for it.
   std::mutex plan_mutex;
-  std::shared_ptr<Plan> plan;
+  std::unique_ptr<Plan> plan;
   bool drawn = false;  // plan_mutex: there is a preview
 
   std::condition_variable events;  // with the farm's mutex: something below changed
   bool cancel = false;
+  bool computing = false;  // the thread is in a call of the plan
   std::string failure;
   std::vector<std::shared_ptr<RunningStage>> stages;  // of the frame that runs, in the order of their start
   std::deque<std::shared_ptr<RunningStage>> finished;
@@ -79,8 +79,7 @@ struct Job {
   std::vector<Skip> reused;  // stages of the frame that had been made before
 
   FrameReport report;
-  std::thread thread;
-  bool thread_ended = false;
+  std::vector<StageStatus> last_stages;  // of a job that ended, in place of `stages`
 };
 
 JobStatus status_of(const Job& job, Seconds now);

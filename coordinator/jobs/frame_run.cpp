@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cstring>
+#include <type_traits>
 #include <utility>
 
 #include "coordinator/jobs/engine.h"
@@ -16,14 +17,44 @@ FrameSettings settings_of(const JobRequest& request, std::uint32_t frame) {
   return settings;
 }
 
+template <typename Call>
+auto Farm::Impl::compute(Job& job, const Call& call) {
+  struct Computing {
+    Impl& farm;
+    Job& job;
+    ~Computing() {
+      std::lock_guard lock(farm.mutex);
+      job.computing = false;
+    }
+  };
+  const auto stop_if_cancelled = [&] {
+    std::lock_guard lock(mutex);
+    if (job.cancel || stopping) throw Cancelled{};
+    job.computing = true;
+  };
+  stop_if_cancelled();
+  Computing computing{*this, job};
+  std::lock_guard plan_lock(job.plan_mutex);
+  if constexpr (std::is_void_v<decltype(call())>) {
+    call();
+    stop_if_cancelled();
+  } else {
+    auto value = call();
+    stop_if_cancelled();
+    return value;
+  }
+}
+
 void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
   Film film;
   Seconds begun = job->accepted;
   const std::uint32_t first = job->request.first_frame;
+  const std::uint64_t frames = frames_of(job->request);
   std::uint32_t rendered = first;
-  for (std::uint32_t frame = first; frame <= job->request.last_frame; ++frame) {
-    if (frame == first || !same_camera(*job, frame, rendered)) {
-      if (frame != first) aim(*job, frame);
+  for (std::uint64_t done = 0; done < frames; ++done) {
+    const auto frame = static_cast<std::uint32_t>(first + done);
+    if (done == 0 || !same_camera(*job, frame, rendered)) {
+      aim(*job, frame);
       film = render(job, frame);
       rendered = frame;
     } else {
@@ -44,10 +75,12 @@ bool Farm::Impl::same_camera(const Job& job, std::uint32_t a, std::uint32_t b) {
 }
 
 void Farm::Impl::aim(Job& job, std::uint32_t frame) {
-  std::shared_ptr<Plan> plan = settings.plan(settings_of(job.request, frame), job.request.scene);
-  std::lock_guard plan_lock(job.plan_mutex);
-  job.plan = std::move(plan);
-  job.drawn = false;
+  const FrameSettings frame_settings = settings_of(job.request, frame);
+  compute(job, [&] {
+    job.plan.reset();  // before the next one takes its memory
+    job.plan = settings.plan(frame_settings, job.request.scene);
+    job.drawn = false;
+  });
   std::lock_guard lock(mutex);
   job.stages.clear();
   changed(job);
@@ -72,11 +105,12 @@ Film Farm::Impl::render(const std::shared_ptr<Job>& job, std::uint32_t frame) {
   double plan_seconds = 0;
   // The plan's calls are timed: with the stages' seconds they say where a frame's time went.
   auto timed = [&](auto call) {
-    std::lock_guard plan_lock(job->plan_mutex);
-    Seconds before = now();
-    auto value = call(*job->plan);
-    plan_seconds += now() - before;
-    return value;
+    return compute(*job, [&] {
+      const auto before = std::chrono::steady_clock::now();
+      auto value = call(*job->plan);
+      plan_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - before).count();
+      return value;
+    });
   };
   Step step = timed([](Plan& plan) { return plan.next(nullptr); });
   while (!step.done) {
@@ -86,9 +120,10 @@ Film Farm::Impl::render(const std::shared_ptr<Job>& job, std::uint32_t frame) {
     step = timed([&](Plan& plan) { return plan.next(&*finished); });
   }
   end_frame(*job);
-  Film film = timed([](Plan& plan) { return plan.film(); });
+  Film film = timed([](Plan& plan) { return plan.take_film(); });
   std::lock_guard plan_lock(job->plan_mutex);
   std::lock_guard lock(mutex);
+  job->drawn = false;  // the plan has given its picture away
   job->report.skips = job->plan->skips();
   for (Skip& skip : job->reused) job->report.skips.push_back(std::move(skip));
   job->reused.clear();
@@ -130,11 +165,10 @@ std::optional<FinishedStage> Farm::Impl::await_stage(Job& job) {
       UndrawnBatch batch = std::move(job.undrawn.front());
       job.undrawn.pop_front();
       lock.unlock();
-      {
-        std::lock_guard plan_lock(job.plan_mutex);
+      compute(job, [&] {
         job.plan->preview(batch.stage, batch.first, batch.count, batch.records);
         job.drawn = true;
-      }
+      });
       lock.lock();
       continue;
     }
@@ -157,11 +191,7 @@ bool Farm::Impl::conclude(Job& job, std::unique_lock<std::mutex>& lock) {
   for (CutStage& part : cut)
     std::sort(part.whole.begin(), part.whole.end(),
               [](const ItemRange& a, const ItemRange& b) { return a.first < b.first; });
-  bool concluded;
-  {
-    std::lock_guard plan_lock(job.plan_mutex);
-    concluded = job.plan->conclude(cut);
-  }
+  const bool concluded = compute(job, [&] { return job.plan->conclude(cut); });
   lock.lock();
   if (!concluded) return false;
   job.report.time_limit_reached = true;
@@ -172,10 +202,8 @@ bool Farm::Impl::conclude(Job& job, std::unique_lock<std::mutex>& lock) {
   return true;
 }
 
-void Farm::Impl::end_frame(Job& job) {
-  std::deque<UndrawnBatch> undrawn;
-  std::vector<std::shared_ptr<const Bytes>> artifacts;
-  std::lock_guard lock(mutex);
+JobRemains Farm::Impl::withdraw(Job& job) {
+  JobRemains remains;
   for (const auto& stage : job.stages) {
     if (!stage->delivered) {
       revoke(scheduler.remove_stage(stage->id));
@@ -183,16 +211,24 @@ void Farm::Impl::end_frame(Job& job) {
       stage->delivered = true;
     }
     if (stage->last_result >= 0) stage->report.seconds = stage->last_result - stage->first_lease;
-    stage->records.reset();
+    remains.records.push_back(std::exchange(stage->records, nullptr));
   }
   records_ready.notify_all();
+  for (const auto& stage : job.finished) remains.stages.push_back(stage);
   job.finished.clear();
-  job.undrawn.swap(undrawn);
-  job.artifacts.swap(artifacts);
+  job.undrawn.swap(remains.undrawn);
+  job.artifacts.swap(remains.artifacts);
   job.artifact_blobs.clear();
   if (job.report.stages.empty())
     for (const auto& stage : job.stages) job.report.stages.push_back(stage->report);
   pump();
+  return remains;
+}
+
+void Farm::Impl::end_frame(Job& job) {
+  JobRemains remains;  // destroyed last
+  std::lock_guard lock(mutex);
+  remains = withdraw(job);
 }
 
 }  // namespace gleaner::coordinator

@@ -24,6 +24,10 @@ struct JobRequest {
   double time_limit = 0;      // seconds from acceptance after which the frame is finished with what there is; 0 = none
 };
 
+inline std::uint64_t frames_of(const JobRequest& request) {
+  return std::uint64_t{request.last_frame} - request.first_frame + 1;
+}
+
 enum class JobState { queued, running, done, failed, cancelled };
 const char* job_state_name(JobState state);
 inline bool ended(JobState state) { return state != JobState::queued && state != JobState::running; }

@@ -16,7 +16,7 @@ void Farm::Impl::post(const std::shared_ptr<Job>& job, const Step& step) {
   std::vector<std::shared_ptr<RunningStage>> posted;
   {
     std::lock_guard lock(mutex);
-    if (job->cancel) throw Cancelled{};
+    if (job->cancel || stopping) throw Cancelled{};
     for (const auto& [id, artifact] : step.artifacts) job->artifacts.push_back(artifact);
     job->artifact_blobs.insert(ids.begin(), ids.end());
     for (const StageSpec& spec : step.stages)
@@ -81,7 +81,7 @@ std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Job>& j
     work->inputs.push_back({input.name, blob->second});
   }
   auto stage = std::make_shared<RunningStage>();
-  stage->job = job.get();
+  stage->job = job;
   stage->spec = spec;
   if (spec.output.reusable) {
     stage->address = address_of(*work, spec);
@@ -106,6 +106,7 @@ std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Job>& j
                            .solo = spec.solo,
                            .priority = spec.priority,
                            .preferred = {}};
+  kinds.insert(spec.kind);
   stage->id = scheduler.add_stage(scheduled, now());
   stage->complete = scheduler.complete(stage->id);
   job->stages.push_back(stage);

@@ -136,9 +136,6 @@ void Farm::heard(WorkerId id) {
 std::vector<WorkerStatus> Farm::workers() const {
   std::lock_guard lock(impl_->mutex);
   Seconds time = impl_->now();
-  std::set<std::string> kinds;
-  for (const auto& [id, job] : impl_->jobs)
-    for (const auto& stage : job->stages) kinds.insert(stage->spec.kind);
   std::vector<WorkerStatus> all;
   for (const auto& [id, worker] : impl_->workers) {
     WorkerStatus status{.id = worker.name,
@@ -149,7 +146,7 @@ std::vector<WorkerStatus> Farm::workers() const {
                         .connected_seconds = time - worker.joined,
                         .silent_seconds = time - worker.heard,
                         .items_per_second = {}};
-    for (const auto& kind : kinds)
+    for (const auto& kind : impl_->kinds)
       if (double rate = impl_->scheduler.items_per_second(id, kind); rate > 0) status.items_per_second[kind] = rate;
     all.push_back(std::move(status));
   }

@@ -144,9 +144,13 @@ class FakePlan final : public coordinator::Plan {
   Film film_;
 };
 
+inline std::uint64_t check_fake_settings(const coordinator::FrameSettings& settings, const coordinator::SceneSummary&) {
+  if (settings.method != "fake") throw Error::usage("--method: expected fake, found \"" + settings.method + "\"");
+  return std::uint64_t{settings.width} * settings.height;
+}
+
 inline std::unique_ptr<coordinator::Plan> make_fake_plan(const coordinator::FrameSettings& settings,
                                                          const coordinator::SceneSummary&) {
-  if (settings.method != "fake") throw Error::usage("--method: expected fake, found \"" + settings.method + "\"");
   return std::make_unique<FakePlan>(settings);
 }
 
