@@ -27,6 +27,7 @@ struct Worker {
   std::shared_ptr<WorkerSession> session;
   Seconds joined = 0, heard = 0;
   bool draining = false;
+  unsigned waits = 0;  // results of its that wait for the plan: it cannot be heard meanwhile
   std::set<Epoch> leases;
 };
 
@@ -35,8 +36,10 @@ struct Cancelled {};  // thrown on a job's thread
 // Memory of a job's that may be large: destroyed where the farm's mutex is not held.
 struct JobRemains {
   std::vector<std::shared_ptr<RunningStage>> stages;
-  std::vector<std::shared_ptr<const Bytes>> records, artifacts;
-  std::deque<UndrawnBatch> undrawn;
+  std::vector<std::shared_ptr<const Bytes>> records;
+  std::vector<ArrivedRecords> arrived;
+  std::map<ArtifactId, Job::Artifact> artifacts;
+  std::deque<UndrawnItems> undrawn;
   std::vector<scene::Camera> cameras;
 };
 
@@ -49,8 +52,12 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   Seconds now() const { return settings.clock(); }
 
   // Workers (workers.cpp; mutex held but by the clock's thread).
-  void pump();                // offers work to every worker that could hold more
-  void pump(Worker& worker);  // to this one
+  void offer(Worker& worker);  // as much work as the scheduler has for it
+  void offer_to_all();
+  // Workers that have room and got nothing are offered work again: what happened may have made some for them. However
+  // many events there are, it is done once in an interval.
+  void offer_to_unserved_soon();
+  void offer_to_unserved();
   void forget_lease(Epoch epoch);
   void revoke(const std::vector<Lease>& revoked);
   void lose(WorkerId id, const std::string& why);
@@ -80,9 +87,14 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void aim(Job& job, std::uint32_t frame);  // a plan for the frame
   FrameReport new_report(const Job& job, std::uint32_t frame) const;
   Film render(const std::shared_ptr<Job>& job, std::uint32_t frame);
+  void warn(Job& job, std::uint32_t frame);  // mutex held; what the report's warnings say
   void reuse(Job& job, std::uint32_t frame, std::uint32_t rendered);
   // Draws accepted batches until a stage is whole. None: the time limit has ended the frame.
   std::optional<FinishedStage> await_stage(Job& job);
+  // Hand records to the plan: those of a streamed stage, those that the preview does not show. False: there are none.
+  // The lock is held before and after.
+  bool stream(Job& job, std::unique_lock<std::mutex>& lock);
+  bool draw(Job& job, std::unique_lock<std::mutex>& lock);
   // Offers the plan what came in of the stages that run. The lock is held before and after.
   bool conclude(Job& job, std::unique_lock<std::mutex>& lock);
   // Whatever the frame still has with scheduler and workers is taken back; its figures move into the report.
@@ -97,11 +109,16 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   static std::string address_of(const StageWork& work, const StageSpec& spec);
   // Mutex held. Null: the stage's records are there already, and were handed to the job.
   std::shared_ptr<RunningStage> schedule(const std::shared_ptr<Job>& job, const StageSpec& spec);
-  // Mutex held. The last of {all accepted, all copied in, memory there} hands the stage to its job.
+  // Mutex held. The last of {all accepted, all copied in, memory there} hands the stage to its job; of a streamed stage
+  // that of {all accepted, all given to the plan}.
   void deliver_if_complete(const std::shared_ptr<RunningStage>& shared);
 
   // Results (results.cpp).
   Verdict result(WorkerId id, LeaseId lease_id, Epoch epoch, Bytes records, const BatchCost& cost);
+  // Mutex held. Puts an accepted batch where its stage's records go.
+  void collect(const std::shared_ptr<RunningStage>& stage, const Lease& lease, const Bytes& records,
+               std::unique_lock<std::mutex>& lock);
+  void stream_in(RunningStage& stage, const Lease& lease, Bytes records, std::unique_lock<std::mutex>& lock);
   void account(RunningStage& stage, const Worker& worker, const Lease& lease, const BatchCost& cost,
                std::size_t bytes);  // mutex held
   void failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::string& message);
@@ -111,9 +128,12 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
 
   mutable std::mutex mutex;
   mutable std::condition_variable job_changed;
-  std::condition_variable records_ready;
-  std::condition_variable timer_wakes, timer_stops;
+  std::condition_variable records_ready;  // a stage has its memory; the plan has taken records in
+  std::condition_variable timer_wakes;
   bool stopping = false;
+  bool timer_rearm = false;     // what is due next may have changed much
+  bool offers_due = false;      // to `unserved`
+  std::set<WorkerId> unserved;  // they have room, and the scheduler had nothing for them
   Scheduler scheduler;
   std::map<WorkerId, Worker> workers;
   WorkerId last_worker = 0;

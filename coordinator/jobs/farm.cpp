@@ -65,7 +65,6 @@ bool Farm::end(Seconds grace) {
       remains.push_back(impl_->end_job(*job, JobState::cancelled, ""));
   }
   impl_->timer_wakes.notify_all();
-  impl_->timer_stops.notify_all();
   impl_->job_changed.notify_all();
   impl_->records_ready.notify_all();
   const Seconds begun = steady_seconds();

@@ -11,6 +11,13 @@
 
 namespace gleaner::coordinator {
 
+namespace {
+
+constexpr std::size_t most_warnings = 8;                      // of a job's frames, in its status
+constexpr std::uint64_t most_drawn = std::uint64_t{4} << 20;  // bytes of records that a preview takes at a time
+
+}  // namespace
+
 FrameSettings settings_of(const JobRequest& request, std::uint32_t frame) {
   FrameSettings settings = request.settings;
   if (!request.cameras.empty()) settings.camera = request.cameras[frame - request.first_frame];
@@ -53,7 +60,12 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
   std::uint32_t rendered = first;
   for (std::uint64_t done = 0; done < frames; ++done) {
     const auto frame = static_cast<std::uint32_t>(first + done);
+    {
+      std::lock_guard lock(mutex);
+      job->frame_begun = now();
+    }
     if (done == 0 || !same_camera(*job, frame, rendered)) {
+      film = {};  // before the next plan takes its memory
       aim(*job, frame);
       film = render(job, frame);
       rendered = frame;
@@ -128,8 +140,18 @@ Film Farm::Impl::render(const std::shared_ptr<Job>& job, std::uint32_t frame) {
   for (Skip& skip : job->reused) job->report.skips.push_back(std::move(skip));
   job->reused.clear();
   job->report.plan_parameters = job->plan->parameters_json();
+  job->report.warnings = job->plan->warnings();
+  warn(*job, frame);
   job->report.plan_seconds = plan_seconds;
   return film;
+}
+
+void Farm::Impl::warn(Job& job, std::uint32_t frame) {
+  for (const std::string& warning : job.report.warnings) {
+    const std::string words = frames_of(job.request) > 1 ? "frame " + std::to_string(frame) + ": " + warning : warning;
+    settings.log("job " + job.id + ": " + words);
+    if (job.warnings.size() < most_warnings) job.warnings.push_back(words);
+  }
 }
 
 void Farm::Impl::reuse(Job& job, std::uint32_t frame, std::uint32_t rendered) {
@@ -137,6 +159,7 @@ void Farm::Impl::reuse(Job& job, std::uint32_t frame, std::uint32_t rendered) {
   FrameReport report = new_report(job, frame);
   report.plan_parameters = job.report.plan_parameters;
   report.devices = job.report.devices;
+  report.warnings = job.report.warnings;
   report.skips = job.report.skips;
   std::erase_if(report.skips, [](const Skip& skip) { return skip.what == "frame"; });
   report.skips.push_back({"frame", "same scene, camera and settings as frame " + std::to_string(rendered), 1});
@@ -153,30 +176,60 @@ std::optional<FinishedStage> Farm::Impl::await_stage(Job& job) {
     if (!job.finished.empty()) {
       auto stage = job.finished.front();
       job.finished.pop_front();
-      return FinishedStage{stage->spec.name, std::exchange(stage->records, nullptr)};
+      return FinishedStage{stage->spec.name, std::exchange(stage->records, nullptr), stage->spec.items};
     }
-    const double left = job.accepted + limit - now();
+    const double left = job.frame_begun + limit - now();
     if (concludes && left <= 0) {
       if (conclude(job, lock)) return std::nullopt;
       concludes = false;  // too early for a picture: this stage must be whole, the next one need not
       continue;
     }
-    if (!job.undrawn.empty()) {
-      UndrawnBatch batch = std::move(job.undrawn.front());
-      job.undrawn.pop_front();
-      lock.unlock();
-      compute(job, [&] {
-        job.plan->preview(batch.stage, batch.first, batch.count, batch.records);
-        job.drawn = true;
-      });
-      lock.lock();
-      continue;
-    }
+    if (stream(job, lock) || draw(job, lock)) continue;
     if (concludes)
       job.events.wait_for(lock, std::chrono::duration<double>(left));
     else
       job.events.wait(lock);
   }
+}
+
+bool Farm::Impl::stream(Job& job, std::unique_lock<std::mutex>& lock) {
+  for (const auto& shared : job.stages) {
+    const std::shared_ptr<RunningStage> stage = shared;
+    if (stage->delivered || !stage->arrived.ready()) continue;
+    const ArrivedRecords::Batch batch = *stage->arrived.next();
+    lock.unlock();
+    compute(job, [&] {
+      job.plan->take(stage->spec.name, batch.first, batch.count, batch.records);
+      job.drawn = true;
+    });
+    lock.lock();
+    records_ready.notify_all();
+    deliver_if_complete(stage);
+    return true;
+  }
+  return false;
+}
+
+bool Farm::Impl::draw(Job& job, std::unique_lock<std::mutex>& lock) {
+  if (job.undrawn.empty()) return false;
+  UndrawnItems& next = job.undrawn.front();
+  const std::shared_ptr<RunningStage> stage = next.stage;
+  const std::uint64_t stride = stage->spec.output.record_bytes, first = next.first;
+  const std::uint64_t count = std::min(next.count, std::max<std::uint64_t>(1, most_drawn / stride));
+  next.first += count;
+  next.count -= count;
+  if (next.count == 0) job.undrawn.pop_front();
+  const std::shared_ptr<const Bytes> all = stage->records;
+  if (!all) return true;  // the plan has the stage, and draws it no more
+  lock.unlock();
+  const auto begin = all->begin() + static_cast<std::ptrdiff_t>(first * stride);
+  const Bytes records(begin, begin + static_cast<std::ptrdiff_t>(count * stride));
+  compute(job, [&] {
+    job.plan->preview(stage->spec.name, first, count, records);
+    job.drawn = true;
+  });
+  lock.lock();
+  return true;
 }
 
 bool Farm::Impl::conclude(Job& job, std::unique_lock<std::mutex>& lock) {
@@ -186,6 +239,7 @@ bool Farm::Impl::conclude(Job& job, std::unique_lock<std::mutex>& lock) {
     if (!stage->delivered) {
       stages.push_back(stage);
       cut.push_back({{stage->spec.name, stage->records}, stage->copied});
+      if (stage->arrived.given() > 0) cut.back().whole = {{0, stage->arrived.given()}};
     }
   lock.unlock();
   for (CutStage& part : cut)
@@ -212,16 +266,16 @@ JobRemains Farm::Impl::withdraw(Job& job) {
     }
     if (stage->last_result >= 0) stage->report.seconds = stage->last_result - stage->first_lease;
     remains.records.push_back(std::exchange(stage->records, nullptr));
+    remains.arrived.push_back(std::exchange(stage->arrived, {}));
   }
   records_ready.notify_all();
   for (const auto& stage : job.finished) remains.stages.push_back(stage);
   job.finished.clear();
   job.undrawn.swap(remains.undrawn);
   job.artifacts.swap(remains.artifacts);
-  job.artifact_blobs.clear();
   if (job.report.stages.empty())
     for (const auto& stage : job.stages) job.report.stages.push_back(stage->report);
-  pump();
+  offer_to_unserved_soon();
   return remains;
 }
 

@@ -14,8 +14,6 @@ namespace gleaner::coordinator {
 
 namespace {
 
-constexpr std::uint64_t most_frames = 100000;  // of a job
-
 std::string gibibytes(std::uint64_t bytes) {
   char text[32];
   std::snprintf(text, sizeof text, "%.2f GiB", static_cast<double>(bytes) / (std::uint64_t{1} << 30));
@@ -148,6 +146,8 @@ void Farm::Impl::run(std::shared_ptr<Impl> self, std::shared_ptr<Job> job) {
   self->memory_taken -= job->memory;
   // Who cancelled while the last frame was written was told that the job ends so.
   if (state == JobState::done && job->cancel) state = JobState::cancelled;
+  if (state == JobState::done)
+    for (const std::string& warning : job->warnings) message += (message.empty() ? "" : "; ") + warning;
   // One that was cancelled while its plan computed has ended before.
   if (!ended(job->state))
     remains = self->end_job(*job, state, message);

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "coordinator/blobs/sha256.h"
 #include "tests/farm/scripted_farm.h"
 
 namespace gleaner::test {
@@ -90,7 +91,9 @@ TEST_F(FarmEngine, AWorkerHoldsItsNextLeaseWhileItRuns) {
 }
 
 TEST_F(FarmEngine, AnyOrderOfResultsGivesTheSamePixels) {
-  Farm farm(settings(100), blobs_);
+  FarmSettings timeless = settings(100);
+  timeless.clock = [] { return 0.0; };  // no lease is ever late
+  Farm farm(timeless, blobs_);
   ScriptedWorker first, second, third;
   first.join(farm, "first");
   second.join(farm, "second");
@@ -337,6 +340,12 @@ TEST_F(FarmEngine, RefusesWhatCannotBeAJob) {
   backwards.first_frame = 3;
   backwards.last_frame = 2;
   EXPECT_THROW(farm.submit(backwards), Error);
+  JobRequest endless = request();
+  endless.first_frame = 0;
+  for (std::uint32_t last : {4294967294u, 4294967295u}) {
+    endless.last_frame = last;
+    EXPECT_THROW(farm.submit(endless), Error) << last;
+  }
   EXPECT_TRUE(farm.list().empty());
 }
 
@@ -395,6 +404,21 @@ TEST_F(FarmEngine, FramesOfAStillSceneAreRenderedOnce) {
   EXPECT_THAT(last["skips"].back()["why"], HasSubstr("frame 3"));
 }
 
+TEST_F(FarmEngine, TheLastFrameNumbersEnd) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  JobRequest frames = request();
+  frames.first_frame = 4294967294u;
+  frames.last_frame = 4294967295u;
+  std::string job = farm.submit(frames);
+  serve(farm, worker, job);
+  JobStatus status = end_of(farm, job);
+  ASSERT_EQ(status.state, JobState::done) << status.message;
+  EXPECT_EQ(status.frames_done, 2u);
+  EXPECT_EQ(report(farm, job, ".json", 1)["frame"], 4294967295u);
+}
+
 TEST_F(FarmEngine, ATimeLimitEndsTheFrameWithWhatThereIs) {
   std::atomic<double> time{0};
   FarmSettings farm_settings = settings(128);
@@ -444,6 +468,134 @@ TEST_F(FarmEngine, ATimeLimitEndsTheFrameWithWhatThereIs) {
   EXPECT_EQ(end_of(farm, job).state, JobState::done);
   EXPECT_EQ(report(farm, job)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
   EXPECT_EQ(report(farm, job)["time_limit"]["reached"], false);
+}
+
+// Offers of a whole stage, which the worker holds without answering.
+std::vector<Offered> all_of(ScriptedWorker& worker, const std::string& stage, std::size_t batches) {
+  std::vector<Offered> offers;
+  while (offers.size() < batches) {
+    auto offer = worker.next();
+    if (!offer || offer->work->stage != stage) break;
+    offers.push_back(*offer);
+  }
+  return offers;
+}
+
+TEST_F(FarmEngine, StreamedRecordsReachThePlanInItemOrderWhateverOrderTheyArriveIn) {
+  FarmSettings many = settings(128);
+  many.scheduler.in_flight = 16;
+  Farm farm(many, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  FrameSettings streamed = fake_settings();
+  streamed.set["stream"] = "1";
+  std::string job = farm.submit(request(streamed));
+  for (const Offered& offer : all_of(worker, "scatter", 16)) worker.deliver(offer, worker.compute(offer, blobs_));
+  std::vector<Offered> gathers = all_of(worker, "gather", 4);
+  ASSERT_THAT(gathers, SizeIs(4));
+  for (std::size_t i : {2u, 1u, 3u}) worker.deliver(gathers[i], worker.compute(gathers[i], blobs_));
+  EXPECT_FALSE(farm.preview(job)) << "the first batch has not arrived";
+  EXPECT_EQ(farm.status(job)->stages.at(1).items_done, 384u);
+  worker.deliver(gathers[0], worker.compute(gathers[0], blobs_));
+  JobStatus status = end_of(farm, job);
+  ASSERT_EQ(status.state, JobState::done) << status.message;
+  EXPECT_EQ(report(farm, job)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+}
+
+TEST_F(FarmEngine, ATimeLimitTakesWhatAStreamedStageHasInOrder) {
+  std::atomic<double> time{0};
+  FarmSettings many = settings(128);
+  many.scheduler.in_flight = 16;
+  many.clock = [&] { return time.load(); };
+  many.silence = many.scheduler.lease_floor = 1e9;
+  Farm farm(many, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  JobRequest limited = request();
+  limited.settings.set["stream"] = "1";
+  limited.time_limit = 1000;
+  std::string job = farm.submit(limited);
+  for (const Offered& offer : all_of(worker, "scatter", 16)) worker.deliver(offer, worker.compute(offer, blobs_));
+  std::vector<Offered> gathers = all_of(worker, "gather", 4);
+  ASSERT_THAT(gathers, SizeIs(4));
+  worker.deliver(gathers[0], worker.compute(gathers[0], blobs_));
+  ASSERT_TRUE(eventually([&] { return farm.preview(job).has_value(); }));
+  worker.deliver(gathers[2], worker.compute(gathers[2], blobs_));
+  time = 2000;
+  // The clock is looked at when something happens.
+  worker.deliver(gathers[3], worker.compute(gathers[3], blobs_));
+  JobStatus status = end_of(farm, job);
+  ASSERT_EQ(status.state, JobState::done) << status.message;
+  EXPECT_EQ(report(farm, job)["stages"][1]["items"], 128);
+}
+
+TEST_F(FarmEngine, ReleasedArtifactsAreFreedWhileTheFrameRuns) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  const std::string unread = sha256_hex(bytes_of(unread_data()));
+  FrameSettings releasing = fake_settings();
+  releasing.set["release"] = "1";
+  std::string job = farm.submit(request(releasing));
+  std::optional<Offered> offer = worker.next();
+  EXPECT_TRUE(blobs_.get(unread));
+  while (offer && offer->work->stage == "scatter") {
+    worker.deliver(*offer, worker.compute(*offer, blobs_));
+    offer = worker.next();
+  }
+  ASSERT_TRUE(offer);
+  EXPECT_EQ(farm.status(job)->state, JobState::running);
+  EXPECT_FALSE(blobs_.get(unread)) << "no stage reads it any more";
+  EXPECT_TRUE(blobs_.get(offer->work->inputs.at(0).blob));
+  worker.deliver(*offer, worker.compute(*offer, blobs_));
+  serve(farm, worker, job);
+  EXPECT_EQ(end_of(farm, job).state, JobState::done);
+}
+
+TEST_F(FarmEngine, EachFramesTimeLimitRunsFromItsOwnStart) {
+  std::atomic<double> time{0};
+  FarmSettings farm_settings = settings(2048);
+  farm_settings.clock = [&] { return time.load(); };
+  farm_settings.silence = farm_settings.scheduler.lease_floor = 1e9;
+  farm_settings.active_jobs = 1;
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  std::string before = farm.submit(request());
+  JobRequest limited = request();
+  limited.time_limit = 1000;
+  limited.last_frame = 2;
+  limited.cameras = {limited.settings.camera, limited.settings.camera};
+  limited.cameras[1].origin[0] = 1;
+  std::string job = farm.submit(limited);
+  time = 5000;  // it waited for longer than its frames may take
+  serve(farm, worker, before);
+  ASSERT_EQ(end_of(farm, before).state, JobState::done);
+  while (!ended(farm.status(job)->state)) {  // two frames of two stages
+    auto offer = worker.next(0.05);
+    if (!offer) continue;
+    time = time + 400;
+    worker.deliver(*offer, worker.compute(*offer, blobs_));
+  }
+  ASSERT_EQ(end_of(farm, job).state, JobState::done);
+  for (std::size_t frame : {0u, 1u}) {
+    EXPECT_EQ(report(farm, job, ".json", frame)["time_limit"]["reached"], false) << "frame " << frame + 1;
+    EXPECT_EQ(report(farm, job, ".json", frame)["stages"][1]["items"], 512);
+  }
+}
+
+TEST_F(FarmEngine, WhatAPlanWarnsOfIsToldToPeople) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  FrameSettings warning = fake_settings();
+  warning.set["warn"] = "the target error was not reached";
+  std::string job = farm.submit(request(warning));
+  serve(farm, worker, job);
+  JobStatus status = end_of(farm, job);
+  EXPECT_EQ(status.state, JobState::done);
+  EXPECT_EQ(status.message, "the target error was not reached");
+  EXPECT_EQ(report(farm, job)["warnings"][0], "the target error was not reached");
 }
 
 TEST_F(FarmEngine, NamesAreUniqueAmongWhoIsThere) {

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "coordinator/jobs/kept_records.h"
 #include "tests/farm/scripted_farm.h"
 
 namespace gleaner::test {
@@ -246,6 +247,70 @@ TEST_F(FarmJobs, AFarmEndsThoughAPlanComputes) {
   EXPECT_EQ(farm.status(stuck)->state, JobState::cancelled);
   gate->open();
   EXPECT_TRUE(farm.end(20));
+}
+
+// Takes its records in, and draws them, only while its gate is open.
+class GatedPlan final : public Plan {
+ public:
+  GatedPlan(const FrameSettings& settings, std::shared_ptr<Gate> gate) : plan_(settings), gate_(std::move(gate)) {}
+  Step next(const FinishedStage* finished) override { return plan_.next(finished); }
+  void take(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override {
+    gate_->pass();
+    plan_.take(stage, first, count, records);
+  }
+  void preview(const std::string&, std::uint64_t, std::uint64_t, const Bytes&) override { gate_->pass(); }
+  Film preview_film() const override { return plan_.preview_film(); }
+  Film film() const override { return plan_.film(); }
+  std::vector<Skip> skips() const override { return {}; }
+  std::string parameters_json() const override { return "{}"; }
+  std::vector<std::string> outline() const override { return {}; }
+
+ private:
+  FakePlan plan_;
+  std::shared_ptr<Gate> gate_;
+};
+
+// Bytes that this process has in memory.
+std::uint64_t resident_bytes() {
+  std::ifstream file("/proc/self/statm");
+  std::uint64_t all = 0, resident = 0;
+  file >> all >> resident;
+  return resident * 4096;
+}
+
+TEST_F(FarmJobs, APreviewThatIsNotDrawnTakesNoMemory) {
+  auto gate = std::make_shared<Gate>();
+  FarmSettings farm_settings = settings(1 << 16);
+  farm_settings.plan = [gate](const FrameSettings& frame, const SceneSummary&) {
+    return std::make_unique<GatedPlan>(frame, gate);
+  };
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  std::string job = farm.submit(request(fake_settings(1024, 2048)));  // "scatter" has 64 MiB of records
+  std::uint64_t begun = 0;
+  for (int batch = 0; batch < 127; ++batch) {
+    auto offer = worker.next();
+    ASSERT_TRUE(offer);
+    ASSERT_EQ(worker.deliver(*offer, worker.compute(*offer, blobs_)), Verdict::accepted);
+    if (batch == 8) begun = resident_bytes();
+  }
+  EXPECT_TRUE(gate->reached());
+  EXPECT_LT(resident_bytes(), begun + (std::uint64_t{32} << 20)) << "batches are held for the preview";
+  farm.cancel(job);
+  gate->open();
+}
+
+TEST_F(FarmJobs, AnOversizedRecordDoesNotDriveOutAllOthers) {
+  KeptRecords kept(100);
+  const auto record = [](std::size_t bytes) { return std::make_shared<const Bytes>(bytes); };
+  kept.put("small", record(20));
+  kept.put("large", record(90));
+  EXPECT_FALSE(kept.find("large"));
+  EXPECT_TRUE(kept.find("small"));
+  for (const char* name : {"a", "b", "c", "d"}) kept.put(name, record(25));
+  EXPECT_FALSE(kept.find("small")) << "the least recently used leaves first";
+  EXPECT_TRUE(kept.find("a"));
 }
 
 TEST_F(FarmJobs, WhateverAPlanThrowsFailsItsJobAlone) {
