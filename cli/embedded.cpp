@@ -4,6 +4,7 @@
 #include <exception>
 #include <iostream>
 
+#include "cli/machine_memory.h"
 #include "scene/model/error.h"
 
 namespace gleaner::cli {
@@ -17,6 +18,7 @@ coordinator::FarmSettings farm_settings(const EmbeddedSettings& settings) {
   farm.scheduler.lease_floor = 3600;
   farm.silence = 3600;
   farm.paths = settings.paths;
+  farm.memory_bytes = machine_memory() / 4 * 3;
   farm.preview = false;  // nobody can look
   return farm;
 }

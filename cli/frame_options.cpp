@@ -8,6 +8,7 @@
 #include <numbers>
 #include <optional>
 
+#include "coordinator/jobs/job.h"
 #include "coordinator/plan/methods.h"
 #include "coordinator/plan/way_points.h"
 #include "scene/import/import.h"
@@ -57,6 +58,9 @@ void parse_frames(const std::string& text, std::uint32_t& first, std::uint32_t& 
   auto a = number<std::uint32_t>(parts[0]);
   auto b = parts.size() == 2 ? number<std::uint32_t>(parts[1]) : a;
   if (parts.size() > 2 || !a || !b || *a > *b) throw malformed("--frames", "FIRST-LAST with FIRST <= LAST", text);
+  if (std::uint64_t{*b} - *a >= coordinator::most_frames)
+    throw Error::usage("--frames: expected at most " + std::to_string(coordinator::most_frames) + " frames, found \"" +
+                       text + "\"");
   first = *a;
   last = *b;
 }
@@ -213,9 +217,9 @@ LoadedFrame load_frame(const FrameOptions& options) {
   frame.camera_name = camera.name;
   settle_size(options, camera, settings);
   if (way.size() > 1)
-    for (std::uint32_t f = frame.first_frame; f <= frame.last_frame; ++f) {
+    for (std::uint64_t f = 0; f <= frame.last_frame - frame.first_frame; ++f) {
       const double frames = std::max(1.0, static_cast<double>(frame.last_frame - frame.first_frame));
-      scene::Camera moved = camera_of(along(way, (f - frame.first_frame) / frames)).camera;
+      scene::Camera moved = camera_of(along(way, static_cast<double>(f) / frames)).camera;
       moved.half_width = moved.half_height * static_cast<float>(settings.width) / static_cast<float>(settings.height);
       frame.cameras.push_back(moved);
     }

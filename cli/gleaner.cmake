@@ -4,7 +4,7 @@ find_package(CLI11 REQUIRED)
 find_package(fmt REQUIRED)
 
 file(GLOB gleaner_sources CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/*.cpp)
-list(FILTER gleaner_sources EXCLUDE REGEX "/gleaner_(coordinator|worker)\\.cpp$")
+list(FILTER gleaner_sources EXCLUDE REGEX "/(gleaner_(coordinator|worker)|data_lock)\\.cpp$")
 
 set(gleaner_commands "")
 foreach(command render submit watch fetch show list cancel workers why replay explain methods info compare scene devices)

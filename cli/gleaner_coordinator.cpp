@@ -5,11 +5,14 @@
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
+#include <cstdlib>
 #include <filesystem>
 #include <future>
 #include <iostream>
 #include <random>
 
+#include "cli/data_lock.h"
+#include "cli/machine_memory.h"
 #include "cli/program.h"
 #include "cli/signals.h"
 #include "coordinator/blobs/store.h"
@@ -25,11 +28,15 @@ using namespace gleaner::coordinator;
 
 namespace {
 
+constexpr double gib = 1024.0 * 1024 * 1024;
+constexpr Seconds grace = 5;  // for a plan that computes when the coordinator is to end
+
 struct CoordinatorOptions {
   std::string listen = "127.0.0.1:8780";
   std::string data;
   unsigned active_jobs = 2;
   double upload_gib = 64;
+  double memory_gib = 0;  // 0: three quarters of the machine's
   std::uint64_t batch_items = 0;
 };
 
@@ -39,6 +46,7 @@ int coordinate(const CoordinatorOptions& options) {
   log->set_pattern("%Y-%m-%dT%H:%M:%S.%e %v");
 
   const fs::path data = fs::absolute(options.data);
+  const DataLock lock(data);
   BlobStore blobs(data / "blobs");
   FarmSettings settings;
   settings.scheduler.fixed_batch_items = options.batch_items;
@@ -46,6 +54,8 @@ int coordinate(const CoordinatorOptions& options) {
   settings.scheduler.lease_floor = 30;
   settings.scheduler.incarnation = std::random_device{}();
   settings.active_jobs = options.active_jobs;
+  settings.memory_bytes =
+      options.memory_gib > 0 ? static_cast<std::uint64_t>(options.memory_gib * gib) : machine_memory() / 4 * 3;
   settings.log = [log](const std::string& line) { log->info(line); };
   settings.paths = [data](const std::string& job, std::uint32_t frame) {
     char stem[32];
@@ -56,7 +66,7 @@ int coordinate(const CoordinatorOptions& options) {
   Farm farm(settings, blobs);
   gateway::ServerSettings server_settings;
   server_settings.listen = options.listen;
-  server_settings.upload_bytes = static_cast<std::uint64_t>(options.upload_gib * 1024 * 1024 * 1024);
+  server_settings.upload_bytes = static_cast<std::uint64_t>(options.upload_gib * gib);
   gateway::Server server(farm, blobs, server_settings);
   // Alone on standard output, so that scripts that ask for port 0 learn what they got.
   std::cout << server.address() << std::endl;
@@ -67,6 +77,11 @@ int coordinate(const CoordinatorOptions& options) {
   asked_to_end.get_future().wait();
   log->info("ending");
   server.shutdown();
+  if (!farm.end(grace)) {
+    log->info("a plan still computes; it is not waited for");
+    log->flush();
+    std::_Exit(0);  // its thread uses what main's end would destroy
+  }
   return 0;
 }
 
@@ -88,6 +103,10 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(1u, 64u));
   app.add_option("--upload-limit", options.upload_gib, "largest blob, in GiB")
       ->capture_default_str()
+      ->check(CLI::PositiveNumber);
+  app.add_option("--memory", options.memory_gib,
+                 "memory of the frames that run at the same time, in GiB; larger frames are refused, others wait "
+                 "(default: three quarters of the machine's)")
       ->check(CLI::PositiveNumber);
   app.add_option("--batch-items", options.batch_items, "every batch of this size")->group("");
   return run_program(app, argc, argv, [&] { return coordinate(options); });

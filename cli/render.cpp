@@ -83,7 +83,7 @@ int render(const RenderOptions& options) {
   request.exposure_stops = options.frame.exposure_stops;
   request.time_limit = options.frame.time_limit;
   // What no plan takes is refused before devices are opened.
-  coordinator::make_plan(request.settings, request.scene);
+  coordinator::check_settings(request.settings, request.scene);
 
   EmbeddedFarm embedded(settings);
   coordinator::Farm& farm = embedded.farm();

@@ -8,6 +8,7 @@
 #include <cerrno>
 #include <filesystem>
 #include <system_error>
+#include <utility>
 
 #include "scene/model/error.h"
 
@@ -17,26 +18,6 @@ namespace {
 [[noreturn]] void fail(const std::string& path, const std::string& step, int code) {
   throw Error::failed(path + ": cannot " + step + ": " + std::generic_category().message(code));
 }
-
-class Descriptor {
- public:
-  explicit Descriptor(int fd) : fd_(fd) {}
-  ~Descriptor() {
-    if (fd_ >= 0) ::close(fd_);
-  }
-  Descriptor(const Descriptor&) = delete;
-  Descriptor& operator=(const Descriptor&) = delete;
-  int get() const { return fd_; }
-  // NFS and quotas report a failed write here, so the result of close counts.
-  int close() {
-    const int fd = fd_;
-    fd_ = -1;
-    return ::close(fd);
-  }
-
- private:
-  int fd_;
-};
 
 struct Temporary {
   std::string path;
@@ -57,39 +38,62 @@ Temporary create_beside(const std::filesystem::path& folder, const std::string& 
 
 }  // namespace
 
-void write_atomically(const std::string& path, std::span<const std::byte> bytes) {
-  std::filesystem::path target = path;
+AtomicFile::AtomicFile(const std::string& path) : path_(path), target_(path) {
   std::error_code ignored;
-  for (int hops = 0; hops < 40 && std::filesystem::is_symlink(target, ignored); ++hops)
-    target = target.parent_path() / std::filesystem::read_symlink(target, ignored);
+  for (int hops = 0; hops < 40 && std::filesystem::is_symlink(target_, ignored); ++hops)
+    target_ = target_.parent_path() / std::filesystem::read_symlink(target_, ignored);
   // A rename would replace a device node such as /dev/null by a file, for everyone on the machine.
-  const auto kind = std::filesystem::status(target, ignored);
+  const auto kind = std::filesystem::status(target_, ignored);
   if (std::filesystem::exists(kind) && !std::filesystem::is_regular_file(kind))
-    throw Error::failed(path + ": cannot write: not a regular file");
-  const auto folder = target.has_parent_path() ? target.parent_path() : std::filesystem::path(".");
+    throw Error::failed(path_ + ": cannot write: not a regular file");
+  folder_ = target_.has_parent_path() ? target_.parent_path() : std::filesystem::path(".");
+  const Temporary temporary = create_beside(folder_, path_);
+  temporary_ = temporary.path;
+  descriptor_ = temporary.fd;
+}
 
-  const Temporary temporary = create_beside(folder, path);
-  Descriptor file(temporary.fd);
-  const auto check = [&](bool ok, const char* step) {
-    if (ok) return;
-    const int code = errno;
-    ::unlink(temporary.path.c_str());
-    fail(path, step, code);
-  };
-  for (auto rest = bytes; !rest.empty();) {
-    const ssize_t written = ::write(file.get(), rest.data(), rest.size());
+AtomicFile::~AtomicFile() {
+  if (descriptor_ >= 0) ::close(descriptor_);
+  if (!temporary_.empty()) ::unlink(temporary_.c_str());
+}
+
+void AtomicFile::check(bool ok, const char* step) {
+  if (!ok) fail(path_, step, errno);
+}
+
+void AtomicFile::append(std::span<const std::byte> bytes) {
+  write_at(size_, bytes);
+  size_ += bytes.size();
+}
+
+void AtomicFile::write_at(std::uint64_t offset, std::span<const std::byte> bytes) {
+  while (!bytes.empty()) {
+    const ssize_t written = ::pwrite(descriptor_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
     if (written < 0 && errno == EINTR) continue;
     check(written >= 0, "write");
-    rest = rest.subspan(static_cast<std::size_t>(written));
+    bytes = bytes.subspan(static_cast<std::size_t>(written));
+    offset += static_cast<std::uint64_t>(written);
   }
-  check(::fsync(file.get()) == 0, "flush");
-  check(file.close() == 0, "close");
-  check(::rename(temporary.path.c_str(), target.c_str()) == 0, "rename");
+}
+
+void AtomicFile::commit() {
+  check(::fsync(descriptor_) == 0, "flush");
+  // NFS and quotas report a failed write here, so the result of close counts.
+  const int descriptor = std::exchange(descriptor_, -1);
+  check(::close(descriptor) == 0, "close");
+  check(::rename(temporary_.c_str(), target_.c_str()) == 0, "rename");
+  temporary_.clear();
 
   // The file is whole and in place; only a file system that cannot flush folders (EINVAL) is excused.
-  Descriptor directory(::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
-  if (directory.get() < 0) fail(path, "open the folder of", errno);
-  if (::fsync(directory.get()) != 0 && errno != EINVAL) fail(path, "flush the folder of", errno);
+  descriptor_ = ::open(folder_.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  check(descriptor_ >= 0, "open the folder of");
+  check(::fsync(descriptor_) == 0 || errno == EINVAL, "flush the folder of");
+}
+
+void write_atomically(const std::string& path, std::span<const std::byte> bytes) {
+  AtomicFile file(path);
+  file.append(bytes);
+  file.commit();
 }
 
 }  // namespace gleaner::coordinator

@@ -2,14 +2,37 @@
 // Files that are whole or absent: whoever opens `path` sees the old content or the new, whatever dies in between.
 
 #include <cstddef>
+#include <cstdint>
+#include <filesystem>
 #include <span>
 #include <string>
 
 namespace gleaner::coordinator {
 
 // Temporary name in the same folder, fsync, rename, fsync of the folder. A symbolic link is followed. Several writers
-// of one path: the last rename wins, whole. Throws Error::failed naming the path and the reason (missing folder, no
-// space, not a regular file); the temporary file is gone then and an older file stands untouched.
+// of one path: the last rename wins, whole. All throw Error::failed naming the path and the reason (missing folder, no
+// space, not a regular file).
+class AtomicFile {
+ public:
+  explicit AtomicFile(const std::string& path);
+  ~AtomicFile();  // without commit() the temporary file is gone then, and an older file stands untouched
+  AtomicFile(const AtomicFile&) = delete;
+  AtomicFile& operator=(const AtomicFile&) = delete;
+
+  void append(std::span<const std::byte> bytes);
+  void write_at(std::uint64_t offset, std::span<const std::byte> bytes);
+  void commit();
+
+ private:
+  void check(bool ok, const char* step);
+
+  std::string path_;  // as people named it
+  std::filesystem::path target_, folder_;
+  std::string temporary_;
+  std::uint64_t size_ = 0;
+  int descriptor_ = -1;
+};
+
 void write_atomically(const std::string& path, std::span<const std::byte> bytes);
 
 }  // namespace gleaner::coordinator

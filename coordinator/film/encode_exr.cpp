@@ -12,13 +12,19 @@
 #include <libdeflate.h>
 
 #include <algorithm>
-#include <atomic>
 #include <bit>
+#include <condition_variable>
 #include <cstdint>
 #include <cstring>
+#include <exception>
 #include <memory>
+#include <mutex>
+#include <optional>
+#include <span>
 #include <thread>
 #include <vector>
+
+#include "scene/model/blob.h"
 
 static_assert(std::endian::native == std::endian::little, "OpenEXR's numbers are written as they lie");
 
@@ -124,49 +130,89 @@ Bytes encode_chunk(const Film& film, const std::vector<const Channel*>& channels
   return chunk;
 }
 
-std::vector<Bytes> encode_chunks(const Film& film) {
-  std::vector<const Channel*> channels;
-  for (const auto& channel : film.channels) channels.push_back(&channel);
-  std::ranges::sort(channels, {}, [](const Channel* channel) { return channel->name; });
+// Chunks on their way from the threads that form them to the file, in whose order they are written.
+class ChunkQueue {
+ public:
+  ChunkQueue(std::size_t chunks, std::size_t most_ahead) : chunks_(chunks), most_ahead_(most_ahead) {}
 
-  std::vector<Bytes> chunks((film.height + chunk_rows - 1) / chunk_rows);
-  std::atomic<std::size_t> next{0};
-  std::atomic<bool> failed{false};
-  const auto encode = [&] {
-    try {
-      const std::unique_ptr<libdeflate_compressor, decltype(&libdeflate_free_compressor)> compressor(
-          libdeflate_alloc_compressor(compression_level), &libdeflate_free_compressor);
-      if (!compressor) throw std::bad_alloc();
-      for (std::size_t i = next++; i < chunks.size(); i = next++)
-        chunks[i] = encode_chunk(film, channels, i * chunk_rows, compressor.get());
-    } catch (const std::bad_alloc&) {
-      failed = true;
-    }
-  };
-  {
-    std::vector<std::jthread> helpers;
-    const std::size_t threads =
-        std::min<std::size_t>({std::thread::hardware_concurrency(), chunks.size(), most_threads});
-    while (helpers.size() + 1 < threads) helpers.emplace_back(encode);
-    encode();
+  // The next chunk to form; none: all are taken, or somebody failed. Waits while too many wait to be written.
+  std::optional<std::size_t> claim() {
+    std::unique_lock lock(mutex_);
+    changed_.wait(lock, [&] { return error_ || next_ == chunks_ || next_ < written_ + most_ahead_; });
+    if (error_ || next_ == chunks_) return std::nullopt;
+    return next_++;
   }
-  if (failed) throw std::bad_alloc();
-  return chunks;
+  void put(std::size_t number, Bytes chunk) {
+    std::lock_guard lock(mutex_);
+    formed_[number] = std::move(chunk);
+    changed_.notify_all();
+  }
+  // The next chunk to write.
+  Bytes take() {
+    std::unique_lock lock(mutex_);
+    changed_.wait(lock, [&] { return error_ || formed_.count(written_); });
+    if (error_) std::rethrow_exception(error_);
+    Bytes chunk = std::move(formed_.extract(written_++).mapped());
+    changed_.notify_all();
+    return chunk;
+  }
+  void fail(std::exception_ptr error) {
+    std::lock_guard lock(mutex_);
+    if (!error_) error_ = std::move(error);
+    changed_.notify_all();
+  }
+
+ private:
+  const std::size_t chunks_, most_ahead_;
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::size_t next_ = 0, written_ = 0;
+  std::map<std::size_t, Bytes> formed_;
+  std::exception_ptr error_;
+};
+
+void form_chunks(const Film& film, const std::vector<const Channel*>& channels, ChunkQueue& queue) {
+  try {
+    const std::unique_ptr<libdeflate_compressor, decltype(&libdeflate_free_compressor)> compressor(
+        libdeflate_alloc_compressor(compression_level), &libdeflate_free_compressor);
+    if (!compressor) throw std::bad_alloc();
+    while (const auto number = queue.claim())
+      queue.put(*number, encode_chunk(film, channels, *number * chunk_rows, compressor.get()));
+  } catch (...) {
+    queue.fail(std::current_exception());
+  }
 }
 
 }  // namespace
 
-Bytes encode_exr(const Film& film, const std::map<std::string, std::string>& metadata) {
-  Bytes bytes = encode_header(film, metadata);
-  const auto chunks = encode_chunks(film);
-  std::uint64_t offset = bytes.size() + chunks.size() * sizeof(std::uint64_t);
-  for (const Bytes& chunk : chunks) {
-    append(bytes, offset);
-    offset += chunk.size();
+void encode_exr(const Film& film, const std::map<std::string, std::string>& metadata, AtomicFile& file) {
+  std::vector<const Channel*> channels;
+  for (const auto& channel : film.channels) channels.push_back(&channel);
+  std::ranges::sort(channels, {}, [](const Channel* channel) { return channel->name; });
+  const std::size_t chunks = (film.height + chunk_rows - 1) / chunk_rows;
+
+  const Bytes header = encode_header(film, metadata);
+  std::vector<std::uint64_t> offsets(chunks, 0);
+  file.append(header);
+  file.append(std::as_bytes(std::span(offsets)));  // they are known at the end
+  const std::size_t threads =
+      std::min<std::size_t>({std::max(1u, std::thread::hardware_concurrency()), chunks, most_threads});
+  ChunkQueue queue(chunks, 2 * threads + 2);
+  std::vector<std::jthread> helpers;
+  try {
+    while (helpers.size() < threads) helpers.emplace_back([&] { form_chunks(film, channels, queue); });
+    std::uint64_t end = header.size() + chunks * sizeof(std::uint64_t);
+    for (std::uint64_t& offset : offsets) {
+      const Bytes chunk = queue.take();
+      file.append(chunk);
+      offset = end;
+      end += chunk.size();
+    }
+  } catch (...) {
+    queue.fail(std::current_exception());  // the threads end before what they read does
+    throw;
   }
-  bytes.reserve(offset);
-  for (const Bytes& chunk : chunks) append(bytes, chunk.data(), chunk.size());
-  return bytes;
+  file.write_at(header.size(), std::as_bytes(std::span(offsets)));
 }
 
 }  // namespace gleaner::coordinator

@@ -3,13 +3,14 @@
 #include <map>
 #include <string>
 
+#include "coordinator/film/atomic_file.h"
 #include "coordinator/film/film.h"
-#include "scene/model/blob.h"
 
 namespace gleaner::coordinator {
 
-// The bytes of an OpenEXR file: one part, scan lines, 32-bit float channels by their names, ZIP, metadata as string
-// attributes. Each channel must have width * height values.
-scene::Bytes encode_exr(const Film& film, const std::map<std::string, std::string>& metadata);
+// Writes the bytes of an OpenEXR file: one part, scan lines, 32-bit float channels by their names, ZIP, metadata as
+// string attributes. Each channel must have width * height values. Of the file no more than a few chunks of 16 rows a
+// thread are in memory. Throws what `file` throws; it is not committed.
+void encode_exr(const Film& film, const std::map<std::string, std::string>& metadata, AtomicFile& file);
 
 }  // namespace gleaner::coordinator

@@ -54,13 +54,17 @@ std::uint8_t srgb8(double linear) {
 
 void write_exr(const Film& film, const std::map<std::string, std::string>& metadata, const std::string& path) {
   require_whole(film);
-  scene::Bytes bytes;
+  AtomicFile file(path);
   try {
-    bytes = encode_exr(film, metadata);
+    encode_exr(film, metadata, file);
+  } catch (const Error&) {
+    throw;  // it names the file
+  } catch (const std::bad_alloc&) {
+    throw;
   } catch (const std::exception& error) {
     throw Error::failed(path + ": cannot be formed: " + error.what());
   }
-  write_atomically(path, bytes);
+  file.commit();
 }
 
 scene::Bytes encode_png(const Film& film, double exposure_stops) {

@@ -3,6 +3,8 @@
 // otherwise; a job's plan is guarded by the job's `plan_mutex`, which is taken first where both are held.
 
 #include <condition_variable>
+#include <deque>
+#include <list>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -25,22 +27,37 @@ struct Worker {
   std::shared_ptr<WorkerSession> session;
   Seconds joined = 0, heard = 0;
   bool draining = false;
+  unsigned waits = 0;  // results of its that wait for the plan: it cannot be heard meanwhile
   std::set<Epoch> leases;
 };
 
 struct Cancelled {};  // thrown on a job's thread
 
+// Memory of a job's that may be large: destroyed where the farm's mutex is not held.
+struct JobRemains {
+  std::vector<std::shared_ptr<RunningStage>> stages;
+  std::vector<std::shared_ptr<const Bytes>> records;
+  std::vector<ArrivedRecords> arrived;
+  std::map<ArtifactId, Job::Artifact> artifacts;
+  std::deque<UndrawnItems> undrawn;
+  std::vector<scene::Camera> cameras;
+};
+
 // The job's settings, with the camera that sees this frame; the way on which it lies was put there by submit().
 FrameSettings settings_of(const JobRequest& request, std::uint32_t frame);
 
-struct Farm::Impl {
+struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   Impl(FarmSettings farm_settings, BlobStore& store);
 
   Seconds now() const { return settings.clock(); }
 
   // Workers (workers.cpp; mutex held but by the clock's thread).
-  void pump();                // offers work to every worker that could hold more
-  void pump(Worker& worker);  // to this one
+  void offer(Worker& worker);  // as much work as the scheduler has for it
+  void offer_to_all();
+  // Workers that have room and got nothing are offered work again: what happened may have made some for them. However
+  // many events there are, it is done once in an interval.
+  void offer_to_unserved_soon();
+  void offer_to_unserved();
   void forget_lease(Epoch epoch);
   void revoke(const std::vector<Lease>& revoked);
   void lose(WorkerId id, const std::string& why);
@@ -50,23 +67,39 @@ struct Farm::Impl {
   // Jobs (job_queue.cpp).
   void changed(Job& job);                                  // mutex held
   std::shared_ptr<Job> find(const std::string& id) const;  // mutex held
+  std::shared_ptr<Job> accept(const JobRequest& request);  // checks it
   void start_queued();                                     // mutex held
+  bool has_memory_for(const Job& job) const;               // mutex held
+  std::string why_queued(const Job& job) const;            // mutex held
+  // Mutex held. The job has ended: it is shown so, its leases are revoked, the next one may start. What it held is
+  // handed out, to be destroyed where the mutex is not held.
+  JobRemains end_job(Job& job, JobState state, const std::string& message);
+  void forget_ended();  // mutex held; those beyond the bounds
   void join_ended_threads();
-  void run(const std::shared_ptr<Job>& job);
+  static void run(std::shared_ptr<Impl> self, std::shared_ptr<Job> job);  // the job's thread
 
   // Frames (frame_run.cpp, write_frame.cpp; on the job's thread).
   void run_frames(const std::shared_ptr<Job>& job);
   static bool same_camera(const Job& job, std::uint32_t a, std::uint32_t b);
-  void aim(Job& job, std::uint32_t frame);  // a plan for another frame of the job
+  // Runs `call`, which asks the plan or makes one, with the plan to itself; then a cancelled job ends here.
+  template <typename Call>
+  auto compute(Job& job, const Call& call);
+  void aim(Job& job, std::uint32_t frame);  // a plan for the frame
   FrameReport new_report(const Job& job, std::uint32_t frame) const;
   Film render(const std::shared_ptr<Job>& job, std::uint32_t frame);
+  void warn(Job& job, std::uint32_t frame);  // mutex held; what the report's warnings say
   void reuse(Job& job, std::uint32_t frame, std::uint32_t rendered);
   // Draws accepted batches until a stage is whole. None: the time limit has ended the frame.
   std::optional<FinishedStage> await_stage(Job& job);
+  // Hand records to the plan: those of a streamed stage, those that the preview does not show. False: there are none.
+  // The lock is held before and after.
+  bool stream(Job& job, std::unique_lock<std::mutex>& lock);
+  bool draw(Job& job, std::unique_lock<std::mutex>& lock);
   // Offers the plan what came in of the stages that run. The lock is held before and after.
   bool conclude(Job& job, std::unique_lock<std::mutex>& lock);
   // Whatever the frame still has with scheduler and workers is taken back; its figures move into the report.
   void end_frame(Job& job);
+  JobRemains withdraw(Job& job);  // mutex held; as end_frame()
   void write(Job& job, std::uint32_t frame, const Film& film, Seconds begun);
 
   // Stages (stages.cpp).
@@ -76,11 +109,16 @@ struct Farm::Impl {
   static std::string address_of(const StageWork& work, const StageSpec& spec);
   // Mutex held. Null: the stage's records are there already, and were handed to the job.
   std::shared_ptr<RunningStage> schedule(const std::shared_ptr<Job>& job, const StageSpec& spec);
-  // Mutex held. The last of {all accepted, all copied in, memory there} hands the stage to its job.
+  // Mutex held. The last of {all accepted, all copied in, memory there} hands the stage to its job; of a streamed stage
+  // that of {all accepted, all given to the plan}.
   void deliver_if_complete(const std::shared_ptr<RunningStage>& shared);
 
   // Results (results.cpp).
   Verdict result(WorkerId id, LeaseId lease_id, Epoch epoch, Bytes records, const BatchCost& cost);
+  // Mutex held. Puts an accepted batch where its stage's records go.
+  void collect(const std::shared_ptr<RunningStage>& stage, const Lease& lease, const Bytes& records,
+               std::unique_lock<std::mutex>& lock);
+  void stream_in(RunningStage& stage, const Lease& lease, Bytes records, std::unique_lock<std::mutex>& lock);
   void account(RunningStage& stage, const Worker& worker, const Lease& lease, const BatchCost& cost,
                std::size_t bytes);  // mutex held
   void failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::string& message);
@@ -90,9 +128,12 @@ struct Farm::Impl {
 
   mutable std::mutex mutex;
   mutable std::condition_variable job_changed;
-  std::condition_variable records_ready;
-  std::condition_variable timer_wakes, timer_stops;
+  std::condition_variable records_ready;  // a stage has its memory; the plan has taken records in
+  std::condition_variable timer_wakes;
   bool stopping = false;
+  bool timer_rearm = false;     // what is due next may have changed much
+  bool offers_due = false;      // to `unserved`
+  std::set<WorkerId> unserved;  // they have room, and the scheduler had nothing for them
   Scheduler scheduler;
   std::map<WorkerId, Worker> workers;
   WorkerId last_worker = 0;
@@ -100,7 +141,15 @@ struct Farm::Impl {
   std::map<StageId, std::shared_ptr<RunningStage>> active_stages;
   KeptRecords kept{settings.kept_bytes};
   std::map<std::string, std::shared_ptr<Job>> jobs;
-  std::vector<std::string> order;  // of submission
+  std::list<std::shared_ptr<Job>> order;        // of submission
+  std::deque<std::shared_ptr<Job>> queue;       // those that wait
+  std::deque<std::shared_ptr<Job>> ended_jobs;  // the oldest end first
+  std::size_t running = 0;
+  std::uint64_t memory_taken = 0;  // predicted, by plans that are there
+  std::map<const Job*, std::thread> threads;
+  std::vector<std::thread> ended_threads;  // to be joined
+  std::condition_variable thread_ended;
+  std::set<std::string> kinds;  // of stages that ran so far
   std::thread timer;
 };
 

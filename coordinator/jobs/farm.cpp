@@ -1,6 +1,9 @@
 #include "coordinator/jobs/farm.h"
 
+#include <algorithm>
 #include <chrono>
+#include <mutex>
+#include <thread>
 #include <utility>
 
 #include "coordinator/jobs/engine.h"
@@ -11,6 +14,11 @@ namespace fs = std::filesystem;
 
 namespace {
 
+constexpr Seconds usual_grace = 5;  // for a plan's call that runs when the farm ends
+// A plan that takes records in gives way to a preview soon; one that computes may not.
+constexpr int preview_tries = 25;
+constexpr std::chrono::milliseconds preview_pause{2};
+
 Seconds steady_seconds() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
@@ -20,31 +28,53 @@ Seconds steady_seconds() {
 Farm::Impl::Impl(FarmSettings farm_settings, BlobStore& store)
     : settings(std::move(farm_settings)), blobs(store), scheduler(settings.scheduler) {
   if (!settings.clock) settings.clock = steady_seconds;
+  if (!settings.check && settings.plan)
+    settings.check = [](const FrameSettings&, const SceneSummary&) { return std::uint64_t{0}; };
+  if (!settings.check)
+    settings.check = [](const FrameSettings& frame, const SceneSummary& scene) {
+      check_settings(frame, scene);
+      return predicted_memory(frame, scene);
+    };
   if (!settings.plan)
     settings.plan = [](const FrameSettings& frame, const SceneSummary& scene) { return make_plan(frame, scene); };
   if (!settings.log) settings.log = [](const std::string&) {};
   timer = std::thread([this] { watch_clock(); });
 }
 
-Farm::Farm(FarmSettings settings, BlobStore& blobs) : impl_(std::make_unique<Impl>(std::move(settings), blobs)) {}
+Farm::Farm(FarmSettings settings, BlobStore& blobs) : impl_(std::make_shared<Impl>(std::move(settings), blobs)) {}
 
 Farm::~Farm() {
-  std::vector<std::shared_ptr<Job>> all;
-  {
+  if (!end(usual_grace)) {
     std::lock_guard lock(impl_->mutex);
-    impl_->stopping = true;
-    for (auto& [id, job] : impl_->jobs) {
-      job->cancel = true;
-      job->events.notify_all();
-      all.push_back(job);
-    }
-    impl_->timer_wakes.notify_all();
-    impl_->timer_stops.notify_all();
-    impl_->job_changed.notify_all();
+    for (auto& [job, thread] : impl_->threads) thread.detach();
+    impl_->threads.clear();
   }
-  for (auto& job : all)
-    if (job->thread.joinable()) job->thread.join();
+  impl_->join_ended_threads();
   impl_->timer.join();
+}
+
+bool Farm::end(Seconds grace) {
+  std::vector<JobRemains> remains;  // destroyed last
+  std::unique_lock lock(impl_->mutex);
+  impl_->stopping = true;
+  for (const auto& job : impl_->order) {
+    if (ended(job->state)) continue;
+    job->cancel = true;
+    job->events.notify_all();
+    if (job->state == JobState::running && job->computing)
+      remains.push_back(impl_->end_job(*job, JobState::cancelled, ""));
+  }
+  impl_->timer_wakes.notify_all();
+  impl_->job_changed.notify_all();
+  impl_->records_ready.notify_all();
+  const Seconds begun = steady_seconds();
+  while (!impl_->threads.empty()) {
+    const bool all_compute = std::all_of(impl_->threads.begin(), impl_->threads.end(),
+                                         [](const auto& entry) { return entry.first->computing; });
+    if (all_compute && steady_seconds() - begun >= grace) return false;
+    impl_->thread_ended.wait_for(lock, std::chrono::milliseconds(20));
+  }
+  return true;
 }
 
 std::optional<JobStatus> Farm::status(const std::string& id) const {
@@ -57,7 +87,7 @@ std::optional<JobStatus> Farm::status(const std::string& id) const {
 std::vector<JobStatus> Farm::list() const {
   std::lock_guard lock(impl_->mutex);
   std::vector<JobStatus> all;
-  for (const auto& id : impl_->order) all.push_back(status_of(*impl_->jobs.at(id), impl_->now()));
+  for (const auto& job : impl_->order) all.push_back(status_of(*job, impl_->now()));
   return all;
 }
 
@@ -77,8 +107,12 @@ std::optional<Film> Farm::preview(const std::string& id) {
     job = impl_->find(id);
   }
   if (!job) return std::nullopt;
-  std::lock_guard plan_lock(job->plan_mutex);
-  if (!job->plan || !job->drawn) return std::nullopt;
+  std::unique_lock plan_lock(job->plan_mutex, std::try_to_lock);
+  for (int tried = 1; !plan_lock && tried < preview_tries; ++tried) {
+    std::this_thread::sleep_for(preview_pause);
+    static_cast<void>(plan_lock.try_lock());
+  }
+  if (!plan_lock || !job->plan || !job->drawn) return std::nullopt;
   return job->plan->preview_film();
 }
 
@@ -87,9 +121,7 @@ std::optional<std::vector<std::string>> Farm::why(const std::string& id) const {
   auto job = impl_->find(id);
   if (!job) return std::nullopt;
   std::vector<std::string> reasons;
-  if (job->state == JobState::queued)
-    reasons.push_back("the job waits until one of the " + std::to_string(impl_->settings.active_jobs) +
-                      " that run has ended");
+  if (job->state == JobState::queued) reasons.push_back(impl_->why_queued(*job));
   if (job->state == JobState::running && impl_->workers.empty()) reasons.push_back("no worker is connected");
   for (const auto& stage : job->stages) {
     if (stage->delivered || !impl_->active_stages.count(stage->id)) continue;
@@ -101,9 +133,21 @@ std::optional<std::vector<std::string>> Farm::why(const std::string& id) const {
 }
 
 std::vector<fs::path> Farm::files(const std::string& id) const {
-  std::lock_guard lock(impl_->mutex);
-  auto job = impl_->find(id);
-  return job ? job->files : std::vector<fs::path>{};
+  std::uint32_t first = 0, count = 0;
+  {
+    std::lock_guard lock(impl_->mutex);
+    auto job = impl_->find(id);
+    if (!job) return {};
+    first = job->request.first_frame;
+    count = job->frames_done;
+  }
+  std::vector<fs::path> files;
+  for (std::uint32_t frame = 0; frame < count; ++frame) {
+    const FramePaths paths = impl_->settings.paths(id, first + frame);
+    for (const fs::path& path : {paths.exr, paths.png, paths.report})
+      if (!path.empty()) files.push_back(path);
+  }
+  return files;
 }
 
 }  // namespace gleaner::coordinator

@@ -4,6 +4,7 @@
 
 #include <filesystem>
 #include <functional>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <string>
@@ -27,32 +28,49 @@ struct FarmSettings {
   SchedulerSettings scheduler;
   std::function<Seconds()> clock;  // never decreasing; empty: the steady clock
   std::function<std::unique_ptr<Plan>(const FrameSettings&, const SceneSummary&)> plan;  // empty: make_plan
-  std::function<FramePaths(const std::string& job, std::uint32_t frame)> paths;          // folders are made
-  std::function<void(const std::string&)> log;  // one line each; empty: silence
-  unsigned active_jobs = 2;                     // jobs that run at the same time: the second fills the first one's tail
-  bool preview = true;                          // accepted batches are drawn as they come
+  // Asked at submission in place of making a plan: throws Error::usage for what no plan takes, else returns the bytes
+  // that the frame's plan is predicted to take. Empty: check_settings() and predicted_memory(), or nothing where `plan`
+  // is given.
+  std::function<std::uint64_t(const FrameSettings&, const SceneSummary&)> check;
+  std::function<FramePaths(const std::string& job, std::uint32_t frame)> paths;  // folders are made
+  std::function<void(const std::string&)> log;                                   // one line each; empty: silence
+  unsigned active_jobs = 2;  // jobs that run at the same time: the second fills the first one's tail
+  bool preview = true;       // accepted batches are drawn as they come
   std::uint64_t artifact_bytes = std::uint64_t{32} << 30;  // largest result of a stage
   std::uint64_t kept_bytes = std::uint64_t{512} << 20;     // of stages' records that later frames may use again
-  Seconds silence = 30;                                    // a worker not heard of for so long is lost
+  // Predicted bytes of the plans that run at the same time: a job that needs more than all of it is refused, one that
+  // needs more than what is free waits.
+  std::uint64_t memory_bytes = std::numeric_limits<std::uint64_t>::max();
+  Seconds silence = 30;  // a worker not heard of for so long is lost
+  // Jobs that ended are listed, and their files are fetched, until there are more of them or they are older. Files
+  // stay.
+  std::size_t ended_jobs = 1000;
+  Seconds ended_seconds = 30.0 * 24 * 3600;
 };
 
 class Farm {
  public:
   Farm(FarmSettings settings, BlobStore& blobs);
-  ~Farm();  // cancels what runs and waits for it
+  ~Farm();  // end() with the grace of a plan's usual call
   Farm(const Farm&) = delete;
   Farm& operator=(const Farm&) = delete;
 
-  // Returns the job's id. Throws Error::usage for settings that no plan takes, Error::bad_input for a blob that is not
-  // there.
+  // Cancels all jobs and waits for their threads. False: a plan's call has not returned within `grace` seconds. Its
+  // thread goes on without touching anything of the farm's owner, but the process should be ended by std::_Exit().
+  bool end(Seconds grace);
+
+  // Returns the job's id. Throws Error::usage for settings that no plan takes or that need more memory than there may
+  // be, Error::bad_input for a blob that is not there.
   std::string submit(const JobRequest& request);
-  // The status after it; none: no such job. What has ended stays as it ended.
+  // The status after it; none: no such job. What has ended stays as it ended. A job whose plan computes has ended when
+  // this returns: nobody waits for the plan.
   std::optional<JobStatus> cancel(const std::string& job);
   std::optional<JobStatus> status(const std::string& job) const;
   std::vector<JobStatus> list() const;  // oldest first
   // Waits until the job's version is over `seen`, it ended, or `timeout` seconds went by.
   std::optional<JobStatus> wait(const std::string& job, std::uint64_t seen, Seconds timeout) const;
-  // The frame that runs, as far as its batches came in; none: no such job, or nothing to show.
+  // The frame that runs, as far as its batches came in. None: no such job, nothing to show, or a plan that computes at
+  // this moment (it is not waited for).
   std::optional<Film> preview(const std::string& job);
   // One line for every stage that has items which nobody runs. None: no such job.
   std::optional<std::vector<std::string>> why(const std::string& job) const;
@@ -77,7 +95,7 @@ class Farm {
 
  private:
   struct Impl;
-  std::unique_ptr<Impl> impl_;
+  std::shared_ptr<Impl> impl_;  // shared with the jobs' threads
 };
 
 }  // namespace gleaner::coordinator

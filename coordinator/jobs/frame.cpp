@@ -52,15 +52,17 @@ JobStatus status_of(const Job& job, Seconds now) {
   status.method = job.request.settings.method;
   status.width = job.request.settings.width;
   status.height = job.request.settings.height;
-  status.frames = job.request.last_frame - job.request.first_frame + 1;
+  status.frames = static_cast<std::uint32_t>(frames_of(job.request));
   status.frames_done = job.frames_done;
+  status.stages = job.last_stages;
   for (const auto& stage : job.stages) status.stages.push_back(status_of(*stage, now));
   status.seconds = (ended(job.state) ? job.ended : now) - job.accepted;
   status.submitted_unix_seconds = job.submitted_unix_seconds;
   status.message = job.message;
   status.exposure_stops = job.request.exposure_stops;
   status.preview_available = job.state == JobState::done;
-  for (const auto& stage : job.stages) status.preview_available = status.preview_available || stage->items_done > 0;
+  for (const StageStatus& stage : status.stages)
+    status.preview_available = status.preview_available || stage.items_done > 0;
   status.version = job.version;
   return status;
 }

@@ -4,15 +4,14 @@
 
 #include <condition_variable>
 #include <deque>
-#include <filesystem>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <set>
 #include <string>
-#include <thread>
 #include <vector>
 
+#include "coordinator/jobs/arrived_records.h"
 #include "coordinator/jobs/job.h"
 #include "coordinator/jobs/report.h"
 #include "coordinator/plan/plan.h"
@@ -24,13 +23,14 @@ struct Job;
 
 // A stage that the scheduler knows.
 struct RunningStage {
-  Job* job = nullptr;  // lives as long as the farm
+  std::shared_ptr<Job> job;
   StageSpec spec;
   StageId id = 0;
   std::shared_ptr<const StageWork> work;
   std::shared_ptr<Bytes> records;  // items * record_bytes; null until it is allocated (after the first leases went out)
   bool failed_to_allocate = false;
-  unsigned writers = 0;  // accepted batches that are being copied in
+  unsigned writers = 0;    // accepted batches that are being copied in
+  ArrivedRecords arrived;  // of a streamed stage, which has no `records`
   bool complete = false, delivered = false;
   std::string address;  // of kept records (Impl::address_of); empty: not kept
   std::uint64_t items_done = 0;
@@ -39,16 +39,17 @@ struct RunningStage {
   std::string last_failure;
   StageReport report;
   std::deque<std::pair<Seconds, std::uint64_t>> history;  // (when, items done) of the last few seconds
+
+  bool streamed() const { return spec.output.placement == Placement::stream; }
 };
 
 StageStatus status_of(const RunningStage& stage, Seconds now);
 void remember_progress(RunningStage& stage, Seconds now);
 
-// A batch that was accepted and is not yet drawn.
-struct UndrawnBatch {
-  std::string stage;
+// Accepted items that the preview does not show yet. Their records lie in the stage's.
+struct UndrawnItems {
+  std::shared_ptr<RunningStage> stage;
   std::uint64_t first = 0, count = 0;
-  Bytes records;
 };
 
 struct Job {
@@ -58,29 +59,36 @@ struct Job {
   std::string message;
   std::uint64_t version = 1;
   Seconds accepted = 0, ended = 0;
+  std::uint64_t memory = 0;  // predicted bytes of its plan
   double submitted_unix_seconds = 0;
   std::uint32_t frames_done = 0;
-  std::vector<std::filesystem::path> files;
 
-  // The plan's calls may take long: `plan_mutex`, taken before the farm's mutex where both are held, guards them.
+  // The plan's calls may take long: `plan_mutex`, taken before the farm's mutex where both are held, guards them. Who
+  // is not the job's thread must not wait for it.
   std::mutex plan_mutex;
-  std::shared_ptr<Plan> plan;
+  std::unique_ptr<Plan> plan;
   bool drawn = false;  // plan_mutex: there is a preview
 
   std::condition_variable events;  // with the farm's mutex: something below changed
   bool cancel = false;
+  bool computing = false;  // the thread is in a call of the plan
   std::string failure;
   std::vector<std::shared_ptr<RunningStage>> stages;  // of the frame that runs, in the order of their start
   std::deque<std::shared_ptr<RunningStage>> finished;
-  std::deque<UndrawnBatch> undrawn;
-  std::vector<std::shared_ptr<const Bytes>> artifacts;  // kept findable for the workers until the frame ends
-  std::map<ArtifactId, std::string> artifact_blobs;     // the plan's id -> the blob's
+  std::deque<UndrawnItems> undrawn;
+  // Data of the plan's own that stages read, and the ids of their blobs. Workers find them until they are released.
+  struct Artifact {
+    std::shared_ptr<const Bytes> bytes;
+    std::string blob;
+  };
+  std::map<ArtifactId, Artifact> artifacts;
 
-  std::vector<Skip> reused;  // stages of the frame that had been made before
+  std::vector<Skip> reused;           // stages of the frame that had been made before
+  Seconds frame_begun = 0;            // when the frame that runs was begun
+  std::vector<std::string> warnings;  // of the frames so far
 
   FrameReport report;
-  std::thread thread;
-  bool thread_ended = false;
+  std::vector<StageStatus> last_stages;  // of a job that ended, in place of `stages`
 };
 
 JobStatus status_of(const Job& job, Seconds now);

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cstring>
+#include <type_traits>
 #include <utility>
 
 #include "coordinator/jobs/engine.h"
@@ -10,20 +11,62 @@
 
 namespace gleaner::coordinator {
 
+namespace {
+
+constexpr std::size_t most_warnings = 8;                      // of a job's frames, in its status
+constexpr std::uint64_t most_drawn = std::uint64_t{4} << 20;  // bytes of records that a preview takes at a time
+
+}  // namespace
+
 FrameSettings settings_of(const JobRequest& request, std::uint32_t frame) {
   FrameSettings settings = request.settings;
   if (!request.cameras.empty()) settings.camera = request.cameras[frame - request.first_frame];
   return settings;
 }
 
+template <typename Call>
+auto Farm::Impl::compute(Job& job, const Call& call) {
+  struct Computing {
+    Impl& farm;
+    Job& job;
+    ~Computing() {
+      std::lock_guard lock(farm.mutex);
+      job.computing = false;
+    }
+  };
+  const auto stop_if_cancelled = [&] {
+    std::lock_guard lock(mutex);
+    if (job.cancel || stopping) throw Cancelled{};
+    job.computing = true;
+  };
+  stop_if_cancelled();
+  Computing computing{*this, job};
+  std::lock_guard plan_lock(job.plan_mutex);
+  if constexpr (std::is_void_v<decltype(call())>) {
+    call();
+    stop_if_cancelled();
+  } else {
+    auto value = call();
+    stop_if_cancelled();
+    return value;
+  }
+}
+
 void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
   Film film;
   Seconds begun = job->accepted;
   const std::uint32_t first = job->request.first_frame;
+  const std::uint64_t frames = frames_of(job->request);
   std::uint32_t rendered = first;
-  for (std::uint32_t frame = first; frame <= job->request.last_frame; ++frame) {
-    if (frame == first || !same_camera(*job, frame, rendered)) {
-      if (frame != first) aim(*job, frame);
+  for (std::uint64_t done = 0; done < frames; ++done) {
+    const auto frame = static_cast<std::uint32_t>(first + done);
+    {
+      std::lock_guard lock(mutex);
+      job->frame_begun = now();
+    }
+    if (done == 0 || !same_camera(*job, frame, rendered)) {
+      film = {};  // before the next plan takes its memory
+      aim(*job, frame);
       film = render(job, frame);
       rendered = frame;
     } else {
@@ -44,10 +87,12 @@ bool Farm::Impl::same_camera(const Job& job, std::uint32_t a, std::uint32_t b) {
 }
 
 void Farm::Impl::aim(Job& job, std::uint32_t frame) {
-  std::shared_ptr<Plan> plan = settings.plan(settings_of(job.request, frame), job.request.scene);
-  std::lock_guard plan_lock(job.plan_mutex);
-  job.plan = std::move(plan);
-  job.drawn = false;
+  const FrameSettings frame_settings = settings_of(job.request, frame);
+  compute(job, [&] {
+    job.plan.reset();  // before the next one takes its memory
+    job.plan = settings.plan(frame_settings, job.request.scene);
+    job.drawn = false;
+  });
   std::lock_guard lock(mutex);
   job.stages.clear();
   changed(job);
@@ -72,11 +117,12 @@ Film Farm::Impl::render(const std::shared_ptr<Job>& job, std::uint32_t frame) {
   double plan_seconds = 0;
   // The plan's calls are timed: with the stages' seconds they say where a frame's time went.
   auto timed = [&](auto call) {
-    std::lock_guard plan_lock(job->plan_mutex);
-    Seconds before = now();
-    auto value = call(*job->plan);
-    plan_seconds += now() - before;
-    return value;
+    return compute(*job, [&] {
+      const auto before = std::chrono::steady_clock::now();
+      auto value = call(*job->plan);
+      plan_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - before).count();
+      return value;
+    });
   };
   Step step = timed([](Plan& plan) { return plan.next(nullptr); });
   while (!step.done) {
@@ -86,15 +132,26 @@ Film Farm::Impl::render(const std::shared_ptr<Job>& job, std::uint32_t frame) {
     step = timed([&](Plan& plan) { return plan.next(&*finished); });
   }
   end_frame(*job);
-  Film film = timed([](Plan& plan) { return plan.film(); });
+  Film film = timed([](Plan& plan) { return plan.take_film(); });
   std::lock_guard plan_lock(job->plan_mutex);
   std::lock_guard lock(mutex);
+  job->drawn = false;  // the plan has given its picture away
   job->report.skips = job->plan->skips();
   for (Skip& skip : job->reused) job->report.skips.push_back(std::move(skip));
   job->reused.clear();
   job->report.plan_parameters = job->plan->parameters_json();
+  job->report.warnings = job->plan->warnings();
+  warn(*job, frame);
   job->report.plan_seconds = plan_seconds;
   return film;
+}
+
+void Farm::Impl::warn(Job& job, std::uint32_t frame) {
+  for (const std::string& warning : job.report.warnings) {
+    const std::string words = frames_of(job.request) > 1 ? "frame " + std::to_string(frame) + ": " + warning : warning;
+    settings.log("job " + job.id + ": " + words);
+    if (job.warnings.size() < most_warnings) job.warnings.push_back(words);
+  }
 }
 
 void Farm::Impl::reuse(Job& job, std::uint32_t frame, std::uint32_t rendered) {
@@ -102,6 +159,7 @@ void Farm::Impl::reuse(Job& job, std::uint32_t frame, std::uint32_t rendered) {
   FrameReport report = new_report(job, frame);
   report.plan_parameters = job.report.plan_parameters;
   report.devices = job.report.devices;
+  report.warnings = job.report.warnings;
   report.skips = job.report.skips;
   std::erase_if(report.skips, [](const Skip& skip) { return skip.what == "frame"; });
   report.skips.push_back({"frame", "same scene, camera and settings as frame " + std::to_string(rendered), 1});
@@ -118,31 +176,60 @@ std::optional<FinishedStage> Farm::Impl::await_stage(Job& job) {
     if (!job.finished.empty()) {
       auto stage = job.finished.front();
       job.finished.pop_front();
-      return FinishedStage{stage->spec.name, std::exchange(stage->records, nullptr)};
+      return FinishedStage{stage->spec.name, std::exchange(stage->records, nullptr), stage->spec.items};
     }
-    const double left = job.accepted + limit - now();
+    const double left = job.frame_begun + limit - now();
     if (concludes && left <= 0) {
       if (conclude(job, lock)) return std::nullopt;
       concludes = false;  // too early for a picture: this stage must be whole, the next one need not
       continue;
     }
-    if (!job.undrawn.empty()) {
-      UndrawnBatch batch = std::move(job.undrawn.front());
-      job.undrawn.pop_front();
-      lock.unlock();
-      {
-        std::lock_guard plan_lock(job.plan_mutex);
-        job.plan->preview(batch.stage, batch.first, batch.count, batch.records);
-        job.drawn = true;
-      }
-      lock.lock();
-      continue;
-    }
+    if (stream(job, lock) || draw(job, lock)) continue;
     if (concludes)
       job.events.wait_for(lock, std::chrono::duration<double>(left));
     else
       job.events.wait(lock);
   }
+}
+
+bool Farm::Impl::stream(Job& job, std::unique_lock<std::mutex>& lock) {
+  for (const auto& shared : job.stages) {
+    const std::shared_ptr<RunningStage> stage = shared;
+    if (stage->delivered || !stage->arrived.ready()) continue;
+    const ArrivedRecords::Batch batch = *stage->arrived.next();
+    lock.unlock();
+    compute(job, [&] {
+      job.plan->take(stage->spec.name, batch.first, batch.count, batch.records);
+      job.drawn = true;
+    });
+    lock.lock();
+    records_ready.notify_all();
+    deliver_if_complete(stage);
+    return true;
+  }
+  return false;
+}
+
+bool Farm::Impl::draw(Job& job, std::unique_lock<std::mutex>& lock) {
+  if (job.undrawn.empty()) return false;
+  UndrawnItems& next = job.undrawn.front();
+  const std::shared_ptr<RunningStage> stage = next.stage;
+  const std::uint64_t stride = stage->spec.output.record_bytes, first = next.first;
+  const std::uint64_t count = std::min(next.count, std::max<std::uint64_t>(1, most_drawn / stride));
+  next.first += count;
+  next.count -= count;
+  if (next.count == 0) job.undrawn.pop_front();
+  const std::shared_ptr<const Bytes> all = stage->records;
+  if (!all) return true;  // the plan has the stage, and draws it no more
+  lock.unlock();
+  const auto begin = all->begin() + static_cast<std::ptrdiff_t>(first * stride);
+  const Bytes records(begin, begin + static_cast<std::ptrdiff_t>(count * stride));
+  compute(job, [&] {
+    job.plan->preview(stage->spec.name, first, count, records);
+    job.drawn = true;
+  });
+  lock.lock();
+  return true;
 }
 
 bool Farm::Impl::conclude(Job& job, std::unique_lock<std::mutex>& lock) {
@@ -152,16 +239,13 @@ bool Farm::Impl::conclude(Job& job, std::unique_lock<std::mutex>& lock) {
     if (!stage->delivered) {
       stages.push_back(stage);
       cut.push_back({{stage->spec.name, stage->records}, stage->copied});
+      if (stage->arrived.given() > 0) cut.back().whole = {{0, stage->arrived.given()}};
     }
   lock.unlock();
   for (CutStage& part : cut)
     std::sort(part.whole.begin(), part.whole.end(),
               [](const ItemRange& a, const ItemRange& b) { return a.first < b.first; });
-  bool concluded;
-  {
-    std::lock_guard plan_lock(job.plan_mutex);
-    concluded = job.plan->conclude(cut);
-  }
+  const bool concluded = compute(job, [&] { return job.plan->conclude(cut); });
   lock.lock();
   if (!concluded) return false;
   job.report.time_limit_reached = true;
@@ -172,10 +256,8 @@ bool Farm::Impl::conclude(Job& job, std::unique_lock<std::mutex>& lock) {
   return true;
 }
 
-void Farm::Impl::end_frame(Job& job) {
-  std::deque<UndrawnBatch> undrawn;
-  std::vector<std::shared_ptr<const Bytes>> artifacts;
-  std::lock_guard lock(mutex);
+JobRemains Farm::Impl::withdraw(Job& job) {
+  JobRemains remains;
   for (const auto& stage : job.stages) {
     if (!stage->delivered) {
       revoke(scheduler.remove_stage(stage->id));
@@ -183,16 +265,24 @@ void Farm::Impl::end_frame(Job& job) {
       stage->delivered = true;
     }
     if (stage->last_result >= 0) stage->report.seconds = stage->last_result - stage->first_lease;
-    stage->records.reset();
+    remains.records.push_back(std::exchange(stage->records, nullptr));
+    remains.arrived.push_back(std::exchange(stage->arrived, {}));
   }
   records_ready.notify_all();
+  for (const auto& stage : job.finished) remains.stages.push_back(stage);
   job.finished.clear();
-  job.undrawn.swap(undrawn);
-  job.artifacts.swap(artifacts);
-  job.artifact_blobs.clear();
+  job.undrawn.swap(remains.undrawn);
+  job.artifacts.swap(remains.artifacts);
   if (job.report.stages.empty())
     for (const auto& stage : job.stages) job.report.stages.push_back(stage->report);
-  pump();
+  offer_to_unserved_soon();
+  return remains;
+}
+
+void Farm::Impl::end_frame(Job& job) {
+  JobRemains remains;  // destroyed last
+  std::lock_guard lock(mutex);
+  remains = withdraw(job);
 }
 
 }  // namespace gleaner::coordinator

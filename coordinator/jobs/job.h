@@ -21,8 +21,13 @@ struct JobRequest {
   // One a frame, the settings' way is then theirs; or none: all are seen by the settings' camera.
   std::vector<scene::Camera> cameras;
   double exposure_stops = 0;  // of the PNG
-  double time_limit = 0;      // seconds from acceptance after which the frame is finished with what there is; 0 = none
+  double time_limit = 0;      // seconds from a frame's start after which it is finished with what there is; 0 = none
 };
+
+inline constexpr std::uint64_t most_frames = 100000;  // of a job
+inline std::uint64_t frames_of(const JobRequest& request) {
+  return std::uint64_t{request.last_frame} - request.first_frame + 1;
+}
 
 enum class JobState { queued, running, done, failed, cancelled };
 const char* job_state_name(JobState state);
@@ -44,7 +49,7 @@ struct JobStatus {
   std::vector<StageStatus> stages;  // of the frame that runs, finished ones too
   double seconds = 0;               // since it was accepted; of an ended job: until it ended
   double submitted_unix_seconds = 0;
-  std::string message;  // why it failed
+  std::string message;  // why it failed; of one that is done: what must be known of its pictures
   bool preview_available = false;
   double exposure_stops = 0;
   std::uint64_t version = 0;  // grows with every change

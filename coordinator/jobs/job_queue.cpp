@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <new>
+#include <utility>
 
 #include "coordinator/jobs/engine.h"
 #include "coordinator/jobs/job_id.h"
@@ -10,6 +11,16 @@
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {
+
+namespace {
+
+std::string gibibytes(std::uint64_t bytes) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.2f GiB", static_cast<double>(bytes) / (std::uint64_t{1} << 30));
+  return text;
+}
+
+}  // namespace
 
 void Farm::Impl::changed(Job& job) {
   ++job.version;
@@ -21,35 +32,97 @@ std::shared_ptr<Job> Farm::Impl::find(const std::string& id) const {
   return found == jobs.end() ? nullptr : found->second;
 }
 
+std::shared_ptr<Job> Farm::Impl::accept(const JobRequest& request) {
+  const std::string frames = std::to_string(request.first_frame) + "-" + std::to_string(request.last_frame);
+  if (request.last_frame < request.first_frame || frames_of(request) > most_frames)
+    throw Error::usage("frames " + frames + ": expected first <= last, and at most " + std::to_string(most_frames) +
+                       " frames");
+  if (!request.cameras.empty() && request.cameras.size() != frames_of(request))
+    throw Error::usage("cameras: expected one for each of " + std::to_string(frames_of(request)) + " frames, found " +
+                       std::to_string(request.cameras.size()));
+  for (const std::string& id : {request.scene_blob, request.bvh_blob})
+    if (!id.empty() && !blobs.has(id)) throw Error::bad_input("blob " + id, "", "to be uploaded first");
+  auto job = std::make_shared<Job>();
+  job->request = request;
+  job->request.scene.blob = request.scene_blob;
+  if (!request.cameras.empty()) job->request.settings.way = way_of(request.cameras);
+  job->memory = settings.check(settings_of(job->request, request.first_frame), request.scene);
+  if (job->memory > settings.memory_bytes)
+    throw Error::usage("a frame of " + std::to_string(request.settings.width) + "x" +
+                       std::to_string(request.settings.height) + " pixels by " + request.settings.method + " needs " +
+                       gibibytes(job->memory) + " of the coordinator's memory, of which it may take " +
+                       gibibytes(settings.memory_bytes));
+  job->submitted_unix_seconds =
+      std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
+  return job;
+}
+
+bool Farm::Impl::has_memory_for(const Job& job) const {
+  return job.memory <= settings.memory_bytes - std::min(settings.memory_bytes, memory_taken);
+}
+
 void Farm::Impl::start_queued() {
-  std::size_t running = 0;
-  for (const auto& id : order) running += jobs[id]->state == JobState::running;
-  for (const auto& id : order) {
-    if (running >= settings.active_jobs || stopping) return;
-    auto job = jobs[id];
-    if (job->state != JobState::queued) continue;
+  while (!queue.empty() && running < settings.active_jobs && !stopping) {
+    std::shared_ptr<Job> job = queue.front();
+    // The first in the queue is not overtaken, or a large one would wait for ever.
+    if (!has_memory_for(*job)) return;
+    queue.pop_front();
+    ++running;
+    memory_taken += job->memory;
     job->state = JobState::running;
     changed(*job);
-    ++running;
-    job->thread = std::thread([this, job] { run(job); });
+    threads.emplace(job.get(), std::thread(&Impl::run, shared_from_this(), job));
+  }
+}
+
+std::string Farm::Impl::why_queued(const Job& job) const {
+  if (queue.front().get() == &job && running < settings.active_jobs && !has_memory_for(job))
+    return "the job waits for memory: it needs " + gibibytes(job.memory) + ", and of the " +
+           gibibytes(settings.memory_bytes) + " that there may be, jobs that run have " + gibibytes(memory_taken);
+  return "the job waits until one of the " + std::to_string(settings.active_jobs) + " that run has ended";
+}
+
+JobRemains Farm::Impl::end_job(Job& job, JobState state, const std::string& message) {
+  JobRemains remains = withdraw(job);
+  running -= job.state == JobState::running;
+  job.state = state;
+  job.message = message;
+  job.ended = now();
+  for (const auto& stage : job.stages) job.last_stages.push_back(status_of(*stage, job.ended));
+  remains.stages = std::exchange(job.stages, {});
+  remains.cameras = std::exchange(job.request.cameras, {});
+  job.request.settings.way = {};
+  settings.log("job " + job.id + " " + job_state_name(state) + (message.empty() ? "" : ": " + message));
+  changed(job);
+  ended_jobs.push_back(jobs.at(job.id));
+  forget_ended();
+  start_queued();
+  return remains;
+}
+
+void Farm::Impl::forget_ended() {
+  while (!ended_jobs.empty() &&
+         (ended_jobs.size() > settings.ended_jobs || now() - ended_jobs.front()->ended > settings.ended_seconds)) {
+    order.remove(ended_jobs.front());
+    jobs.erase(ended_jobs.front()->id);
+    ended_jobs.pop_front();
   }
 }
 
 void Farm::Impl::join_ended_threads() {
-  std::vector<std::thread> threads;
+  std::vector<std::thread> ended;
   {
     std::lock_guard lock(mutex);
-    for (auto& [id, job] : jobs)
-      if (job->thread_ended && job->thread.joinable()) threads.push_back(std::move(job->thread));
+    ended.swap(ended_threads);
   }
-  for (std::thread& thread : threads) thread.join();
+  for (std::thread& thread : ended) thread.join();
 }
 
-void Farm::Impl::run(const std::shared_ptr<Job>& job) {
+void Farm::Impl::run(std::shared_ptr<Impl> self, std::shared_ptr<Job> job) {
   JobState state = JobState::done;
   std::string message;
   try {
-    run_frames(job);
+    self->run_frames(job);
   } catch (const Cancelled&) {
     state = JobState::cancelled;
   } catch (const std::bad_alloc&) {
@@ -58,67 +131,69 @@ void Farm::Impl::run(const std::shared_ptr<Job>& job) {
   } catch (const std::exception& error) {
     state = JobState::failed;
     message = error.what();
+  } catch (...) {
+    state = JobState::failed;
+    message = "the plan threw what is no std::exception";
   }
-  end_frame(*job);
+  std::unique_ptr<Plan> plan;
   {
-    // The plan goes while nobody looks at it, and not under the farm's mutex: its records may be large.
     std::lock_guard plan_lock(job->plan_mutex);
-    job->plan.reset();
+    plan = std::move(job->plan);
   }
-  std::lock_guard lock(mutex);
+  plan.reset();
+  JobRemains remains;
+  std::lock_guard lock(self->mutex);
+  self->memory_taken -= job->memory;
   // Who cancelled while the last frame was written was told that the job ends so.
   if (state == JobState::done && job->cancel) state = JobState::cancelled;
-  job->state = state;
-  job->message = message;
-  job->ended = now();
-  settings.log("job " + job->id + " " + job_state_name(state) + (message.empty() ? "" : ": " + message));
-  changed(*job);
-  job->thread_ended = true;
-  start_queued();
+  if (state == JobState::done)
+    for (const std::string& warning : job->warnings) message += (message.empty() ? "" : "; ") + warning;
+  // One that was cancelled while its plan computed has ended before.
+  if (!ended(job->state))
+    remains = self->end_job(*job, state, message);
+  else
+    self->start_queued();
+  auto own = self->threads.find(job.get());
+  if (own != self->threads.end()) {
+    self->ended_threads.push_back(std::move(own->second));
+    self->threads.erase(own);
+  }
+  self->thread_ended.notify_all();
 }
 
 std::string Farm::submit(const JobRequest& request) {
-  if (request.last_frame < request.first_frame || request.last_frame - request.first_frame >= 100000)
-    throw Error::usage("frames " + std::to_string(request.first_frame) + "-" + std::to_string(request.last_frame) +
-                       ": expected first <= last, and at most 100000 frames");
-  if (!request.cameras.empty() && request.cameras.size() != request.last_frame - request.first_frame + 1)
-    throw Error::usage("cameras: expected one for each of " +
-                       std::to_string(request.last_frame - request.first_frame + 1) + " frames, found " +
-                       std::to_string(request.cameras.size()));
-  for (const std::string& id : {request.scene_blob, request.bvh_blob})
-    if (!id.empty() && !impl_->blobs.has(id)) throw Error::bad_input("blob " + id, "", "to be uploaded first");
-  auto job = std::make_shared<Job>();
-  job->request = request;
-  job->request.scene.blob = request.scene_blob;
-  if (!request.cameras.empty()) job->request.settings.way = way_of(request.cameras);
-  job->plan = impl_->settings.plan(settings_of(job->request, request.first_frame), job->request.scene);
-  job->submitted_unix_seconds =
-      std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
+  std::shared_ptr<Job> job = impl_->accept(request);
   impl_->join_ended_threads();
   std::lock_guard lock(impl_->mutex);
   do job->id = new_job_id();
   while (impl_->jobs.count(job->id));
   job->accepted = impl_->now();
   impl_->jobs[job->id] = job;
-  impl_->order.push_back(job->id);
+  impl_->order.push_back(job);
+  impl_->queue.push_back(job);
   impl_->settings.log("job " + job->id + " accepted: " + request.scene_name + ", " + request.settings.method + ", " +
                       std::to_string(request.settings.width) + "x" + std::to_string(request.settings.height));
+  impl_->forget_ended();
   impl_->start_queued();
   return job->id;
 }
 
 std::optional<JobStatus> Farm::cancel(const std::string& id) {
+  JobRemains remains;  // destroyed last
   std::lock_guard lock(impl_->mutex);
   auto job = impl_->find(id);
   if (!job) return std::nullopt;
   if (job->state == JobState::queued) {
-    job->state = JobState::cancelled;
-    job->ended = impl_->now();
-    impl_->changed(*job);
+    std::erase(impl_->queue, job);
+    remains = impl_->end_job(*job, JobState::cancelled, "");
   } else if (job->state == JobState::running) {
     job->cancel = true;
     job->events.notify_all();
-    impl_->changed(*job);
+    // Nobody knows how long its plan computes: the job ends now, and its thread when the plan has returned.
+    if (job->computing)
+      remains = impl_->end_job(*job, JobState::cancelled, "");
+    else
+      impl_->changed(*job);
   }
   return status_of(*job, impl_->now());
 }

@@ -12,7 +12,7 @@ KeptRecords::Records KeptRecords::find(const std::string& address) {
 }
 
 void KeptRecords::put(const std::string& address, Records records) {
-  if (find(address)) return;
+  if (records->size() > most_ / largest_share || find(address)) return;
   bytes_ += records->size();
   entries_.emplace_front(address, std::move(records));
   while (bytes_ > most_ && !entries_.empty()) {

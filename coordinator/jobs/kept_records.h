@@ -15,6 +15,9 @@ class KeptRecords {
  public:
   using Records = std::shared_ptr<const scene::Bytes>;
 
+  // One of more than so large a part of the bound is not kept: it would drive out what serves many frames.
+  static constexpr std::uint64_t largest_share = 4;
+
   explicit KeptRecords(std::uint64_t most) : most_(most) {}  // bytes
 
   Records find(const std::string& address);  // null: not kept

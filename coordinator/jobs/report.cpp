@@ -67,6 +67,7 @@ std::string report_json(const FrameReport& report) {
                  {"total", report.camera_rays + report.scatter_rays + report.shadow_rays}}},
                {"bytes", {{"uploaded", report.uploaded_bytes}, {"downloaded", report.downloaded_bytes}}},
                {"skips", skips},
+               {"warnings", report.warnings},
                {"nonfinite", report.nonfinite},
                {"nonfinite_items", nonfinite_items},
                {"devices", devices},

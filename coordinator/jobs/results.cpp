@@ -9,7 +9,8 @@ namespace gleaner::coordinator {
 
 namespace {
 
-constexpr std::size_t most_nonfinite_items = 16;  // in a report
+constexpr std::size_t most_nonfinite_items = 16;                 // in a report
+constexpr std::uint64_t most_arrived = std::uint64_t{64} << 20;  // bytes of a stage that wait for its plan
 
 }  // namespace
 
@@ -33,15 +34,22 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, Bytes rec
   ResultOutcome outcome = scheduler.result(id, lease_id, epoch, cost.seconds, now());
   if (own) forget_lease(epoch);
   revoke(outcome.revoke);
-  if (outcome.verdict != Verdict::accepted || !stage) {
-    pump();
-    return outcome.verdict;
-  }
-  Job& job = *stage->job;
+  offer(worker->second);  // it gets its next batch before this one is put away
+  offer_to_unserved_soon();
+  if (outcome.verdict != Verdict::accepted || !stage) return outcome.verdict;
   account(*stage, worker->second, lease, cost, records.size());
   stage->complete = outcome.stage_complete;
+  if (stage->streamed())
+    stream_in(*stage, lease, std::move(records), lock);
+  else
+    collect(stage, lease, records, lock);
+  changed(*stage->job);
+  return outcome.verdict;
+}
+
+void Farm::Impl::collect(const std::shared_ptr<RunningStage>& stage, const Lease& lease, const Bytes& records,
+                         std::unique_lock<std::mutex>& lock) {
   ++stage->writers;
-  pump();  // the worker gets its next batch before this one is put away
   records_ready.wait(lock, [&] { return stage->records || stage->failed_to_allocate || stage->delivered; });
   std::shared_ptr<Bytes> target = stage->records;
   lock.unlock();
@@ -51,12 +59,29 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, Bytes rec
   if (target) stage->copied.push_back({lease.first, lease.count});
   --stage->writers;
   deliver_if_complete(stage);
-  if (settings.preview && !stage->delivered) {
-    job.undrawn.push_back({stage->spec.name, lease.first, lease.count, std::move(records)});
-    job.events.notify_all();
+  if (!settings.preview || stage->delivered || !target) return;
+  std::deque<UndrawnItems>& undrawn = stage->job->undrawn;
+  if (!undrawn.empty() && undrawn.back().stage == stage && undrawn.back().first + undrawn.back().count == lease.first)
+    undrawn.back().count += lease.count;
+  else
+    undrawn.push_back({stage, lease.first, lease.count});
+  stage->job->events.notify_all();
+}
+
+void Farm::Impl::stream_in(RunningStage& stage, const Lease& lease, Bytes records, std::unique_lock<std::mutex>& lock) {
+  stage.arrived.put({lease.first, lease.count, std::move(records)});
+  stage.job->events.notify_all();
+  // A plan that takes records in more slowly than they arrive holds their workers up; one that waits for a batch that
+  // has not arrived does not, or that batch might never come.
+  const auto room = [&] { return stage.delivered || !stage.arrived.ready() || stage.arrived.bytes() <= most_arrived; };
+  if (room()) return;
+  const WorkerId id = lease.worker;
+  if (auto worker = workers.find(id); worker != workers.end()) ++worker->second.waits;
+  records_ready.wait(lock, room);
+  if (auto worker = workers.find(id); worker != workers.end()) {
+    --worker->second.waits;
+    worker->second.heard = now();
   }
-  changed(job);
-  return outcome.verdict;
 }
 
 void Farm::Impl::account(RunningStage& stage, const Worker& worker, const Lease& lease, const BatchCost& cost,
@@ -106,7 +131,8 @@ void Farm::Impl::failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::s
     }
     forget_lease(epoch);
   }
-  pump();
+  offer(worker->second);
+  offer_to_unserved_soon();
 }
 
 std::optional<std::uint64_t> Farm::expected_bytes(WorkerId worker, LeaseId lease, Epoch epoch) const {

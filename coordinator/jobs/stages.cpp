@@ -11,21 +11,24 @@
 namespace gleaner::coordinator {
 
 void Farm::Impl::post(const std::shared_ptr<Job>& job, const Step& step) {
-  std::map<ArtifactId, std::string> ids;
-  for (const auto& [id, artifact] : step.artifacts) ids[id] = blobs.lend(artifact);
+  std::map<ArtifactId, Job::Artifact> artifacts, released;  // destroyed where the mutex is not held
+  for (const auto& [id, bytes] : step.artifacts) artifacts[id] = {bytes, blobs.lend(bytes)};
   std::vector<std::shared_ptr<RunningStage>> posted;
   {
     std::lock_guard lock(mutex);
-    if (job->cancel) throw Cancelled{};
-    for (const auto& [id, artifact] : step.artifacts) job->artifacts.push_back(artifact);
-    job->artifact_blobs.insert(ids.begin(), ids.end());
+    if (job->cancel || stopping) throw Cancelled{};
+    job->artifacts.merge(artifacts);
     for (const StageSpec& spec : step.stages)
       if (auto stage = schedule(job, spec)) posted.push_back(stage);
-    pump();
+    for (const ArtifactId& id : step.released)
+      if (auto artifact = job->artifacts.extract(id)) released.insert(std::move(artifact));
+    offer_to_all();
+    timer_rearm = true;
+    timer_wakes.notify_all();
     changed(*job);
   }
-  timer_wakes.notify_all();
   for (const auto& stage : posted) {
+    if (stage->streamed()) continue;
     std::shared_ptr<Bytes> records;
     try {
       records = std::make_shared<Bytes>(stage->spec.items * stage->spec.output.record_bytes);
@@ -61,7 +64,10 @@ std::string Farm::Impl::address_of(const StageWork& work, const StageSpec& spec)
 }
 
 std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Job>& job, const StageSpec& spec) {
-  if (spec.output.record_bytes == 0 || spec.items > settings.artifact_bytes / spec.output.record_bytes)
+  const bool streamed = spec.output.placement == Placement::stream;
+  if (streamed && spec.output.reusable)
+    throw Error::failed("stage " + spec.name + ": records that nobody keeps are not reusable");
+  if (spec.output.record_bytes == 0 || (!streamed && spec.items > settings.artifact_bytes / spec.output.record_bytes))
     throw Error::failed("stage " + spec.name + ": " + std::to_string(spec.items) + " records of " +
                         std::to_string(spec.output.record_bytes) + " bytes are more than this coordinator takes (" +
                         std::to_string(settings.artifact_bytes) + " bytes)");
@@ -74,14 +80,14 @@ std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Job>& j
   work->scene_blob = job->request.scene_blob;
   work->bvh_blob = job->request.bvh_blob;
   for (const auto& input : spec.inputs) {
-    auto blob = job->artifact_blobs.find(input.artifact);
-    if (blob == job->artifact_blobs.end())
+    auto artifact = job->artifacts.find(input.artifact);
+    if (artifact == job->artifacts.end())
       throw Error::failed("stage " + spec.name + ": its input " + input.name +
                           " names an artifact that the plan never gave");
-    work->inputs.push_back({input.name, blob->second});
+    work->inputs.push_back({input.name, artifact->second.blob});
   }
   auto stage = std::make_shared<RunningStage>();
-  stage->job = job.get();
+  stage->job = job;
   stage->spec = spec;
   if (spec.output.reusable) {
     stage->address = address_of(*work, spec);
@@ -106,6 +112,7 @@ std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Job>& j
                            .solo = spec.solo,
                            .priority = spec.priority,
                            .preferred = {}};
+  kinds.insert(spec.kind);
   stage->id = scheduler.add_stage(scheduled, now());
   stage->complete = scheduler.complete(stage->id);
   job->stages.push_back(stage);
@@ -115,7 +122,8 @@ std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Job>& j
 
 void Farm::Impl::deliver_if_complete(const std::shared_ptr<RunningStage>& shared) {
   RunningStage& stage = *shared;
-  if (!stage.complete || stage.writers != 0 || !stage.records || stage.delivered) return;
+  if (stage.delivered || !stage.complete) return;
+  if (stage.streamed() ? stage.arrived.given() != stage.spec.items : stage.writers != 0 || !stage.records) return;
   stage.delivered = true;
   if (stage.first_lease < 0) stage.first_lease = stage.last_result = now();
   stage.report.seconds = stage.last_result - stage.first_lease;

@@ -9,18 +9,18 @@ namespace gleaner::coordinator {
 
 namespace {
 
+using Clock = std::chrono::steady_clock;
+
 // While stages run: how often idle workers are offered work anew (a copy of a slow lease).
 constexpr Seconds idle_look = 0.1;
+constexpr std::chrono::milliseconds offer_interval{2};
 
 }  // namespace
 
-void Farm::Impl::pump() {
-  for (auto& [id, worker] : workers) pump(worker);
-}
-
-void Farm::Impl::pump(Worker& worker) {
-  if (active_stages.empty()) return;
-  while (auto lease = scheduler.next_lease(worker.id, now())) {
+void Farm::Impl::offer(Worker& worker) {
+  while (!active_stages.empty()) {
+    auto lease = scheduler.next_lease(worker.id, now());
+    if (!lease) break;
     auto found = active_stages.find(lease->stage);
     if (found == active_stages.end()) continue;
     RunningStage& stage = *found->second;
@@ -32,7 +32,26 @@ void Farm::Impl::pump(Worker& worker) {
     worker.leases.insert(lease->epoch);
     worker.session->lease(*lease, stage.work);
   }
+  if (!worker.draining && worker.leases.size() < settings.scheduler.in_flight)
+    unserved.insert(worker.id);
+  else
+    unserved.erase(worker.id);
+}
+
+void Farm::Impl::offer_to_all() {
+  for (auto& [id, worker] : workers) offer(worker);
+}
+
+void Farm::Impl::offer_to_unserved_soon() {
+  if (offers_due || unserved.empty() || active_stages.empty()) return;
+  offers_due = true;
   timer_wakes.notify_all();
+}
+
+void Farm::Impl::offer_to_unserved() {
+  offers_due = false;
+  for (const WorkerId id : std::set<WorkerId>(unserved))
+    if (auto worker = workers.find(id); worker != workers.end()) offer(worker->second);
 }
 
 void Farm::Impl::forget_lease(Epoch epoch) {
@@ -46,7 +65,10 @@ void Farm::Impl::revoke(const std::vector<Lease>& revoked) {
   for (const Lease& lease : revoked) {
     if (auto worker = workers.find(lease.worker); worker != workers.end()) worker->second.session->revoke(lease);
     forget_lease(lease.epoch);
+    if (auto worker = workers.find(lease.worker); worker != workers.end() && !worker->second.draining)
+      unserved.insert(lease.worker);
   }
+  if (!revoked.empty()) offer_to_unserved_soon();
 }
 
 void Farm::Impl::lose(WorkerId id, const std::string& why) {
@@ -58,36 +80,41 @@ void Farm::Impl::lose(WorkerId id, const std::string& why) {
   for (Epoch epoch : std::set<Epoch>(found->second.leases)) leases.erase(epoch);
   if (!why.empty()) found->second.session->close(why);
   workers.erase(found);
-  pump();
+  unserved.erase(id);
+  offer_to_unserved_soon();
 }
 
 void Farm::Impl::watch_clock() {
   std::unique_lock lock(mutex);
+  Clock::time_point offered{};
   while (!stopping) {
-    if (active_stages.empty() && workers.empty()) {
-      timer_wakes.wait(lock);
-    } else {
-      Seconds sleep = active_stages.empty() ? 1.0 : idle_look;
-      if (auto next = scheduler.next_expiry()) sleep = std::clamp(*next - now(), 0.001, sleep);
-      // Not woken by every lease: what is due next is never nearer than `idle_look` unless next_expiry() said so.
-      timer_stops.wait_for(lock, std::chrono::duration<double>(sleep));
+    if (offers_due) {
+      timer_wakes.wait_until(lock, offered + offer_interval, [&] { return stopping; });
+      offered = Clock::now();
+      if (!stopping) offer_to_unserved();
+      continue;
     }
-    if (stopping) return;
-    tick();
+    const auto woken = [&] { return stopping || offers_due || timer_rearm; };
+    timer_rearm = false;
+    if (active_stages.empty() && workers.empty()) {
+      timer_wakes.wait(lock, woken);
+      continue;
+    }
+    Seconds sleep = active_stages.empty() ? 1.0 : idle_look;
+    if (auto next = scheduler.next_expiry()) sleep = std::clamp(*next - now(), 0.001, sleep);
+    // Not woken by every lease: what is due next is never nearer than `idle_look` unless next_expiry() said so.
+    if (!timer_wakes.wait_for(lock, std::chrono::duration<double>(sleep), woken)) tick();
   }
 }
 
 void Farm::Impl::tick() {
   Seconds time = now();
-  for (const Lease& lease : scheduler.expire(time)) {
-    if (auto worker = workers.find(lease.worker); worker != workers.end()) worker->second.session->revoke(lease);
-    forget_lease(lease.epoch);
-  }
+  revoke(scheduler.expire(time));
   std::vector<WorkerId> silent;
   for (const auto& [id, worker] : workers)
-    if (time - worker.heard > settings.silence) silent.push_back(id);
+    if (time - worker.heard > settings.silence && worker.waits == 0) silent.push_back(id);
   for (WorkerId id : silent) lose(id, "not heard of for " + std::to_string(static_cast<int>(settings.silence)) + " s");
-  pump();
+  offer_to_unserved();
 }
 
 Farm::Joined Farm::join(const WorkerHello& hello, std::shared_ptr<WorkerSession> session) {
@@ -109,7 +136,8 @@ Farm::Joined Farm::join(const WorkerHello& hello, std::shared_ptr<WorkerSession>
   impl_->settings.log("worker " + name + " joined: " + hello.device.name + ", " + hello.device.tracer);
   impl_->scheduler.worker_joined(id, impl_->now());
   stored.session->welcome(name);
-  impl_->pump(stored);
+  impl_->offer(stored);
+  impl_->timer_rearm = true;
   impl_->timer_wakes.notify_all();
   return {id, name};
 }
@@ -124,6 +152,7 @@ void Farm::drain(WorkerId id) {
   auto worker = impl_->workers.find(id);
   if (worker == impl_->workers.end()) return;
   worker->second.draining = true;
+  impl_->unserved.erase(id);
   impl_->scheduler.worker_draining(id);
   worker->second.session->drain();
 }
@@ -136,9 +165,6 @@ void Farm::heard(WorkerId id) {
 std::vector<WorkerStatus> Farm::workers() const {
   std::lock_guard lock(impl_->mutex);
   Seconds time = impl_->now();
-  std::set<std::string> kinds;
-  for (const auto& [id, job] : impl_->jobs)
-    for (const auto& stage : job->stages) kinds.insert(stage->spec.kind);
   std::vector<WorkerStatus> all;
   for (const auto& [id, worker] : impl_->workers) {
     WorkerStatus status{.id = worker.name,
@@ -149,7 +175,7 @@ std::vector<WorkerStatus> Farm::workers() const {
                         .connected_seconds = time - worker.joined,
                         .silent_seconds = time - worker.heard,
                         .items_per_second = {}};
-    for (const auto& kind : kinds)
+    for (const auto& kind : impl_->kinds)
       if (double rate = impl_->scheduler.items_per_second(id, kind); rate > 0) status.items_per_second[kind] = rate;
     all.push_back(std::move(status));
   }

@@ -44,8 +44,6 @@ void Farm::Impl::write(Job& job, std::uint32_t frame, const Film& film, Seconds 
     write_atomically(paths.report.string(), std::as_bytes(std::span(text)));
   }
   std::lock_guard lock(mutex);
-  for (const fs::path& path : {paths.exr, paths.png, paths.report})
-    if (!path.empty()) job.files.push_back(path);
   job.report = std::move(report);
 }
 

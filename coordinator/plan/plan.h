@@ -58,8 +58,7 @@ class Plan {
   virtual ~Plan() = default;
   // The first call gets null, later ones the stage that finished. Called once per finished stage.
   virtual Step next(const FinishedStage* finished) = 0;
-  // Records of a streamed stage (Placement::stream): items [first, first + count), in item order without gaps until the
-  // stage is whole. Where the time limit ends the frame, what has arrived behind a gap follows, still in item order.
+  // Records of a streamed stage (Placement::stream): items [first, first + count), in item order without gaps.
   virtual void take(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) {
     static_cast<void>(stage), static_cast<void>(first), static_cast<void>(count), static_cast<void>(records);
   }

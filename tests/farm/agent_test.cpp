@@ -276,6 +276,7 @@ TEST(FarmAgentAlone, ARestartedCoordinatorGetsItsWorkersBack) {
   coordinator::BlobStore blobs;
   coordinator::FarmSettings settings;
   settings.plan = make_fake_plan;
+  settings.check = check_fake_settings;
   settings.paths = [&](const std::string&, std::uint32_t) {
     return coordinator::FramePaths{folder.path() / "a.exr", {}, {}};
   };

@@ -1,173 +1,16 @@
 // The farm's engine with scripted workers: what is leased, what is accepted, what ends up on disk.
 
-#include "coordinator/jobs/farm.h"
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <algorithm>
-#include <condition_variable>
-#include <deque>
-#include <fstream>
-#include <nlohmann/json.hpp>
-#include <optional>
-
-#include "tests/farm/fake_frame.h"
+#include "coordinator/blobs/sha256.h"
+#include "tests/farm/scripted_farm.h"
 
 namespace gleaner::test {
 namespace {
 
-using namespace coordinator;
 using testing::HasSubstr;
 using testing::SizeIs;
-
-struct Offered {
-  Lease lease;
-  std::shared_ptr<const StageWork> work;
-};
-
-// A worker that does what the test says, when it says so.
-class ScriptedWorker final : public WorkerSession {
- public:
-  ~ScriptedWorker() override {
-    if (farm_) farm_->leave(id);
-  }
-  void welcome(const std::string& given) override { name = given; }
-  void lease(const Lease& lease, std::shared_ptr<const StageWork> work) override {
-    std::lock_guard lock(mutex_);
-    offered_.push_back({lease, std::move(work)});
-    changed_.notify_all();
-  }
-  void revoke(const Lease& lease) override {
-    std::lock_guard lock(mutex_);
-    revoked_.push_back(lease);
-    std::erase_if(offered_, [&](const Offered& offer) { return offer.lease.epoch == lease.epoch; });
-  }
-  void drain() override { drained = true; }
-  void close(const std::string& reason) override {
-    std::lock_guard lock(mutex_);
-    closed_ = reason;
-  }
-
-  void join(Farm& farm, const std::string& wish = "scripted") {
-    farm_ = &farm;
-    WorkerHello hello;
-    hello.name = wish;
-    hello.device.name = "a script";
-    // The farm keeps the session as long as it likes; the test keeps the worker.
-    id = farm.join(hello, std::shared_ptr<WorkerSession>(this, [](WorkerSession*) {})).id;
-  }
-
-  std::optional<Offered> next(double seconds = 20) {
-    std::unique_lock lock(mutex_);
-    changed_.wait_for(lock, std::chrono::duration<double>(seconds), [&] { return !offered_.empty(); });
-    if (offered_.empty()) return std::nullopt;
-    Offered offer = offered_.front();
-    offered_.pop_front();
-    return offer;
-  }
-
-  // The right records, from the blobs that the farm names.
-  Bytes compute(const Offered& offer, BlobStore& blobs) const {
-    const Lease& lease = offer.lease;
-    if (offer.work->kind == "fake-scatter")
-      return fake_scatter(values_of<std::uint64_t>(offer.work->parameters).at(0), lease.first, lease.count);
-    Blob hashes = blobs.get(offer.work->inputs.at(0).blob);
-    if (!hashes) throw Error::failed("the input is not there");
-    return fake_gather(*hashes, lease.first, lease.count);
-  }
-
-  Verdict deliver(const Offered& offer, Bytes records, double seconds = 0.01) {
-    BatchCost cost;
-    cost.seconds = seconds;
-    cost.trace_seconds = 0.5 * seconds;
-    cost.kernel_seconds = 0.25 * seconds;
-    cost.camera_rays = offer.lease.count;
-    cost.scatter_rays = 2 * offer.lease.count;
-    cost.shadow_rays = 3 * offer.lease.count;
-    return farm_->result(id, offer.lease.id, offer.lease.epoch, std::move(records), cost);
-  }
-
-  std::vector<Lease> revoked() {
-    std::lock_guard lock(mutex_);
-    return revoked_;
-  }
-  bool was_revoked(const Lease& lease) {
-    auto all = revoked();
-    return std::any_of(all.begin(), all.end(), [&](const Lease& gone) { return gone.epoch == lease.epoch; });
-  }
-  std::string closed() {
-    std::lock_guard lock(mutex_);
-    return closed_;
-  }
-
-  WorkerId id = 0;
-  std::string name;
-  std::atomic<bool> drained{false};
-
- private:
-  Farm* farm_ = nullptr;
-  std::mutex mutex_;
-  std::condition_variable changed_;
-  std::deque<Offered> offered_;
-  std::vector<Lease> revoked_;
-  std::string closed_;
-};
-
-class FarmEngine : public testing::Test {
- protected:
-  FarmSettings settings(std::uint64_t batch_items = 256) {
-    FarmSettings farm_settings;
-    farm_settings.plan = make_fake_plan;
-    farm_settings.scheduler.fixed_batch_items = batch_items;
-    farm_settings.scheduler.lease_floor = 1000;
-    farm_settings.paths = [this](const std::string& job, std::uint32_t frame) {
-      std::string stem = (folder_.path() / job / std::string("frame").append(std::to_string(frame))).string();
-      return FramePaths{stem + ".exr", stem + ".png", stem + ".json"};
-    };
-    farm_settings.log = [](const std::string&) {};
-    return farm_settings;
-  }
-
-  JobRequest request(const FrameSettings& frame = fake_settings()) {
-    JobRequest job;
-    job.scene_name = "fake.glb";
-    job.scene_blob = blobs_.put(bytes_of(std::vector<int>{1, 2, 3}));
-    job.settings = frame;
-    return job;
-  }
-
-  static JobStatus end_of(Farm& farm, const std::string& job) {
-    for (int i = 0; i < 40; ++i) {
-      auto status = farm.wait(job, ~std::uint64_t{0}, 0.5);
-      if (ended(status->state)) return *status;
-    }
-    ADD_FAILURE() << "job " << job << " does not end";
-    return *farm.status(job);
-  }
-
-  // Serves the worker until the job has ended.
-  void serve(Farm& farm, ScriptedWorker& worker, const std::string& job) {
-    while (!ended(farm.status(job)->state)) {
-      auto offer = worker.next(0.05);
-      if (offer) worker.deliver(*offer, worker.compute(*offer, blobs_));
-    }
-  }
-
-  nlohmann::json report(Farm& farm, const std::string& job, const std::string& extension = ".json",
-                        std::size_t skip = 0) {
-    for (const auto& path : farm.files(job)) {
-      if (path.extension() != extension || skip-- > 0) continue;
-      std::ifstream file(path);
-      return nlohmann::json::parse(file);
-    }
-    ADD_FAILURE() << "no report";
-    return {};
-  }
-
-  TemporaryFolder folder_;
-  BlobStore blobs_;
-};
 
 TEST_F(FarmEngine, RendersAFrameWithOneWorker) {
   Farm farm(settings(), blobs_);
@@ -255,13 +98,15 @@ TEST_F(FarmEngine, AnyOrderOfResultsGivesTheSamePixels) {
   third.join(farm, "third");
   std::string job = farm.submit(request());
   std::deque<std::pair<ScriptedWorker*, Offered>> held;
+  int turn = 0;
   while (!ended(farm.status(job)->state)) {
     for (ScriptedWorker* worker : {&first, &second, &third})
       while (auto offer = worker->next(0.01)) held.push_back({worker, *offer});
     if (held.empty()) continue;
-    // The youngest first: the oldest one's result comes long after it was handed out.
-    auto [worker, offer] = held.back();
-    held.pop_back();
+    // Mostly the youngest first: the oldest ones' results come long after they were handed out.
+    const bool oldest = turn++ % 4 == 0;
+    auto [worker, offer] = oldest ? held.front() : held.back();
+    oldest ? held.pop_front() : held.pop_back();
     // What was revoked meanwhile has lost its inputs.
     if (!worker->was_revoked(offer.lease)) worker->deliver(offer, worker->compute(offer, blobs_));
   }
@@ -449,7 +294,7 @@ TEST_F(FarmEngine, ABrokenPlanFailsItsJobAndNoOther) {
   worker.join(farm);
   for (const char* defect : {"plan_throws", "input_unknown"}) {
     FrameSettings broken = fake_settings();
-    broken.set[defect] = "1";
+    broken.set[defect] = std::string("1");
     std::string job = farm.submit(request(broken));
     serve(farm, worker, job);
     JobStatus status = end_of(farm, job);
@@ -495,6 +340,12 @@ TEST_F(FarmEngine, RefusesWhatCannotBeAJob) {
   backwards.first_frame = 3;
   backwards.last_frame = 2;
   EXPECT_THROW(farm.submit(backwards), Error);
+  JobRequest endless = request();
+  endless.first_frame = 0;
+  for (std::uint32_t last : {4294967294u, 4294967295u}) {
+    endless.last_frame = last;
+    EXPECT_THROW(farm.submit(endless), Error) << last;
+  }
   EXPECT_TRUE(farm.list().empty());
 }
 
@@ -553,6 +404,21 @@ TEST_F(FarmEngine, FramesOfAStillSceneAreRenderedOnce) {
   EXPECT_THAT(last["skips"].back()["why"], HasSubstr("frame 3"));
 }
 
+TEST_F(FarmEngine, TheLastFrameNumbersEnd) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  JobRequest frames = request();
+  frames.first_frame = 4294967294u;
+  frames.last_frame = 4294967295u;
+  std::string job = farm.submit(frames);
+  serve(farm, worker, job);
+  JobStatus status = end_of(farm, job);
+  ASSERT_EQ(status.state, JobState::done) << status.message;
+  EXPECT_EQ(status.frames_done, 2u);
+  EXPECT_EQ(report(farm, job, ".json", 1)["frame"], 4294967295u);
+}
+
 TEST_F(FarmEngine, ATimeLimitEndsTheFrameWithWhatThereIs) {
   std::atomic<double> time{0};
   FarmSettings farm_settings = settings(128);
@@ -571,17 +437,19 @@ TEST_F(FarmEngine, ATimeLimitEndsTheFrameWithWhatThereIs) {
   JobRequest limited = request();
   limited.time_limit = 1000;
 
-  // Within the second stage: 16 batches of the first one, 3 of the second one's 4.
+  // Within the second stage: 16 batches of the first one, 2 of the second one's 4, and a third if it comes before the
+  // job looks at the clock.
   std::string job = farm.submit(limited);
   deliver(18);
   time = 2000;
-  deliver(1);
+  auto third = worker.next(0.01);
+  const bool in_time = third && worker.deliver(*third, worker.compute(*third, blobs_)) == Verdict::accepted;
   JobStatus status = end_of(farm, job);
   ASSERT_EQ(status.state, JobState::done) << status.message;
   auto json = report(farm, job);
   EXPECT_EQ(json["time_limit"]["reached"], true);
   EXPECT_EQ(json["stages"][0]["items"], 2048);
-  EXPECT_EQ(json["stages"][1]["items"], 384);
+  EXPECT_EQ(json["stages"][1]["items"], in_time ? 384 : 256);
   EXPECT_NE(json["pixels_sha256"], fake_pixels_sha256(fake_settings()));
 
   // Within the first stage, which must be whole: the second one is not waited for.
@@ -602,6 +470,134 @@ TEST_F(FarmEngine, ATimeLimitEndsTheFrameWithWhatThereIs) {
   EXPECT_EQ(end_of(farm, job).state, JobState::done);
   EXPECT_EQ(report(farm, job)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
   EXPECT_EQ(report(farm, job)["time_limit"]["reached"], false);
+}
+
+// Offers of a whole stage, which the worker holds without answering.
+std::vector<Offered> all_of(ScriptedWorker& worker, const std::string& stage, std::size_t batches) {
+  std::vector<Offered> offers;
+  while (offers.size() < batches) {
+    auto offer = worker.next();
+    if (!offer || offer->work->stage != stage) break;
+    offers.push_back(*offer);
+  }
+  return offers;
+}
+
+TEST_F(FarmEngine, StreamedRecordsReachThePlanInItemOrderWhateverOrderTheyArriveIn) {
+  FarmSettings many = settings(128);
+  many.scheduler.in_flight = 16;
+  Farm farm(many, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  FrameSettings streamed = fake_settings();
+  streamed.set["stream"] = std::string("1");
+  std::string job = farm.submit(request(streamed));
+  for (const Offered& offer : all_of(worker, "scatter", 16)) worker.deliver(offer, worker.compute(offer, blobs_));
+  std::vector<Offered> gathers = all_of(worker, "gather", 4);
+  ASSERT_THAT(gathers, SizeIs(4));
+  for (std::size_t i : {2u, 1u, 3u}) worker.deliver(gathers[i], worker.compute(gathers[i], blobs_));
+  EXPECT_FALSE(farm.preview(job)) << "the first batch has not arrived";
+  EXPECT_EQ(farm.status(job)->stages.at(1).items_done, 384u);
+  worker.deliver(gathers[0], worker.compute(gathers[0], blobs_));
+  JobStatus status = end_of(farm, job);
+  ASSERT_EQ(status.state, JobState::done) << status.message;
+  EXPECT_EQ(report(farm, job)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+}
+
+TEST_F(FarmEngine, ATimeLimitTakesWhatAStreamedStageHasInOrder) {
+  std::atomic<double> time{0};
+  FarmSettings many = settings(128);
+  many.scheduler.in_flight = 16;
+  many.clock = [&] { return time.load(); };
+  many.silence = many.scheduler.lease_floor = 1e9;
+  Farm farm(many, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  JobRequest limited = request();
+  limited.settings.set["stream"] = std::string("1");
+  limited.time_limit = 1000;
+  std::string job = farm.submit(limited);
+  for (const Offered& offer : all_of(worker, "scatter", 16)) worker.deliver(offer, worker.compute(offer, blobs_));
+  std::vector<Offered> gathers = all_of(worker, "gather", 4);
+  ASSERT_THAT(gathers, SizeIs(4));
+  worker.deliver(gathers[0], worker.compute(gathers[0], blobs_));
+  ASSERT_TRUE(eventually([&] { return farm.preview(job).has_value(); }));
+  worker.deliver(gathers[2], worker.compute(gathers[2], blobs_));
+  time = 2000;
+  // The clock is looked at when something happens.
+  worker.deliver(gathers[3], worker.compute(gathers[3], blobs_));
+  JobStatus status = end_of(farm, job);
+  ASSERT_EQ(status.state, JobState::done) << status.message;
+  EXPECT_EQ(report(farm, job)["stages"][1]["items"], 128);
+}
+
+TEST_F(FarmEngine, ReleasedArtifactsAreFreedWhileTheFrameRuns) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  const std::string unread = sha256_hex(bytes_of(unread_data()));
+  FrameSettings releasing = fake_settings();
+  releasing.set["release"] = std::string("1");
+  std::string job = farm.submit(request(releasing));
+  std::optional<Offered> offer = worker.next();
+  EXPECT_TRUE(blobs_.get(unread));
+  while (offer && offer->work->stage == "scatter") {
+    worker.deliver(*offer, worker.compute(*offer, blobs_));
+    offer = worker.next();
+  }
+  ASSERT_TRUE(offer);
+  EXPECT_EQ(farm.status(job)->state, JobState::running);
+  EXPECT_TRUE(eventually([&] { return !blobs_.get(unread); })) << "no stage reads it any more";
+  EXPECT_TRUE(blobs_.get(offer->work->inputs.at(0).blob));
+  worker.deliver(*offer, worker.compute(*offer, blobs_));
+  serve(farm, worker, job);
+  EXPECT_EQ(end_of(farm, job).state, JobState::done);
+}
+
+TEST_F(FarmEngine, EachFramesTimeLimitRunsFromItsOwnStart) {
+  std::atomic<double> time{0};
+  FarmSettings farm_settings = settings(2048);
+  farm_settings.clock = [&] { return time.load(); };
+  farm_settings.silence = farm_settings.scheduler.lease_floor = 1e9;
+  farm_settings.active_jobs = 1;
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  std::string before = farm.submit(request());
+  JobRequest limited = request();
+  limited.time_limit = 1000;
+  limited.last_frame = 2;
+  limited.cameras = {limited.settings.camera, limited.settings.camera};
+  limited.cameras[1].origin[0] = 1;
+  std::string job = farm.submit(limited);
+  time = 5000;  // it waited for longer than its frames may take
+  serve(farm, worker, before);
+  ASSERT_EQ(end_of(farm, before).state, JobState::done);
+  while (!ended(farm.status(job)->state)) {  // two frames of two stages
+    auto offer = worker.next(0.05);
+    if (!offer) continue;
+    time = time + 400;
+    worker.deliver(*offer, worker.compute(*offer, blobs_));
+  }
+  ASSERT_EQ(end_of(farm, job).state, JobState::done);
+  for (std::size_t frame : {0u, 1u}) {
+    EXPECT_EQ(report(farm, job, ".json", frame)["time_limit"]["reached"], false) << "frame " << frame + 1;
+    EXPECT_EQ(report(farm, job, ".json", frame)["stages"][1]["items"], 512);
+  }
+}
+
+TEST_F(FarmEngine, WhatAPlanWarnsOfIsToldToPeople) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  FrameSettings warning = fake_settings();
+  warning.set["warn"] = "the target error was not reached";
+  std::string job = farm.submit(request(warning));
+  serve(farm, worker, job);
+  JobStatus status = end_of(farm, job);
+  EXPECT_EQ(status.state, JobState::done);
+  EXPECT_EQ(status.message, "the target error was not reached");
+  EXPECT_EQ(report(farm, job)["warnings"][0], "the target error was not reached");
 }
 
 TEST_F(FarmEngine, NamesAreUniqueAmongWhoIsThere) {

@@ -73,6 +73,9 @@ inline std::string fake_pixels_sha256(const coordinator::FrameSettings& settings
   return coordinator::pixels_sha256(film);
 }
 
+// An artifact of the frame with --set release, which is released once "scatter" has finished.
+inline std::vector<int> unread_data() { return {7, 7, 7}; }
+
 class FakePlan final : public coordinator::Plan {
  public:
   explicit FakePlan(coordinator::FrameSettings settings) : settings_(std::move(settings)) {
@@ -86,6 +89,7 @@ class FakePlan final : public coordinator::Plan {
     coordinator::Step step;
     std::uint64_t pixels = std::uint64_t{settings_.width} * settings_.height;
     if (!finished) {
+      if (settings_.set.count("release")) step.artifacts["unread"] = std::make_shared<Bytes>(bytes_of(unread_data()));
       step.stages.push_back({.name = "scatter",
                              .kind = "fake-scatter",
                              .items = pixels * items_a_pixel,
@@ -104,18 +108,31 @@ class FakePlan final : public coordinator::Plan {
                              .solo = settings_.set.count("solo") != 0,
                              .parameters = {},
                              .inputs = {{"hashes", id}},
-                             .output = {.record_bytes = 4}});
+                             .output = {.record_bytes = 4,
+                                        .placement = settings_.set.count("stream") ? coordinator::Placement::stream
+                                                                                   : coordinator::Placement::collect}});
+      if (settings_.set.count("release")) step.released.push_back("unread");
     } else {
-      auto values = values_of<float>(*finished->records);
-      for (auto& channel : film_.channels) channel.values = values;
+      if (taken_ == 0) {
+        auto values = values_of<float>(*finished->records);
+        for (auto& channel : film_.channels) channel.values = values;
+      }
       step.done = true;
     }
     return step;
   }
 
+  // Of a streamed "gather".
+  void take(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override {
+    if (stage != "gather" || first != taken_) throw Error::failed("records came out of order");
+    taken_ += count;
+    preview(stage, first, count, records);
+  }
+
   // "scatter" must be whole; of "gather" any part will do.
   bool conclude(const std::vector<coordinator::CutStage>& cut) override {
     if (cut.size() != 1 || cut[0].stage.name != "gather") return false;
+    if (taken_ > 0) return cut[0].whole.size() == 1 && cut[0].whole[0].count == taken_;
     for (const auto& range : cut[0].whole)
       preview("gather", range.first, range.count, slice(*cut[0].stage.records, range));
     return true;
@@ -131,6 +148,10 @@ class FakePlan final : public coordinator::Plan {
   Film preview_film() const override { return film_; }
   Film film() const override { return film_; }
   std::vector<coordinator::Skip> skips() const override { return {{"photons", "the fake has no light", 7}}; }
+  std::vector<std::string> warnings() const override {
+    const auto warning = settings_.set.find("warn");
+    return warning == settings_.set.end() ? std::vector<std::string>{} : std::vector<std::string>{warning->second};
+  }
   std::string parameters_json() const override { return R"({"fake": true})"; }
   std::vector<std::string> outline() const override { return {"scatter", "gather"}; }
 
@@ -142,11 +163,16 @@ class FakePlan final : public coordinator::Plan {
 
   coordinator::FrameSettings settings_;
   Film film_;
+  std::uint64_t taken_ = 0;  // items of a streamed "gather"
 };
+
+inline std::uint64_t check_fake_settings(const coordinator::FrameSettings& settings, const coordinator::SceneSummary&) {
+  if (settings.method != "fake") throw Error::usage("--method: expected fake, found \"" + settings.method + "\"");
+  return std::uint64_t{settings.width} * settings.height;
+}
 
 inline std::unique_ptr<coordinator::Plan> make_fake_plan(const coordinator::FrameSettings& settings,
                                                          const coordinator::SceneSummary&) {
-  if (settings.method != "fake") throw Error::usage("--method: expected fake, found \"" + settings.method + "\"");
   return std::make_unique<FakePlan>(settings);
 }
 

@@ -292,6 +292,10 @@ TEST_F(Farm, StatusesAndWordsOfErrors) {
       {{"render", box, "-o", out, "--size", "0x10"}, 2, {"--size", "0x10"}},
       {{"render", box, "-o", out, "--spp", "0"}, 2, {"--spp"}},
       {{"render", box, "-o", out, "--frames", "5-2"}, 2, {"--frames", "5-2"}},
+      {{"render", box, "-o", out, "--frames", "0-4294967294"}, 2, {"--frames", "100000"}},
+      {{"render", box, "-o", out, "--frames", "1-4294967295", "--look-at", "0,1,5,0,1,0", "--look-at", "0,1,6,0,1,0"},
+       2,
+       {"--frames", "100000"}},
       {{"render", box, "-o", out, "--method", "paint"}, 2, {"paint"}},
       {{"render", box, "-o", out, "--set", "nonsense"}, 2, {"--set", "nonsense"}},
       {{"render", box, "-o", out, "--set", "no.such=1"}, 2, {"no.such"}},
@@ -347,10 +351,46 @@ TEST_F(Farm, StatusesAndWordsOfErrors) {
       folder("third-log"));
   EXPECT_EQ(third.wait(), 1);
   EXPECT_THAT(third.err(), HasSubstr("file"));
+  Process sharing(
+      {(programs / "gleaner-coordinator").string(), "--listen", "127.0.0.1:0", "--data", farm.data().string()},
+      folder("sharing-log"));
+  EXPECT_EQ(sharing.wait(), 1);
+  EXPECT_THAT(sharing.err(), HasSubstr(farm.data().string()));
+  EXPECT_THAT(sharing.err(), HasSubstr("another coordinator"));
   Process lonely(
       {(programs / "gleaner-worker").string(), "--coordinator", "127.0.0.1:1", "--threads", "1", "--give-up", "1"},
       folder("lonely-log"), {{"POCL_MAX_PTHREAD_COUNT", "1"}});
   EXPECT_EQ(lonely.wait(), 4) << lonely.err();
+}
+
+// Bytes that the process has in memory: "VmRSS" now, "VmHWM" at most so far.
+std::uint64_t memory_of(const Process& process, const std::string& what) {
+  std::ifstream file("/proc/" + std::to_string(process.id()) + "/status");
+  for (std::string word; file >> word;)
+    if (std::uint64_t kibibytes = 0; word == what + ":" && file >> kibibytes) return kibibytes * 1024;
+  throw Error::failed("no " + what + " in /proc");
+}
+
+TEST_F(Farm, FramesAreHeldInMemoryOneAtATimeAndWithinItsBound) {
+  ProcessFarm farm(folder("farm"), programs, {"--memory", "2", "--active-jobs", "1"});
+  std::vector<std::string> words = {"submit", scene().string(), "--size", "16384x16384", "--spp", "1"};
+  Ran refused = farm.gleaner(words);
+  EXPECT_NE(refused.status, 0);
+  EXPECT_THAT(refused.err, HasSubstr("16384x16384"));
+  EXPECT_THAT(refused.err, HasSubstr("2.00 GiB"));
+  // The first of them runs, as far as it gets without a worker.
+  words[3] = "1920x1080";
+  std::vector<std::string> jobs;
+  for (int i = 0; i < 2; ++i) jobs.push_back(farm.gleaner(words).out);
+  ASSERT_TRUE(eventually([&] { return farm.job(jobs[0].substr(0, jobs[0].find('\n'))).stages_size() > 0; }));
+  std::this_thread::sleep_for(std::chrono::seconds(1));
+  const std::uint64_t before = memory_of(farm.coordinator(), "VmRSS");
+  EXPECT_GT(before, std::uint64_t{1920} * 1080 * 32) << "the frame that runs is not there";
+  const int queued = 20;
+  for (int i = 0; i < queued; ++i) jobs.push_back(farm.gleaner(words).out);
+  const std::uint64_t after = memory_of(farm.coordinator(), "VmRSS");
+  EXPECT_LT(after, before + queued * (std::uint64_t{1} << 20)) << "a job that waits takes more than a mebibyte";
+  for (const std::string& job : jobs) farm.gleaner({"cancel", job.substr(0, job.find('\n'))});
 }
 
 TEST_F(Farm, ATimeLimitIsKeptAndSaid) {

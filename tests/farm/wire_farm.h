@@ -70,6 +70,7 @@ class WireFarm {
   coordinator::FarmSettings farm_settings() {
     coordinator::FarmSettings settings;
     settings.plan = make_fake_plan;
+    settings.check = check_fake_settings;
     settings.scheduler.fixed_batch_items = 256;
     settings.paths = [this](const std::string& job, std::uint32_t frame) {
       std::string stem = (folder_.path() / "jobs" / job / std::string("frame_").append(std::to_string(frame))).string();

@@ -1,0 +1,169 @@
+#pragma once
+// A farm with scripted workers, on the fake frame's plan: the test says what each worker does, and when.
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <condition_variable>
+#include <deque>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <optional>
+
+#include "coordinator/jobs/farm.h"
+#include "tests/farm/fake_frame.h"
+
+namespace gleaner::test {
+
+using namespace coordinator;
+
+struct Offered {
+  Lease lease;
+  std::shared_ptr<const StageWork> work;
+};
+
+// A worker that does what the test says, when it says so.
+class ScriptedWorker final : public WorkerSession {
+ public:
+  ~ScriptedWorker() override {
+    if (farm_) farm_->leave(id);
+  }
+  void welcome(const std::string& given) override { name = given; }
+  void lease(const Lease& lease, std::shared_ptr<const StageWork> work) override {
+    std::lock_guard lock(mutex_);
+    offered_.push_back({lease, std::move(work)});
+    changed_.notify_all();
+  }
+  void revoke(const Lease& lease) override {
+    std::lock_guard lock(mutex_);
+    revoked_.push_back(lease);
+    std::erase_if(offered_, [&](const Offered& offer) { return offer.lease.epoch == lease.epoch; });
+  }
+  void drain() override { drained = true; }
+  void close(const std::string& reason) override {
+    std::lock_guard lock(mutex_);
+    closed_ = reason;
+  }
+
+  void join(Farm& farm, const std::string& wish = "scripted") {
+    farm_ = &farm;
+    WorkerHello hello;
+    hello.name = wish;
+    hello.device.name = "a script";
+    // The farm keeps the session as long as it likes; the test keeps the worker.
+    id = farm.join(hello, std::shared_ptr<WorkerSession>(this, [](WorkerSession*) {})).id;
+  }
+
+  std::optional<Offered> next(double seconds = 20) {
+    std::unique_lock lock(mutex_);
+    changed_.wait_for(lock, std::chrono::duration<double>(seconds), [&] { return !offered_.empty(); });
+    if (offered_.empty()) return std::nullopt;
+    Offered offer = offered_.front();
+    offered_.pop_front();
+    return offer;
+  }
+
+  // The right records, from the blobs that the farm names.
+  Bytes compute(const Offered& offer, BlobStore& blobs) const {
+    const Lease& lease = offer.lease;
+    if (offer.work->kind == "fake-scatter")
+      return fake_scatter(values_of<std::uint64_t>(offer.work->parameters).at(0), lease.first, lease.count);
+    Blob hashes = blobs.get(offer.work->inputs.at(0).blob);
+    if (!hashes) throw Error::failed("the input is not there");
+    return fake_gather(*hashes, lease.first, lease.count);
+  }
+
+  Verdict deliver(const Offered& offer, Bytes records, double seconds = 0.01) {
+    BatchCost cost;
+    cost.seconds = seconds;
+    cost.trace_seconds = 0.5 * seconds;
+    cost.kernel_seconds = 0.25 * seconds;
+    cost.camera_rays = offer.lease.count;
+    cost.scatter_rays = 2 * offer.lease.count;
+    cost.shadow_rays = 3 * offer.lease.count;
+    return farm_->result(id, offer.lease.id, offer.lease.epoch, std::move(records), cost);
+  }
+
+  std::vector<Lease> revoked() {
+    std::lock_guard lock(mutex_);
+    return revoked_;
+  }
+  bool was_revoked(const Lease& lease) {
+    auto all = revoked();
+    return std::any_of(all.begin(), all.end(), [&](const Lease& gone) { return gone.epoch == lease.epoch; });
+  }
+  std::string closed() {
+    std::lock_guard lock(mutex_);
+    return closed_;
+  }
+
+  WorkerId id = 0;
+  std::string name;
+  std::atomic<bool> drained{false};
+
+ private:
+  Farm* farm_ = nullptr;
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::deque<Offered> offered_;
+  std::vector<Lease> revoked_;
+  std::string closed_;
+};
+
+class FarmEngine : public testing::Test {
+ protected:
+  FarmSettings settings(std::uint64_t batch_items = 256) {
+    FarmSettings farm_settings;
+    farm_settings.plan = make_fake_plan;
+    farm_settings.check = check_fake_settings;
+    farm_settings.scheduler.fixed_batch_items = batch_items;
+    farm_settings.scheduler.lease_floor = 1000;
+    farm_settings.paths = [this](const std::string& job, std::uint32_t frame) {
+      std::string stem = (folder_.path() / job / std::string("frame").append(std::to_string(frame))).string();
+      return FramePaths{stem + ".exr", stem + ".png", stem + ".json"};
+    };
+    farm_settings.log = [](const std::string&) {};
+    return farm_settings;
+  }
+
+  JobRequest request(const FrameSettings& frame = fake_settings()) {
+    JobRequest job;
+    job.scene_name = "fake.glb";
+    job.scene_blob = blobs_.put(bytes_of(std::vector<int>{1, 2, 3}));
+    job.settings = frame;
+    return job;
+  }
+
+  static JobStatus end_of(Farm& farm, const std::string& job) {
+    for (int i = 0; i < 40; ++i) {
+      auto status = farm.wait(job, ~std::uint64_t{0}, 0.5);
+      if (ended(status->state)) return *status;
+    }
+    ADD_FAILURE() << "job " << job << " does not end";
+    return *farm.status(job);
+  }
+
+  // Serves the worker until the job has ended.
+  void serve(Farm& farm, ScriptedWorker& worker, const std::string& job) {
+    while (!ended(farm.status(job)->state)) {
+      auto offer = worker.next(0.05);
+      if (offer) worker.deliver(*offer, worker.compute(*offer, blobs_));
+    }
+  }
+
+  nlohmann::json report(Farm& farm, const std::string& job, const std::string& extension = ".json",
+                        std::size_t skip = 0) {
+    for (const auto& path : farm.files(job)) {
+      if (path.extension() != extension || skip-- > 0) continue;
+      std::ifstream file(path);
+      return nlohmann::json::parse(file);
+    }
+    ADD_FAILURE() << "no report";
+    return {};
+  }
+
+  TemporaryFolder folder_;
+  BlobStore blobs_;
+};
+
+}  // namespace gleaner::test
