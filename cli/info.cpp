@@ -100,28 +100,27 @@ ordered_json json_of(const InfoWords& words, const Scene& scene, double seconds)
                        {"forward", camera.camera.forward}});
   for (std::size_t i = 0; i < scene::need_names().size(); ++i)
     needed[scene::need_names()[i]] = (needs.bits() >> i & 1) != 0;
-  ordered_json result = {{"scene", words.files.scene},
-                         {"triangles", scene.triangle_count()},
-                         {"vertices", scene.vertex_count()},
-                         {"meshes", scene.meshes.size()},
-                         {"materials", scene.materials.size()},
-                         {"textures", scene.textures.size()},
-                         {"texture_bytes", scene.texels.size() * sizeof scene.texels[0]},
-                         {"lights",
-                          {{"emissive_triangles", emitters.triangles},
-                           {"emissive_area_m2", emitters.area},
-                           {"emissive_power_w", emitters.power},
-                           {"point", punctual[GLEANER_LIGHT_POINT]},
-                           {"spot", punctual[GLEANER_LIGHT_SPOT]},
-                           {"directional", punctual[GLEANER_LIGHT_DIRECTIONAL]}}},
-                         {"cameras", cameras},
-                         {"bounds",
-                          {{"lower_m", in_file(scene, bounds.lower.data())},
-                           {"upper_m", in_file(scene, bounds.upper.data())}}},
-                         {"origin_m", scene.origin},
-                         {"needs", needed},
-                         {"warnings", scene.warnings},
-                         {"import_seconds", seconds}};
+  ordered_json result = {
+      {"scene", words.files.scene},
+      {"triangles", scene.triangle_count()},
+      {"vertices", scene.vertex_count()},
+      {"meshes", scene.meshes.size()},
+      {"materials", scene.materials.size()},
+      {"textures", scene.textures.size()},
+      {"texture_bytes", scene.texels.size() * sizeof scene.texels[0]},
+      {"lights",
+       {{"emissive_triangles", emitters.triangles},
+        {"emissive_area_m2", emitters.area},
+        {"emissive_power_w", emitters.power},
+        {"point", punctual[GLEANER_LIGHT_POINT]},
+        {"spot", punctual[GLEANER_LIGHT_SPOT]},
+        {"directional", punctual[GLEANER_LIGHT_DIRECTIONAL]}}},
+      {"cameras", cameras},
+      {"bounds", {{"lower_m", in_file(scene, bounds.lower.data())}, {"upper_m", in_file(scene, bounds.upper.data())}}},
+      {"origin_m", scene.origin},
+      {"needs", needed},
+      {"warnings", scene.warnings},
+      {"import_seconds", seconds}};
   if (!scene.light_units.empty()) result["lights"]["units"] = scene.light_units;
   if (!scene.variants.empty()) result["variants"] = scene.variants;
   if (!scene.environment.empty())

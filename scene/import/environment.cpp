@@ -57,9 +57,9 @@ void check_promise(const OIIO::ImageSpec& spec, std::uint64_t bytes, const std::
   constexpr std::uint64_t most = 1032;
   const std::uint64_t promised = std::uint64_t(spec.width) * std::uint64_t(spec.height) * spec.pixel_bytes(true);
   if (!std::string(spec.get_string_attribute("compression")).starts_with("dwa") && promised > most * bytes)
-    throw Error::bad_input(path, "", "a file of as many bytes as its pixels take",
-                           std::to_string(bytes) + " for " + std::to_string(spec.width) + "x" +
-                               std::to_string(spec.height));
+    throw Error::bad_input(
+        path, "", "a file of as many bytes as its pixels take",
+        std::to_string(bytes) + " for " + std::to_string(spec.width) + "x" + std::to_string(spec.height));
 }
 
 void check_size(const OIIO::ImageSpec& spec, const std::string& path) {
@@ -152,8 +152,8 @@ Environment import_environment(const std::string& path, const EnvironmentOptions
   const Channels channels = channels_of(spec, path);
   std::vector<std::string> said;
   if (!channels.named)
-    said.push_back(path + ": no channels R, G and B: " +
-                       spec.channelnames[static_cast<std::size_t>(channels.red)] + " and its like are taken");
+    said.push_back(path + ": no channels R, G and B: " + spec.channelnames[static_cast<std::size_t>(channels.red)] +
+                   " and its like are taken");
 
   const int first = std::min({channels.red, channels.green, channels.blue});
   const int last = std::max({channels.red, channels.green, channels.blue});
@@ -175,14 +175,15 @@ Environment import_environment(const std::string& path, const EnvironmentOptions
       float rgb[3] = {from[channels.red - first], from[channels.green - first], from[channels.blue - first]};
       mend(rgb, mended);
       float* to = &environment.radiance[3 * (std::size_t(v) * environment.width + std::size_t(u))];
-      for (int c = 0; c < 3; ++c) to[c] = static_cast<float>(std::min(rgb[c] * options.strength, double{kMostRadiance}));
+      for (int c = 0; c < 3; ++c)
+        to[c] = static_cast<float>(std::min(rgb[c] * options.strength, double{kMostRadiance}));
     }
   warn_of(mended, width * height, path, said);
   if (spec.width != spec.full_width || spec.height != spec.full_height || spec.x != spec.full_x ||
       spec.y != spec.full_y)
     said.push_back(path + ": a data window of " + std::to_string(width) + "x" + std::to_string(height) +
-                       " in a picture of " + std::to_string(spec.full_width) + "x" +
-                       std::to_string(spec.full_height) + ": what it leaves out is black");
+                   " in a picture of " + std::to_string(spec.full_width) + "x" + std::to_string(spec.full_height) +
+                   ": what it leaves out is black");
   rotate(environment, options.rotation_degrees);
   if (warnings) warnings->insert(warnings->end(), said.begin(), said.end());
   return environment;

@@ -105,9 +105,8 @@ fs::path resolve_inside(const std::string& reference, const std::string& file, c
 namespace {
 
 bool is_same_but_for_case(const std::string& a, const std::string& b) {
-  return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](unsigned char x, unsigned char y) {
-    return std::tolower(x) == std::tolower(y);
-  });
+  return std::equal(a.begin(), a.end(), b.begin(), b.end(),
+                    [](unsigned char x, unsigned char y) { return std::tolower(x) == std::tolower(y); });
 }
 
 // The file or folder in `folder` whose name differs from `name` in the case of its letters alone; the first in the
@@ -139,10 +138,6 @@ fs::path found_in_any_case(const fs::path& folder, const fs::path& relative) {
   return place;
 }
 
-bool is_absolute_somewhere(const std::string& path) {
-  return path.starts_with('/') || (path.size() > 2 && path[1] == ':' && path[2] == '/');
-}
-
 }  // namespace
 
 fs::path resolve_reference(const std::string& reference, const std::string& file, const std::string& element,
@@ -153,14 +148,11 @@ fs::path resolve_reference(const std::string& reference, const std::string& file
   if (is_plain && fs::exists(folder / reference, code)) return resolve_inside(reference, file, element);
   std::string slashed = reference;
   std::replace(slashed.begin(), slashed.end(), '\\', '/');
-  const bool is_elsewhere = is_absolute_somewhere(slashed);
-  const fs::path wanted = is_elsewhere ? fs::path(slashed).filename() : fs::path(slashed);
-  const fs::path found = wanted.empty() ? fs::path() : found_in_any_case(folder, wanted);
-  if (found.empty()) return resolve_inside(is_elsewhere ? reference : slashed, file, element);
+  if (slashed.empty() || fs::path(slashed).is_absolute()) return resolve_inside(slashed, file, element);
+  const fs::path found = found_in_any_case(folder, slashed);
+  if (found.empty()) return resolve_inside(slashed, file, element);
   const fs::path inside = resolve_inside(found.lexically_relative(folder).string(), file, element);
-  if (warnings)
-    warnings->add(element, is_elsewhere ? "an absolute path: the file of that name in the scene's folder is taken"
-                                        : "found under another spelling: backslashes, or letters in another case");
+  if (warnings) warnings->add(element, "found under another spelling: backslashes, or letters in another case");
   return inside;
 }
 

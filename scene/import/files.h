@@ -27,8 +27,8 @@ std::vector<std::byte> read_file(const std::filesystem::path& path, std::uint64_
 // Error::bad_input where that lies outside the folder of `file`.
 std::filesystem::path resolve_inside(const std::string& reference, const std::string& file, const std::string& element);
 
-// resolve_inside(), forgiving what other systems forgive, with a warning: backslashes between folders, letters in another
-// case, an absolute path where a file of that name lies beside the scene. The path need not exist.
+// resolve_inside(), forgiving what other systems forgive, with a warning: backslashes between folders, letters in
+// another case. The path need not exist.
 std::filesystem::path resolve_reference(const std::string& reference, const std::string& file,
                                         const std::string& element, Warnings* warnings = nullptr);
 

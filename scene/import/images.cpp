@@ -71,14 +71,15 @@ class OpenImage {
   bool exceeds_bytes() const { return spec_.format.size() > 1; }
   std::uint64_t texels() const { return std::uint64_t(width()) * height(); }
 
-  // Deflate never says more than 1032 bytes with one: a PNG that promises more than its bytes can hold is refused before
-  // room is made for it.
+  // Deflate never says more than 1032 bytes with one: a PNG that promises more than its bytes can hold is refused
+  // before room is made for it.
   void check_promise(std::uint64_t bytes) const {
     constexpr std::uint64_t most = 1032;
     if (std::string_view(reader_->format_name()) != "png") return;
     const std::uint64_t bits = spec_.format.size() * 8 * std::uint64_t(spec_.nchannels);
     // Palettes and one-bit images are unpacked to bytes by the reader: 1 bit a pixel is the least.
-    if (std::uint64_t(spec_.height) * (std::uint64_t(spec_.width) * std::min<std::uint64_t>(bits, 1) / 8) > most * bytes)
+    if (std::uint64_t(spec_.height) * (std::uint64_t(spec_.width) * std::min<std::uint64_t>(bits, 1) / 8) >
+        most * bytes)
       fail("an image of as many bytes as its " + std::to_string(spec_.width) + "x" + std::to_string(spec_.height) +
                " texels take",
            std::to_string(bytes));
@@ -152,10 +153,10 @@ std::vector<DecodedImage> decode_images(const std::vector<ImageSource>& sources,
     images.push_back({static_cast<std::uint32_t>(total), image.width(), image.height()});
     total += std::uint64_t(image.width()) * image.height();
     if (total > std::min<std::uint64_t>(most_texels, kMaxTexels))
-      throw Error::bad_input(file, source.element,
-                             "at most " + std::to_string(most_texels) +
-                                 " texels in all images (--texture-limit sets another number)",
-                             std::to_string(total));
+      throw Error::bad_input(
+          file, source.element,
+          "at most " + std::to_string(most_texels) + " texels in all images (--texture-limit sets another number)",
+          std::to_string(total));
     if (image.exceeds_bytes()) warnings.add(source.element, "reduced to 8 bits a channel");
   }
   texels.resize(total);

@@ -25,7 +25,8 @@ struct DecodedImage {
 
 // Decodes all images behind one another into `texels` (RGBA, R lowest, row 0 at the top; grey becomes RGB, a missing
 // alpha 255), on all cores. All sizes are checked before memory is taken: at most `most_texels` in all. Throws
-// Error::bad_input naming `file` and the first image that cannot be read; says in `warnings` what was reduced to 8 bits.
+// Error::bad_input naming `file` and the first image that cannot be read; says in `warnings` what was reduced to 8
+// bits.
 std::vector<DecodedImage> decode_images(const std::vector<ImageSource>& sources, const std::string& file,
                                         std::uint64_t most_texels, std::vector<std::uint32_t>& texels,
                                         Warnings& warnings);

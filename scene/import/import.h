@@ -18,10 +18,10 @@ LightUnits parse_light_units(const std::string& word);
 
 struct ImportOptions {
   LightUnits light_units = LightUnits::automatic;
-  std::string variant;                                // of KHR_materials_variants; empty: the file's own materials
-  std::uint64_t most_texels = std::uint64_t{1} << 29;  // in all images together: 2 GiB
-  bool strict = false;                                // what would be a warning is an error
-  bool needs_camera = true;                           // false: somebody else brings one, none is missed
+  std::string variant;                                 // of KHR_materials_variants; empty: the file's own materials
+  std::uint64_t most_texels = std::uint64_t{1} << 30;  // in all images together: 4 GiB
+  bool strict = false;                                 // what would be a warning is an error
+  bool needs_camera = true;                            // false: somebody else brings one, none is missed
 };
 
 // Reads .gltf, .glb, .obj, .ply or .stl by its extension. The result is validated and finished. A file without a camera

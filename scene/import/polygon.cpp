@@ -18,7 +18,8 @@ namespace {
 using Point = std::array<double, 2>;
 using Outline = std::vector<Point>;
 
-// Ear clipping takes time with the square of the corners: it is for the small ones, and for those that touch themselves.
+// Ear clipping takes time with the square of the corners: it is for the small ones, and for those that touch
+// themselves.
 constexpr std::size_t kSmall = 32;
 constexpr std::size_t kMaxClipped = 2048;
 
@@ -126,8 +127,7 @@ class Sweep {
  public:
   explicit Sweep(const Outline& flat) : flat_(flat), helper_(flat.size()), below_(Above{this}) {
     const auto count = static_cast<std::uint32_t>(flat.size());
-    for (std::uint32_t i = 0; i < count; ++i)
-      nodes_.push_back({i, (i + count - 1) % count, (i + 1) % count, kNone});
+    for (std::uint32_t i = 0; i < count; ++i) nodes_.push_back({i, (i + count - 1) % count, (i + 1) % count, kNone});
     place_.resize(count);
     in_status_.resize(count);
     std::vector<std::uint32_t> order(count);

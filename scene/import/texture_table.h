@@ -1,6 +1,6 @@
 #pragma once
-// The textures of a scene while it is imported: one record for each way in which an image is laid on, each image decoded
-// once.
+// The textures of a scene while it is imported: one record for each way in which an image is laid on, each image
+// decoded once.
 
 #include <array>
 #include <filesystem>
@@ -35,8 +35,7 @@ class TextureTable {
   // Returns the image's number; files are recognised by their paths.
   std::size_t add_image(ImageSource source);
   // An image that is made of others once they are decoded.
-  std::size_t add_composed(std::vector<std::size_t> sources,
-                           std::function<Bitmap(const std::vector<Bitmap>&)> compose);
+  std::size_t add_composed(std::vector<std::size_t> sources, std::function<Bitmap(const std::vector<Bitmap>&)> compose);
   // Returns the texture's number in Scene::textures.
   gl_uint add(const TextureUse& use);
 
@@ -52,7 +51,7 @@ class TextureTable {
   };
 
   std::vector<ImageSource> sources_;
-  std::vector<std::size_t> source_of_image_;       // or sources_.size() ... : see compositions_
+  std::vector<std::size_t> source_of_image_;         // or sources_.size() ... : see compositions_
   std::map<std::size_t, Composition> compositions_;  // by image
   std::map<std::filesystem::path, std::size_t> image_by_path_;
   std::vector<TextureUse> uses_;

@@ -221,12 +221,11 @@ Bytes serialize(const Scene& scene) {
   }
   Writer writer(kSceneMagic, kSceneSections);
   writer.expect(4 * (scene.positions.size() + scene.normals.size() + scene.uvs.size() + scene.second_uvs.size() +
-                     scene.indices.size() +
-                     scene.triangle_material.size() + scene.texels.size() + scene.albedo_tables.size() +
-                     scene.environment.radiance.size()) +
-                2 * scene.colors.size() + sizeof(Material) * scene.materials.size() + sizeof(Texture) * scene.textures.size() +
-                sizeof(Light) * scene.lights.size() + sizeof(Camera) * cameras.size() + text.size() +
-                16 * lengths.size());
+                     scene.indices.size() + scene.triangle_material.size() + scene.texels.size() +
+                     scene.albedo_tables.size() + scene.environment.radiance.size()) +
+                2 * scene.colors.size() + sizeof(Material) * scene.materials.size() +
+                sizeof(Texture) * scene.textures.size() + sizeof(Light) * scene.lights.size() +
+                sizeof(Camera) * cameras.size() + text.size() + 16 * lengths.size());
   writer.add(kPositions, scene.positions);
   writer.add(kNormals, scene.normals);
   writer.add(kUvs, scene.uvs);

@@ -4,7 +4,9 @@ namespace gleaner {
 
 std::size_t utf8_length(std::string_view text) {
   if (text.empty()) return 0;
-  const auto byte = [&](std::size_t i) -> unsigned { return i < text.size() ? static_cast<unsigned char>(text[i]) : 0; };
+  const auto byte = [&](std::size_t i) -> unsigned {
+    return i < text.size() ? static_cast<unsigned char>(text[i]) : 0;
+  };
   const auto follows = [&](std::size_t i, unsigned lower = 0x80, unsigned upper = 0xbf) {
     return byte(i) >= lower && byte(i) <= upper;
   };

@@ -141,21 +141,50 @@ SceneNeeds needs_of(const Scene& scene) {
 }
 
 std::uint32_t SceneNeeds::bits() const {
-  const bool fields[] = {specular,    glossy,         metallic,        transmissive,       rough_transmissive,
-                         attenuation, alpha,          unlit,           textures,           material_textures,
-                         normal_maps, smooth_normals, punctual_lights, emissive_triangles, environment,
-                         deforming,   vertex_colors,  texture_transforms, second_uvs};
+  const bool fields[] = {specular,
+                         glossy,
+                         metallic,
+                         transmissive,
+                         rough_transmissive,
+                         attenuation,
+                         alpha,
+                         unlit,
+                         textures,
+                         material_textures,
+                         normal_maps,
+                         smooth_normals,
+                         punctual_lights,
+                         emissive_triangles,
+                         environment,
+                         deforming,
+                         vertex_colors,
+                         texture_transforms,
+                         second_uvs};
   std::uint32_t bits = 0;
   for (std::size_t i = 0; i < std::size(fields); ++i) bits |= std::uint32_t(fields[i]) << i;
   return bits;
 }
 
 const std::vector<std::string>& need_names() {
-  static const std::vector<std::string> names = {
-      "specular",    "glossy",         "metallic",        "transmissive",       "rough_transmissive",
-      "attenuation", "alpha",          "unlit",           "textures",           "material_textures",
-      "normal_maps", "smooth_normals", "punctual_lights", "emissive_triangles", "environment",
-      "deforming",   "vertex_colors",  "texture_transforms", "second_uvs"};
+  static const std::vector<std::string> names = {"specular",
+                                                 "glossy",
+                                                 "metallic",
+                                                 "transmissive",
+                                                 "rough_transmissive",
+                                                 "attenuation",
+                                                 "alpha",
+                                                 "unlit",
+                                                 "textures",
+                                                 "material_textures",
+                                                 "normal_maps",
+                                                 "smooth_normals",
+                                                 "punctual_lights",
+                                                 "emissive_triangles",
+                                                 "environment",
+                                                 "deforming",
+                                                 "vertex_colors",
+                                                 "texture_transforms",
+                                                 "second_uvs"};
   return names;
 }
 

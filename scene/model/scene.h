@@ -31,7 +31,7 @@ struct Mesh {
 };
 
 struct Scene {
-  std::string name;                              // the file's stem
+  std::string name;  // the file's stem
   // Where, in the file's coordinates, the origin of this scene's lies. Does not travel: who reads or writes the file's
   // coordinates adds or takes it away.
   std::array<double, 3> origin{};
@@ -77,7 +77,7 @@ struct SceneNeeds {
   bool punctual_lights = false;
   bool emissive_triangles = false;
   bool environment = false;
-  bool deforming = false;  // no format read so far brings deforming meshes
+  bool deforming = false;           // no format read so far brings deforming meshes
   bool vertex_colors = false;       // any vertex colour but opaque white
   bool texture_transforms = false;  // a texture with coordinates of its own: Texture::transform
   bool second_uvs = false;          // a texture that reads the second coordinates

@@ -9,8 +9,9 @@
 namespace gleaner::scene::gltf {
 namespace {
 
-// Zeros that an accessor without a buffer view may ask for: nothing in the file stands for them.
-constexpr std::size_t kMaxZeros = std::size_t(1) << 24;
+// Zeros that an accessor without a buffer view may ask for, where the file is smaller than that: nothing stands for
+// them.
+constexpr std::uint64_t kMaxZeros = std::uint64_t(1) << 20;
 
 std::size_t component_bytes(int type) {
   switch (type) {
@@ -97,8 +98,8 @@ void read_data(const Document& document, const Element& element, std::size_t ele
   accessor.stride = element_bytes;
   const auto reference = element.find("bufferView");
   if (!reference) {
-    if (accessor.count > kMaxZeros)
-      element.at("count").fail("at most " + std::to_string(kMaxZeros) + " without a bufferView");
+    const std::uint64_t most = std::max(kMaxZeros, document.buffer_bytes());
+    if (accessor.count > most) element.at("count").fail("at most " + std::to_string(most) + " without a bufferView");
     return;
   }
   const Element view = document.item("bufferViews", *reference);
@@ -125,10 +126,10 @@ void read_sparse(const Document& document, const Element& sparse, std::size_t el
   accessor.sparse_indices =
       document.buffer_view(at.at("bufferView"), offset_of(at), accessor.sparse_count * std::uint64_t(index_bytes))
           .data();
-  accessor.sparse_values = document
-                               .buffer_view(values.at("bufferView"), offset_of(values),
-                                            accessor.sparse_count * std::uint64_t(element_bytes))
-                               .data();
+  accessor.sparse_values =
+      document
+          .buffer_view(values.at("bufferView"), offset_of(values), accessor.sparse_count * std::uint64_t(element_bytes))
+          .data();
   for (std::size_t i = 0; i < accessor.sparse_count; ++i) {
     const std::uint32_t index =
         unsigned_component(accessor.sparse_indices + i * index_bytes, accessor.sparse_index_type);
@@ -145,8 +146,7 @@ void each_value(const Accessor& a, const With& with) {
       for (std::size_t c = 0; c < a.components; ++c) with(i, c, a.data + i * a.stride + c * step);
   for (std::size_t i = 0; i < a.sparse_count; ++i) {
     const std::size_t target = unsigned_component(a.sparse_indices + i * index_bytes, a.sparse_index_type);
-    for (std::size_t c = 0; c < a.components; ++c)
-      with(target, c, a.sparse_values + (i * a.components + c) * step);
+    for (std::size_t c = 0; c < a.components; ++c) with(target, c, a.sparse_values + (i * a.components + c) * step);
   }
 }
 

@@ -48,10 +48,10 @@ std::vector<std::byte> meshopt_decoded(const Element& compression, std::span<con
     compression.at("count").fail("at most what " + std::to_string(encoded.size()) + " compressed bytes can hold");
   std::vector<std::byte> bytes(count * stride);
   const auto* from = reinterpret_cast<const unsigned char*>(encoded.data());
-  const int result = is_vertices           ? meshopt_decodeVertexBuffer(bytes.data(), count, stride, from, encoded.size())
-                     : mode == "TRIANGLES" ? meshopt_decodeIndexBuffer(bytes.data(), count, stride, from, encoded.size())
-                                           : meshopt_decodeIndexSequence(bytes.data(), count, stride, from,
-                                                                         encoded.size());
+  const int result = is_vertices ? meshopt_decodeVertexBuffer(bytes.data(), count, stride, from, encoded.size())
+                     : mode == "TRIANGLES"
+                         ? meshopt_decodeIndexBuffer(bytes.data(), count, stride, from, encoded.size())
+                         : meshopt_decodeIndexSequence(bytes.data(), count, stride, from, encoded.size());
   if (result != 0) compression.fail("data that meshoptimizer can decode", "damaged or of a newer version");
   if (is_vertices) unfilter(filter, bytes.data(), count, stride);
   return bytes;

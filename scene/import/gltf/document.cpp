@@ -29,11 +29,11 @@ T load(const std::byte* from) {
 // What this importer reads.
 const std::set<std::string>& known_extensions() {
   static const std::set<std::string> names = {
-      "EXT_mesh_gpu_instancing",      "EXT_meshopt_compression",         "EXT_texture_webp",
-      "KHR_draco_mesh_compression",   "KHR_lights_punctual",             "KHR_materials_emissive_strength",
-      "KHR_materials_ior",            "KHR_materials_specular",          "KHR_materials_transmission",
-      "KHR_materials_unlit",          "KHR_materials_variants",          "KHR_materials_volume",
-      "KHR_mesh_quantization",        "KHR_texture_transform"};
+      "EXT_mesh_gpu_instancing",    "EXT_meshopt_compression", "EXT_texture_webp",
+      "KHR_draco_mesh_compression", "KHR_lights_punctual",     "KHR_materials_emissive_strength",
+      "KHR_materials_ior",          "KHR_materials_specular",  "KHR_materials_transmission",
+      "KHR_materials_unlit",        "KHR_materials_variants",  "KHR_materials_volume",
+      "KHR_mesh_quantization",      "KHR_texture_transform"};
   return names;
 }
 
@@ -248,7 +248,8 @@ void Document::read_buffers(std::span<const std::byte> binary_chunk) {
       owned_[i] = data_uri_bytes(uri->text(), file_, uri->name());
       found = owned_[i];
     } else {
-      const auto path = resolve_reference(percent_decoded(uri->text(), file_, uri->name()), file_, uri->name(), &warnings_);
+      const auto path =
+          resolve_reference(percent_decoded(uri->text(), file_, uri->name()), file_, uri->name(), &warnings_);
       const std::uint64_t available = file_bytes(path, file_, uri->name());
       if (available < bytes)
         buffer.at("byteLength").fail("at most " + std::to_string(available) + " (the file's size)");
@@ -266,6 +267,12 @@ std::size_t Document::size(const char* array) const {
   return element ? element->size() : 0;
 }
 
+std::uint64_t Document::buffer_bytes() const {
+  std::uint64_t bytes = 0;
+  for (const std::span<const std::byte>& buffer : buffers_) bytes += buffer.size();
+  return bytes;
+}
+
 Element Document::item(const char* array, const Element& reference) const {
   const std::size_t index = reference.index(size(array));
   return item(array, index);
@@ -279,9 +286,9 @@ std::span<const std::byte> cut(const Element& holder, const std::vector<std::spa
   const std::uint64_t first = holder.find("byteOffset") ? holder.at("byteOffset").count(0, kMaxFileBytes) : 0;
   const std::uint64_t length = holder.at("byteLength").count(1, kMaxFileBytes);
   if (first + length > buffers[buffer].size())
-    holder.fail("bytes within the " + std::to_string(buffers[buffer].size()) + " of buffers[" +
-                    std::to_string(buffer) + "]",
-                std::to_string(first + length));
+    holder.fail(
+        "bytes within the " + std::to_string(buffers[buffer].size()) + " of buffers[" + std::to_string(buffer) + "]",
+        std::to_string(first + length));
   return buffers[buffer].subspan(first, length);
 }
 

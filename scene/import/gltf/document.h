@@ -30,6 +30,9 @@ class Document {
   // The number of elements of a top-level array; 0 where there is none.
   std::size_t size(const char* array) const;
 
+  // Bytes of all buffers together.
+  std::uint64_t buffer_bytes() const;
+
   // The bytes of the buffer view that `reference` names, decompressed where it is compressed.
   std::span<const std::byte> buffer_view(const Element& reference) const;
   // `count` bytes of it from `offset` on, or an error.

@@ -38,7 +38,8 @@ bool Lights::is_photometric(LightUnits units) const {
   const auto lights = holder ? holder->find("lights") : std::nullopt;
   if (!lights || lights->size() == 0) return false;
   if (units != LightUnits::automatic) {
-    scene_.light_units = units == LightUnits::photometric ? "photometric (--light-units)" : "radiometric (--light-units)";
+    scene_.light_units =
+        units == LightUnits::photometric ? "photometric (--light-units)" : "radiometric (--light-units)";
     return units == LightUnits::photometric;
   }
   bool is_bright = false;
@@ -53,13 +54,15 @@ bool Lights::is_photometric(LightUnits units) const {
   }
   if (!is_bright) {
     scene_.light_units = "radiometric (Blender's exporter, but too dim for candela and lux)";
-    warnings_.add("lights of Blender's exporter are too dim for candela and lux and were taken as W/sr and W/m^2: "
-                  "--light-units photometric divides them by 683");
+    warnings_.add(
+        "lights of Blender's exporter are too dim for candela and lux and were taken as W/sr and W/m^2: "
+        "--light-units photometric divides them by 683");
     return false;
   }
   scene_.light_units = "photometric (Blender's exporter)";
-  warnings_.add("lights of Blender's exporter are candela and lux: divided by 683, watts as Blender has them "
-                "(--light-units radiometric takes them as they stand)");
+  warnings_.add(
+      "lights of Blender's exporter are candela and lux: divided by 683, watts as Blender has them "
+      "(--light-units radiometric takes them as they stand)");
   return true;
 }
 

@@ -199,7 +199,7 @@ std::optional<Element> Materials::image_of(const Element& texture) {
   return std::nullopt;
 }
 
-void Materials::texture(const Element& owner, const char* key, bool is_srgb, gl_uint Material::* slot) {
+void Materials::texture(const Element& owner, const char* key, bool is_srgb, gl_uint Material::*slot) {
   const auto info = owner.find(key);
   if (!info) return;
   const Element element = document_.item("textures", info->at("index"));

@@ -48,7 +48,7 @@ class Materials {
 
  private:
   struct PendingTexture {
-    gl_uint Material::* slot;
+    gl_uint Material::*slot;
     UvSource uv;
     TextureUse use;
     std::string name;
@@ -60,7 +60,7 @@ class Materials {
   void add_volume(const Element& volume, Material& m);
   void add_alpha(const Element& element, Material& m);
   void add_emission(const Element& element, Material& m);
-  void texture(const Element& owner, const char* key, bool is_srgb, gl_uint Material::* slot);
+  void texture(const Element& owner, const char* key, bool is_srgb, gl_uint Material::*slot);
   std::optional<Element> image_of(const Element& texture);
   UvSource uv_source(const Element& info) const;
   void lay_on(Material& m);

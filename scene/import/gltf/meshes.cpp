@@ -34,6 +34,7 @@ Element Meshes::mesh_of(const Instance& instance) const {
 
 Box Meshes::place() {
   for (const std::size_t index : nodes_.in_scene()) place_node(index);
+  for (const Instance& instance : instances_) total_ = counted(instance, total_);
   Box all;
   for (const Instance& instance : instances_) {
     const Element primitives = mesh_of(instance).at("primitives");
@@ -95,7 +96,8 @@ std::vector<Matrix> Meshes::repeated(const Element& instancing, const Matrix& to
     if (translation) translation->load(i, values[0]);
     if (rotation) rotation->load(i, values[1]);
     if (scale) scale->load(i, values[2]);
-    const std::array<double, 3> t{values[0][0], values[0][1], values[0][2]}, s{values[2][0], values[2][1], values[2][2]};
+    const std::array<double, 3> t{values[0][0], values[0][1], values[0][2]},
+        s{values[2][0], values[2][1], values[2][2]};
     const std::array<double, 4> r{values[1][0], values[1][1], values[1][2], values[1][3]};
     const Matrix placement = product(to_world, composed(t.data(), r.data(), s.data()));
     if (!is_finite(placement)) attributes.fail("finite transforms", "another of instance " + std::to_string(i));
@@ -185,14 +187,12 @@ PrimitiveSize Meshes::counted(const Instance& instance, PrimitiveSize total) con
 }
 
 void Meshes::add(std::optional<std::size_t> variant) {
-  PrimitiveSize total;
-  for (const Instance& instance : instances_) total = counted(instance, total);
-  scene_.positions.reserve(3 * total.vertices);
-  scene_.normals.reserve(3 * total.vertices);
-  if (materials_.needs_channel(0)) scene_.uvs.reserve(2 * total.vertices);
-  if (materials_.needs_channel(1)) scene_.second_uvs.reserve(2 * total.vertices);
-  scene_.indices.reserve(3 * total.triangles);
-  scene_.triangle_material.reserve(total.triangles);
+  scene_.positions.reserve(3 * total_.vertices);
+  scene_.normals.reserve(3 * total_.vertices);
+  if (materials_.needs_channel(0)) scene_.uvs.reserve(2 * total_.vertices);
+  if (materials_.needs_channel(1)) scene_.second_uvs.reserve(2 * total_.vertices);
+  scene_.indices.reserve(3 * total_.triangles);
+  scene_.triangle_material.reserve(total_.triangles);
   for (const Instance& instance : instances_) add_instance(instance, variant);
   const bool all_white = std::all_of(scene_.colors.begin(), scene_.colors.end(), [](auto c) { return c == 65535; });
   if (all_white) scene_.colors = {};
@@ -227,8 +227,8 @@ void Meshes::add_instance(const Instance& instance, std::optional<std::size_t> v
       for (const Matrix& placement : instance.placements) add_primitive(primitive, material, instance, placement);
   }
   if (const std::size_t count = scene_.triangle_count() - first)
-    scene_.meshes.push_back({name_of(nodes_.node(instance.node), mesh, mesh.name()), std::uint32_t(first),
-                             std::uint32_t(count)});
+    scene_.meshes.push_back(
+        {name_of(nodes_.node(instance.node), mesh, mesh.name()), std::uint32_t(first), std::uint32_t(count)});
 }
 
 void Meshes::add_primitive(const Primitive& primitive, std::uint32_t material, const Instance& instance,
@@ -260,9 +260,11 @@ Matrix Meshes::skinned(const Primitive& primitive, const Instance& instance, std
   double weights = 0;
   primitive.each_joint(vertex, [&](std::uint32_t joint, double weight) {
     if (joint >= instance.placements.size())
-      primitive.element().at("attributes").at("JOINTS_0").fail(
-          "joints below " + std::to_string(instance.placements.size()),
-          std::to_string(joint) + " at vertex " + std::to_string(vertex));
+      primitive.element()
+          .at("attributes")
+          .at("JOINTS_0")
+          .fail("joints below " + std::to_string(instance.placements.size()),
+                std::to_string(joint) + " at vertex " + std::to_string(vertex));
     for (std::size_t i = 0; i < 16; ++i) sum[i] += weight * instance.placements[joint][i];
     weights += weight;
   });
@@ -291,8 +293,9 @@ void Meshes::add_vertices(const Primitive& primitive, const std::vector<std::uin
     for (int c = 0; c < 3; ++c) {
       p[c] -= scene_.origin[c];
       if (!(std::abs(p[c]) <= kMaxCoordinate))
-        attributes.at("POSITION").fail("finite coordinates within 1e9 m of the scene's centre",
-                                       std::to_string(p[c]) + " at vertex " + std::to_string(v));
+        attributes.at("POSITION")
+            .fail("finite coordinates within 1e9 m of the scene's centre",
+                  std::to_string(p[c]) + " at vertex " + std::to_string(v));
       scene_.positions.push_back(static_cast<float>(p[c]));
     }
     if (!primitive.has_normals()) continue;
@@ -320,8 +323,10 @@ void Meshes::add_colors(const Primitive& primitive, const std::vector<std::uint3
     const std::size_t v = vertex_at(kept, i);
     for (const float c : primitive.color(v)) {
       if (!std::isfinite(c))
-        primitive.element().at("attributes").at("COLOR_0").fail("finite colours", "another at vertex " +
-                                                                                      std::to_string(v));
+        primitive.element()
+            .at("attributes")
+            .at("COLOR_0")
+            .fail("finite colours", "another at vertex " + std::to_string(v));
       if (c < 0 || c > 1) warnings_.add(primitive.element().name(), "vertex colours outside 0 to 1 are clamped");
       scene_.colors.push_back(to_16_bits(c));
     }

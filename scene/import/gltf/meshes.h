@@ -55,6 +55,7 @@ class Meshes {
   Nodes& nodes_;
   Warnings& warnings_;
   std::vector<Instance> instances_;
+  PrimitiveSize total_;                          // of all instances
   std::map<std::string, Box> box_of_primitive_;  // in the mesh's space
   DracoMeshes draco_meshes_;
 };

@@ -131,17 +131,18 @@ void Primitive::read_targets(const std::vector<double>& weights) {
     if (weights[t] == 0) continue;
     const Element given = (*targets)[t];
     if (!given.is_object()) given.fail("an object");
-    Target target{weights[t], attribute(given, "POSITION", {"VEC3"}), attribute(given, "NORMAL", {"VEC3"}),
-                  attribute(given, "COLOR_0", {"VEC3", "VEC4"}), {}};
+    Target target{weights[t],
+                  attribute(given, "POSITION", {"VEC3"}),
+                  attribute(given, "NORMAL", {"VEC3"}),
+                  attribute(given, "COLOR_0", {"VEC3", "VEC4"}),
+                  {}};
     for (const auto& [name, unused] : given.json().items())
       if (const auto set = set_of(name)) target.uvs.emplace(*set, *attribute(given, name, {"VEC2"}));
     targets_.push_back(std::move(target));
   }
 }
 
-std::size_t Primitive::triangles() const {
-  return triangles_of(mode_, indices_ ? indices_->size() : vertices());
-}
+std::size_t Primitive::triangles() const { return triangles_of(mode_, indices_ ? indices_->size() : vertices()); }
 
 std::array<std::uint32_t, 3> Primitive::triangle(std::size_t i) const {
   std::array<std::size_t, 3> at = {3 * i, 3 * i + 1, 3 * i + 2};

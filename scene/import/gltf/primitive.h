@@ -1,5 +1,6 @@
 #pragma once
-// One primitive of a mesh: its triangles, and its vertices as they stand in the mesh's own space, morph targets applied.
+// One primitive of a mesh: its triangles, and its vertices as they stand in the mesh's own space, morph targets
+// applied.
 
 #include <array>
 #include <cstddef>

@@ -28,7 +28,8 @@ class PieceReader {
 
   // The next `count` bytes, at most a piece's; they last until the next call. Throws where the file ends before.
   const char* take(std::size_t count, const char* what) {
-    if (count > left_) throw Error::bad_input(path_, what, std::to_string(count) + " more bytes", std::to_string(left_));
+    if (count > left_)
+      throw Error::bad_input(path_, what, std::to_string(count) + " more bytes", std::to_string(left_));
     if (end_ - begin_ < count) fill(what, count);
     const char* place = buffer_.data() + begin_;
     begin_ += count;
@@ -88,8 +89,8 @@ class PieceReader {
 
   // Makes at least `count` bytes available, of which there are that many.
   void fill(const char* what, std::size_t count) {
-    std::copy(buffer_.begin() + static_cast<std::ptrdiff_t>(begin_), buffer_.begin() + static_cast<std::ptrdiff_t>(end_),
-              buffer_.begin());
+    std::copy(buffer_.begin() + static_cast<std::ptrdiff_t>(begin_),
+              buffer_.begin() + static_cast<std::ptrdiff_t>(end_), buffer_.begin());
     end_ -= begin_;
     begin_ = 0;
     if (count > buffer_.size()) buffer_.resize(count);

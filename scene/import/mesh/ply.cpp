@@ -104,8 +104,7 @@ struct ElementKind {
   // Bytes that one takes at least, in a binary file or as text.
   std::uint64_t least_bytes(bool is_text) const {
     std::uint64_t bytes = 0;
-    for (const Property& p : properties)
-      bytes += is_text ? 2 : p.is_list() ? bytes_of(p.count_type) : bytes_of(p.type);
+    for (const Property& p : properties) bytes += is_text ? 2 : p.is_list() ? bytes_of(p.count_type) : bytes_of(p.type);
     return std::max<std::uint64_t>(bytes, 1);
   }
 };
@@ -213,8 +212,7 @@ class PlyReader {
     double value = 0;
     const auto [end, code] = std::from_chars(word.data(), word.data() + word.size(), value);
     if (code == std::errc::result_out_of_range) return 0;
-    if (code != std::errc() || end != word.data() + word.size())
-      fail("data", "a number", in_quotes(word));
+    if (code != std::errc() || end != word.data() + word.size()) fail("data", "a number", in_quotes(word));
     return value;
   }
 
@@ -241,12 +239,27 @@ class PlyReader {
   }
 
   static std::optional<Target> target_named(const std::string& name) {
-    static const std::map<std::string, Target> targets = {
-        {"x", kX},         {"y", kY},           {"z", kZ},         {"nx", kNormalX},     {"ny", kNormalY},
-        {"nz", kNormalZ},  {"red", kRed},       {"green", kGreen}, {"blue", kBlue},      {"r", kRed},
-        {"g", kGreen},     {"b", kBlue},        {"s", kU},         {"t", kV},            {"u", kU},
-        {"v", kV},         {"texture_u", kU},   {"texture_v", kV}, {"diffuse_red", kRed}, {"diffuse_green", kGreen},
-        {"diffuse_blue", kBlue}};
+    static const std::map<std::string, Target> targets = {{"x", kX},
+                                                          {"y", kY},
+                                                          {"z", kZ},
+                                                          {"nx", kNormalX},
+                                                          {"ny", kNormalY},
+                                                          {"nz", kNormalZ},
+                                                          {"red", kRed},
+                                                          {"green", kGreen},
+                                                          {"blue", kBlue},
+                                                          {"r", kRed},
+                                                          {"g", kGreen},
+                                                          {"b", kBlue},
+                                                          {"s", kU},
+                                                          {"t", kV},
+                                                          {"u", kU},
+                                                          {"v", kV},
+                                                          {"texture_u", kU},
+                                                          {"texture_v", kV},
+                                                          {"diffuse_red", kRed},
+                                                          {"diffuse_green", kGreen},
+                                                          {"diffuse_blue", kBlue}};
     const auto known = targets.find(name);
     return known == targets.end() ? std::nullopt : std::optional(known->second);
   }
@@ -347,7 +360,8 @@ class PlyReader {
     } else {
       outline.clear();
       for (const std::uint32_t v : corners)
-        outline.push_back({points_[3 * std::size_t(v)], points_[3 * std::size_t(v) + 1], points_[3 * std::size_t(v) + 2]});
+        outline.push_back(
+            {points_[3 * std::size_t(v)], points_[3 * std::size_t(v) + 1], points_[3 * std::size_t(v) + 2]});
       bool is_simple = true;
       for (const auto& t : triangulated(outline, is_simple)) add_triangle(corners[t[0]], corners[t[1]], corners[t[2]]);
       if (!is_simple)

@@ -1,4 +1,5 @@
-// STL, binary and ASCII. Triangles do not share vertices and have no normals but their own; lengths are taken as metres.
+// STL, binary and ASCII. Triangles do not share vertices and have no normals but their own; lengths are taken as
+// metres.
 
 #include <charconv>
 #include <cmath>
@@ -50,7 +51,8 @@ class StlReader {
                              std::to_string(count));
     const std::uint64_t needed = kTriangleBytes * std::uint64_t(count);
     if (needed > in_.left())
-      throw Error::bad_input(path_, "header", std::to_string(needed) + " bytes of " + std::to_string(count) + " triangles",
+      throw Error::bad_input(path_, "header",
+                             std::to_string(needed) + " bytes of " + std::to_string(count) + " triangles",
                              std::to_string(in_.left()));
     if (needed < in_.left())
       warnings_.add("header", std::to_string(in_.left() - needed) + " bytes after its end are not read");
@@ -124,7 +126,8 @@ class StlReader {
 
   void finish() {
     Box box;
-    for (std::size_t i = 0; i < positions_.size(); i += 3) box.add({positions_[i], positions_[i + 1], positions_[i + 2]});
+    for (std::size_t i = 0; i < positions_.size(); i += 3)
+      box.add({positions_[i], positions_[i + 1], positions_[i + 2]});
     scene_.origin = origin_for(box);
     warn_of_coarse_floats(box, "", "the file's coordinates", warnings_);
     scene_.positions = std::move(positions_);

@@ -19,8 +19,8 @@ constexpr std::size_t kPiece = std::size_t(1) << 20;  // bytes read at a time
 // Statements whose rest is a name or a path, to the end of the line.
 bool takes_a_name(std::string_view keyword) {
   const std::string word = lower_case(keyword);
-  for (const char* each : {"g", "o", "usemtl", "mtllib", "newmtl", "usemap", "maplib", "bump", "norm", "disp", "decal",
-                           "refl"})
+  for (const char* each :
+       {"g", "o", "usemtl", "mtllib", "newmtl", "usemap", "maplib", "bump", "norm", "disp", "decal", "refl"})
     if (word == each) return true;
   return word.starts_with("map_");
 }

@@ -98,7 +98,7 @@ class Textures {
       : file_(file), table_(table), warnings_(warnings) {}
 
   std::size_t image(const TextureMap& map) {
-    const auto path = resolve_reference(map.path, file_, map.element, &warnings_);
+    const auto path = resolve_reference(near_scene(map), file_, map.element, &warnings_);
     file_bytes(path, file_, map.element);
     return table_.add_image({map.element, path, {}});
   }
@@ -118,6 +118,18 @@ class Textures {
   TextureTable& table() { return table_; }
 
  private:
+  // Absolute paths are another machine's; a file of that name may have come along beside the scene.
+  std::string near_scene(const TextureMap& map) {
+    const bool has_drive = map.path.size() > 2 && map.path[1] == ':' && map.path[2] == '/';
+    if (!map.path.starts_with('/') && !has_drive) return map.path;
+    const std::filesystem::path name = std::filesystem::path(map.path).filename();
+    std::error_code code;
+    if (name.empty() || !std::filesystem::exists(std::filesystem::path(file_).parent_path() / name, code))
+      return map.path;
+    warnings_.add(map.element, "an absolute path: the file of that name in the scene's folder is taken");
+    return name.string();
+  }
+
   const std::string& file_;
   TextureTable& table_;
   Warnings& warnings_;
@@ -145,11 +157,10 @@ void add_lobe_texture(const MtlMaterial& mtl, Material& m, Textures& textures) {
   if (mtl.map_roughness) sources.push_back(textures.image(*mtl.map_roughness));
   if (mtl.map_metallic) sources.push_back(textures.image(*mtl.map_metallic));
   const bool has_roughness = mtl.map_roughness.has_value();
-  const std::size_t image =
-      textures.table().add_composed(sources, [has_roughness](const std::vector<Bitmap>& parts) {
-        return roughness_and_metallic(has_roughness ? &parts[0] : nullptr,
-                                      parts.size() > 1 || !has_roughness ? &parts.back() : nullptr);
-      });
+  const std::size_t image = textures.table().add_composed(sources, [has_roughness](const std::vector<Bitmap>& parts) {
+    return roughness_and_metallic(has_roughness ? &parts[0] : nullptr,
+                                  parts.size() > 1 || !has_roughness ? &parts.back() : nullptr);
+  });
   m.metallic_roughness_texture = textures.add(has_roughness ? *mtl.map_roughness : *mtl.map_metallic, image, false);
 }
 
@@ -191,8 +202,7 @@ Material glass(const MtlMaterial& mtl, Material m, const std::string& where, War
 // d wins over Tr: some exporters write Tr with the meaning of d beside it.
 void add_opacity(const MtlMaterial& mtl, Material& m, const std::string& where, Warnings& warnings) {
   m.alpha = mtl.d ? *mtl.d : mtl.tr ? 1 - *mtl.tr : 1;
-  if (mtl.d && mtl.tr && std::abs(*mtl.d + *mtl.tr - 1) > 1e-3f)
-    warnings.add(where, "d and Tr disagree: d is taken");
+  if (mtl.d && mtl.tr && std::abs(*mtl.d + *mtl.tr - 1) > 1e-3f) warnings.add(where, "d and Tr disagree: d is taken");
   if (m.alpha < 1) m.flags |= GLEANER_MATERIAL_ALPHA_BLEND;
   if (m.alpha == 0)
     warnings.add(where, mtl.d ? "wholly transparent (d 0): nothing of it will be seen"

@@ -25,10 +25,10 @@ class MtlReader {
     MtlMaterial* material = nullptr;
     while (const auto line = lines_.next()) {
       std::string_view rest = *line;
-      const std::string keyword = lower_case(take_word(rest));
+      written_ = std::string(take_word(rest));
+      const std::string keyword = lower_case(written_);
       if (keyword == "newmtl") {
-        name_ = std::string(trimmed(rest));
-        material = &(library_[name_] = {});
+        material = &(library_[std::string(trimmed(rest))] = {});
         continue;
       }
       if (!material) lines_.fail(keyword, "newmtl before it", "none");
@@ -90,7 +90,7 @@ class MtlReader {
         {"map_kn", &MtlMaterial::map_normal},   {"map_norm", &MtlMaterial::map_normal}};
     const auto known = maps.find(keyword);
     if (known == maps.end()) return false;
-    m.*known->second = texture_map(keyword, rest);
+    m.*known->second = texture_map(written_, rest);
     return true;
   }
 
@@ -125,7 +125,7 @@ class MtlReader {
 
   TextureMap texture_map(const std::string& keyword, std::string_view rest) {
     // Options that are not read, with their numbers of values.
-    static const std::map<std::string_view, int> values_of = {{"-blendu", 1}, {"-blendv", 1}, {"-boost", 1},
+    static const std::map<std::string_view, int> values_of = {{"-blendu", 1}, {"-blendv", 1},  {"-boost", 1},
                                                               {"-cc", 1},     {"-imfchan", 1}, {"-mm", 2},
                                                               {"-texres", 1}, {"-type", 1}};
     TextureMap map;
@@ -168,7 +168,7 @@ class MtlReader {
   const fs::path& relative_;
   MtlLibrary& library_;
   Warnings& warnings_;
-  std::string name_;
+  std::string written_;  // the keyword as it stands in the line
 };
 
 }  // namespace

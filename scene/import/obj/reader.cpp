@@ -12,8 +12,8 @@
 #include "scene/import/obj/lines.h"
 #include "scene/import/obj/materials.h"
 #include "scene/import/obj/mtl.h"
-#include "scene/import/polygon.h"
 #include "scene/import/placement.h"
+#include "scene/import/polygon.h"
 #include "scene/import/vertex_colors.h"
 #include "scene/model/error.h"
 #include "scene/model/limits.h"
@@ -332,11 +332,11 @@ class ObjReader {
   std::vector<double> vertices_;
   std::vector<float> texture_vertices_, normals_, colors_;  // colours: 3 a vertex, -1 where it has none; may end early
   std::vector<Corner> polygon_;
-  std::vector<std::array<double, 3>> points_;  // of polygon_
-  std::vector<std::uint32_t> first_use_of_;    // of each v: its first use, or kNone
-  std::vector<Use> uses_;                      // the scene's vertices
+  std::vector<std::array<double, 3>> points_;                          // of polygon_
+  std::vector<std::uint32_t> first_use_of_;                            // of each v: its first use, or kNone
+  std::vector<Use> uses_;                                              // the scene's vertices
   std::map<std::array<std::int32_t, 3>, std::uint32_t> further_uses_;  // of v with many
-  double finest_step_ = 1e300;                 // of the last digit of a coordinate, over the file
+  double finest_step_ = 1e300;  // of the last digit of a coordinate, over the file
   std::string mesh_name_;
   std::optional<std::uint32_t> material_;
   std::map<std::string, std::uint32_t> material_by_name_;
