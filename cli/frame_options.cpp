@@ -1,6 +1,7 @@
 #include "cli/frame_options.h"
 
 #include <CLI/CLI.hpp>
+#include <array>
 #include <charconv>
 #include <cmath>
 #include <filesystem>
@@ -11,8 +12,8 @@
 #include "coordinator/jobs/job.h"
 #include "coordinator/plan/methods.h"
 #include "coordinator/plan/way_points.h"
-#include "scene/import/import.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 
 namespace gleaner::cli {
 
@@ -66,24 +67,27 @@ void parse_frames(const std::string& text, std::uint32_t& first, std::uint32_t& 
 }
 
 struct LookAt {
-  float values[7];  // eye, target, vertical field of view in degrees
+  double values[7];  // eye, target, vertical field of view in degrees
 };
 
 LookAt parse_look_at(const std::string& text) {
   auto parts = split(text, ',');
-  std::vector<float> values;
+  std::vector<double> values;
   for (std::string_view part : parts)
-    if (auto value = number<float>(part); value && std::isfinite(*value)) values.push_back(*value);
+    if (auto value = number<double>(part); value && std::isfinite(*value)) values.push_back(*value);
   if ((parts.size() != 6 && parts.size() != 7) || values.size() != parts.size())
     throw malformed("--look-at", "EX,EY,EZ,TX,TY,TZ[,FOV]: metres, and the vertical field of view in degrees", text);
-  float fov = values.size() == 7 ? values[6] : static_cast<float>(default_fov_degrees);
+  double fov = values.size() == 7 ? values[6] : default_fov_degrees;
   if (!(fov > 0 && fov < 180)) throw malformed("--look-at", "a field of view between 0 and 180 degrees", text);
   return {{values[0], values[1], values[2], values[3], values[4], values[5], fov}};
 }
 
-scene::NamedCamera camera_of(const LookAt& at) {
-  const float* v = at.values;
-  auto camera = scene::look_at({v[0], v[1], v[2]}, {v[3], v[4], v[5]}, v[6] * std::numbers::pi_v<float> / 180);
+// The words are in the file's coordinates, the camera in the scene's.
+scene::NamedCamera camera_of(const LookAt& at, const scene::Scene& scene) {
+  std::array<float, 6> place;
+  for (std::size_t k = 0; k < 6; ++k) place[k] = static_cast<float>(at.values[k] - scene.origin[k % 3]);
+  auto camera = scene::look_at({place[0], place[1], place[2]}, {place[3], place[4], place[5]},
+                               static_cast<float>(at.values[6]) * std::numbers::pi_v<float> / 180);
   camera.name = "look-at";
   return camera;
 }
@@ -93,7 +97,7 @@ LookAt along(const std::vector<LookAt>& way, double part) {
   const double at = part * static_cast<double>(way.size() - 1);
   const std::size_t from = std::min(static_cast<std::size_t>(at), way.size() - 1);
   const std::size_t to = std::min(from + 1, way.size() - 1);
-  const auto share = static_cast<float>(at - static_cast<double>(from));
+  const double share = at - static_cast<double>(from);
   LookAt result{};
   for (int k = 0; k < 7; ++k)
     result.values[k] = way[from].values[k] + share * (way[to].values[k] - way[from].values[k]);
@@ -112,7 +116,7 @@ scene::NamedCamera choose_camera(const FrameOptions& options, const scene::Scene
                                  std::vector<std::string>& words) {
   if (!options.look_at.empty()) {
     if (!options.camera.empty()) throw Error::usage("--camera and --look-at exclude each other");
-    return camera_of(parse_look_at(options.look_at.front()));
+    return camera_of(parse_look_at(options.look_at.front()), scene);
   }
   if (!options.camera.empty()) {
     std::string known;
@@ -120,11 +124,11 @@ scene::NamedCamera choose_camera(const FrameOptions& options, const scene::Scene
       if (camera.name == options.camera) return camera;
       known += (known.empty() ? "" : ", ") + camera.name;
     }
-    throw Error::bad_input(options.scene, "camera \"" + options.camera + "\"",
+    throw Error::bad_input(options.files.scene, "camera \"" + options.camera + "\"",
                            known.empty() ? "no name: the scene has no camera" : "one of " + known);
   }
   if (!scene.cameras.empty()) return scene.cameras.front();
-  words.push_back(options.scene + ": no camera; using one that frames the scene (--look-at chooses another)");
+  words.push_back(options.files.scene + ": no camera; using one that frames the scene (--look-at chooses another)");
   return scene::framing_camera(scene);
 }
 
@@ -153,7 +157,7 @@ void settle_size(const FrameOptions& options, const scene::NamedCamera& camera, 
 }  // namespace
 
 void add_frame_options(CLI::App& command, FrameOptions& options) {
-  command.add_option("SCENE", options.scene, "scene: .gltf, .glb or .obj")->required();
+  add_import_options(command, options.files);
   command.add_option("--method", options.method, coordinator::method_names())->capture_default_str();
   command.add_option("--size", options.size, "film in pixels, e.g. 1280x720 (default: the camera's)");
   command.add_option("--spp", options.spp, "mean number of samples a pixel")
@@ -173,8 +177,6 @@ void add_frame_options(CLI::App& command, FrameOptions& options) {
       ->take_all()
       ->allow_extra_args(false);
   command.footer(coordinator::settings_help());
-  command.add_option("--environment", options.environment,
-                     "lat-long .exr or .hdr that lights the scene from all around");
   command
       .add_option("--look-at", options.look_at,
                   "EX,EY,EZ,TX,TY,TZ[,FOV]: eye and target in metres, vertical field of view in degrees; given "
@@ -209,9 +211,8 @@ LoadedFrame load_frame(const FrameOptions& options) {
   if (frame.numbered) parse_frames(options.frames, frame.first_frame, frame.last_frame);
   const std::vector<LookAt> way = parse_way(options);
 
-  frame.scene = scene::import_scene(options.scene);
-  if (!options.environment.empty()) frame.scene.environment = scene::import_environment(options.environment);
-  frame.scene_name = std::filesystem::path(options.scene).filename().string();
+  frame.scene = read_scene(options.files, options.look_at.empty());
+  frame.scene_name = printable(std::filesystem::path(options.files.scene).filename().string());
   words.insert(words.end(), frame.scene.warnings.begin(), frame.scene.warnings.end());
   scene::NamedCamera camera = choose_camera(options, frame.scene, words);
   frame.camera_name = camera.name;
@@ -219,14 +220,14 @@ LoadedFrame load_frame(const FrameOptions& options) {
   if (way.size() > 1)
     for (std::uint64_t f = 0; f <= frame.last_frame - frame.first_frame; ++f) {
       const double frames = std::max(1.0, static_cast<double>(frame.last_frame - frame.first_frame));
-      scene::Camera moved = camera_of(along(way, static_cast<double>(f) / frames)).camera;
+      scene::Camera moved = camera_of(along(way, static_cast<double>(f) / frames), frame.scene).camera;
       moved.half_width = moved.half_height * static_cast<float>(settings.width) / static_cast<float>(settings.height);
       frame.cameras.push_back(moved);
     }
   settings.way = coordinator::way_of(frame.cameras);
   scene::SceneNeeds needs = scene::needs_of(frame.scene);
   if (!needs.punctual_lights && !needs.emissive_triangles && !needs.environment && !needs.unlit)
-    words.push_back(options.scene + ": no light; the picture will be black (--environment FILE lights a scene)");
+    words.push_back(options.files.scene + ": no light; the picture will be black (--environment FILE lights a scene)");
   if (!options.quiet)
     for (const std::string& word : words) std::cerr << "gleaner: " << word << "\n";
   return frame;

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "cli/import_options.h"
 #include "coordinator/plan/plan.h"
 #include "scene/model/scene.h"
 
@@ -15,7 +16,7 @@ class App;
 namespace gleaner::cli {
 
 struct FrameOptions {
-  std::string scene;  // path
+  ImportWords files;
   std::string method = "path";
   std::string size;  // WxH; empty: the camera's own
   std::uint32_t spp = 64;
@@ -25,7 +26,6 @@ struct FrameOptions {
   double target_error = 0;
   double time_limit = 0;             // seconds
   std::vector<std::string> set;      // KEY=VALUE
-  std::string environment;           // path
   std::vector<std::string> look_at;  // EX,EY,EZ,TX,TY,TZ[,FOV]; several: a camera's way over the frames
   double exposure_stops = 0;
   bool quiet = false;

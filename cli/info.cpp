@@ -10,7 +10,8 @@
 #include <numbers>
 
 #include "cli/commands.h"
-#include "scene/import/import.h"
+#include "cli/import_options.h"
+#include "scene/model/names.h"
 #include "scene/model/scene.h"
 
 namespace gleaner::cli {
@@ -20,9 +21,14 @@ using nlohmann::ordered_json;
 using scene::Scene;
 
 struct InfoWords {
-  std::string scene, environment;
+  ImportWords files;
   bool json = false;
 };
+
+// Where a point of the scene lies in the file's coordinates.
+std::array<double, 3> in_file(const Scene& scene, const float* p) {
+  return {scene.origin[0] + p[0], scene.origin[1] + p[1], scene.origin[2] + p[2]};
+}
 
 // All emissive triangles of a scene; power is what leaves the front faces, emission textures taken as white.
 struct Emitters {
@@ -90,29 +96,33 @@ ordered_json json_of(const InfoWords& words, const Scene& scene, double seconds)
                        {"width", camera.width},
                        {"height", camera.height},
                        {"aspect", camera.aspect},
-                       {"origin", camera.camera.origin},
+                       {"origin", in_file(scene, camera.camera.origin)},
                        {"forward", camera.camera.forward}});
   for (std::size_t i = 0; i < scene::need_names().size(); ++i)
     needed[scene::need_names()[i]] = (needs.bits() >> i & 1) != 0;
-  ordered_json result = {{"scene", words.scene},
-                         {"triangles", scene.triangle_count()},
-                         {"vertices", scene.vertex_count()},
-                         {"meshes", scene.meshes.size()},
-                         {"materials", scene.materials.size()},
-                         {"textures", scene.textures.size()},
-                         {"texture_bytes", scene.texels.size() * sizeof scene.texels[0]},
-                         {"lights",
-                          {{"emissive_triangles", emitters.triangles},
-                           {"emissive_area_m2", emitters.area},
-                           {"emissive_power_w", emitters.power},
-                           {"point", punctual[GLEANER_LIGHT_POINT]},
-                           {"spot", punctual[GLEANER_LIGHT_SPOT]},
-                           {"directional", punctual[GLEANER_LIGHT_DIRECTIONAL]}}},
-                         {"cameras", cameras},
-                         {"bounds", {{"lower_m", bounds.lower}, {"upper_m", bounds.upper}}},
-                         {"needs", needed},
-                         {"warnings", scene.warnings},
-                         {"import_seconds", seconds}};
+  ordered_json result = {
+      {"scene", words.files.scene},
+      {"triangles", scene.triangle_count()},
+      {"vertices", scene.vertex_count()},
+      {"meshes", scene.meshes.size()},
+      {"materials", scene.materials.size()},
+      {"textures", scene.textures.size()},
+      {"texture_bytes", scene.texels.size() * sizeof scene.texels[0]},
+      {"lights",
+       {{"emissive_triangles", emitters.triangles},
+        {"emissive_area_m2", emitters.area},
+        {"emissive_power_w", emitters.power},
+        {"point", punctual[GLEANER_LIGHT_POINT]},
+        {"spot", punctual[GLEANER_LIGHT_SPOT]},
+        {"directional", punctual[GLEANER_LIGHT_DIRECTIONAL]}}},
+      {"cameras", cameras},
+      {"bounds", {{"lower_m", in_file(scene, bounds.lower.data())}, {"upper_m", in_file(scene, bounds.upper.data())}}},
+      {"origin_m", scene.origin},
+      {"needs", needed},
+      {"warnings", scene.warnings},
+      {"import_seconds", seconds}};
+  if (!scene.light_units.empty()) result["lights"]["units"] = scene.light_units;
+  if (!scene.variants.empty()) result["variants"] = scene.variants;
   if (!scene.environment.empty())
     result["lights"]["environment"] = {{"width", scene.environment.width},
                                        {"height", scene.environment.height},
@@ -125,11 +135,15 @@ void print(const InfoWords& words, const Scene& scene, double seconds) {
   const scene::Bounds bounds = bounds_of(scene);
   const Emitters emitters = emitters_of(scene);
   const auto punctual = punctual_lights(scene);
-  fmt::print("{}\n", words.scene);
+  fmt::print("{}\n", printable(words.files.scene));
   fmt::print("  triangles  {}, {} vertices, {} meshes\n", scene.triangle_count(), scene.vertex_count(),
              scene.meshes.size());
-  fmt::print("  bounds     {:.6g} {:.6g} {:.6g} to {:.6g} {:.6g} {:.6g} m\n", bounds.lower[0], bounds.lower[1],
-             bounds.lower[2], bounds.upper[0], bounds.upper[1], bounds.upper[2]);
+  const auto lower = in_file(scene, bounds.lower.data()), upper = in_file(scene, bounds.upper.data());
+  fmt::print("  bounds     {:.9g} {:.9g} {:.9g} to {:.9g} {:.9g} {:.9g} m\n", lower[0], lower[1], lower[2], upper[0],
+             upper[1], upper[2]);
+  if (scene.origin != std::array<double, 3>{})
+    fmt::print("  origin     {:.9g} {:.9g} {:.9g} m: what is rendered is relative to it\n", scene.origin[0],
+               scene.origin[1], scene.origin[2]);
   fmt::print("  materials  {}\n", scene.materials.size());
   fmt::print("  textures   {}, {:.1f} MB decoded\n", scene.textures.size(), 4e-6 * double(scene.texels.size()));
   fmt::print("  lights     {} emissive triangles", emitters.triangles);
@@ -144,6 +158,8 @@ void print(const InfoWords& words, const Scene& scene, double seconds) {
                scene.environment.height, mean[0], mean[1], mean[2]);
   }
   fmt::print("\n");
+  if (!scene.light_units.empty()) fmt::print("  units      lights are {}\n", scene.light_units);
+  for (const std::string& variant : scene.variants) fmt::print("  variant    \"{}\"\n", variant);
   for (const scene::NamedCamera& camera : scene.cameras) {
     fmt::print("  camera     \"{}\"", camera.name);
     if (camera.camera.type == GLEANER_CAMERA_ORTHOGRAPHIC)
@@ -160,13 +176,12 @@ void print(const InfoWords& words, const Scene& scene, double seconds) {
   fmt::print("  needs     {}\n", present.empty() ? " nothing" : present);
   fmt::print("  lacks     {}\n", absent);
   fmt::print("  imported in {:.3f} s\n", seconds);
-  for (const std::string& warning : scene.warnings) fmt::print("  warning: {}\n", warning);
+  for (const std::string& warning : scene.warnings) fmt::print("  warning: {}\n", printable(warning));
 }
 
 int info(const InfoWords& words) {
   const auto start = std::chrono::steady_clock::now();
-  Scene scene = scene::import_scene(words.scene);
-  if (!words.environment.empty()) scene.environment = scene::import_environment(words.environment);
+  Scene scene = read_scene(words.files, true);
   const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   if (!has_light(needs_of(scene)))
     scene.warnings.push_back("the scene has no light: --environment FILE.exr lights it from all around");
@@ -183,9 +198,7 @@ int info(const InfoWords& words) {
 void add_info(CLI::App& app, Run& run) {
   auto* command = app.add_subcommand("info", "what a scene holds and what it needs of a renderer");
   auto words = std::make_shared<InfoWords>();
-  command->add_option("SCENE", words->scene, "scene: .gltf, .glb or .obj")->required();
-  command->add_option("--environment", words->environment,
-                      "lat-long .exr or .hdr that lights the scene from all around");
+  add_import_options(*command, words->files);
   command->add_flag("--json", words->json, "one JSON object on standard output");
   command->callback([words, &run] { run = [words] { return info(*words); }; });
 }

@@ -3,6 +3,7 @@
 #include <google/protobuf/stubs/logging.h>
 
 #include <CLI/CLI.hpp>
+#include <csignal>
 #include <cstdlib>
 #include <iostream>
 #include <new>
@@ -12,6 +13,8 @@
 namespace gleaner::cli {
 
 int run_program(CLI::App& app, int argc, char** argv, const std::function<int()>& run) {
+  // A file beyond the limit of its size (ulimit -f) is then an error of write(), as a full disk is, and not the end.
+  std::signal(SIGXFSZ, SIG_IGN);
   const std::string error_words = app.get_name() + ": error: ";
   try {
     app.parse(argc, argv);

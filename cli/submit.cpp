@@ -10,6 +10,7 @@
 #include "coordinator/blobs/sha256.h"
 #include "coordinator/gateway/convert.h"
 #include "scene/bvh/build.h"
+#include "scene/model/names.h"
 
 namespace gleaner::cli {
 
@@ -31,7 +32,7 @@ int submit(const SubmitOptions& options) {
   scene::Bytes bvh_blob = scene::serialize(scene::build_bvh(frame.scene));
   gleaner::v1::SubmitJobRequest request;
   request.set_scene_name(frame.scene_name);
-  request.set_camera_name(frame.camera_name);
+  request.set_camera_name(printable(frame.camera_name));
   request.set_scene_blob(coordinator::sha256_hex(scene_blob));
   request.set_bvh_blob(coordinator::sha256_hex(bvh_blob));
   *request.mutable_settings() = gateway::to_proto(frame.settings);

@@ -75,6 +75,9 @@ FN v3 emitter_radiance(const Scene* scene, const vf* e, vf b1, vf b2, vi active)
   if (any_lane(textured)) {
     vf b0 = one_f() - b1 - b2;
     global const float* t = scene->triangles;
+#ifdef NEED_SECOND_UVS
+    triangle += pick_u((vu)0u, (vu)(TRIANGLE_SECOND_UV0 - TRIANGLE_UV0), reads_second_uvs(scene, texture, textured));
+#endif
     vf u = b0 * gather_f(t + TRIANGLE_UV0, triangle) + b1 * gather_f(t + TRIANGLE_UV1, triangle) +
            b2 * gather_f(t + TRIANGLE_UV2, triangle);
     vf v = b0 * gather_f(t + TRIANGLE_UV0 + 1, triangle) + b1 * gather_f(t + TRIANGLE_UV1 + 1, triangle) +

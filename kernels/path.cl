@@ -185,7 +185,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       vu texture = material_u(scene, h.material, MATERIAL_EMISSION_TEXTURE);
       vi textured = emits & (texture != GLEANER_NONE);
       vf unused;
-      radiance = pick3(radiance, mul3(radiance, texture_lookup(scene, texture, h.u, h.v, textured, &unused)), textured);
+      radiance = pick3(radiance, mul3(radiance, texture_at(scene, &h, texture, textured, &unused)), textured);
 #endif
       v3 to_hit = sub3(p, origin);
       vf distance = length3(to_hit);

@@ -54,9 +54,36 @@ FN vu wrap_texel(vi i, vi n, vu mode) {
 #endif
 }
 
+// A texture's row, for lanes outside `active` that of texture 0.
+FN vu texture_row(vu texture, vi active) { return pick_u((vu)0u, texture, active) * TEXTURE_WORDS; }
+
+#ifdef NEED_SECOND_UVS
+FN vi reads_second_uvs(const Scene* scene, vu texture, vi active) {
+  return active & (gather_u(scene->textures + TEXTURE_UV_SET, texture_row(texture, active)) == 1u);
+}
+#endif
+
+#ifdef NEED_TEXTURE_TRANSFORMS
+// The linear part of a texture's transform.
+FN void turn_uv(const Scene* scene, vu row, vf* u, vf* v) {
+  global const float* t = (global const float*)scene->textures + TEXTURE_TRANSFORM;
+  vf x = *u, y = *v;
+  *u = gather_f(t, row) * x + gather_f(t + 1, row) * y;
+  *v = gather_f(t + 3, row) * x + gather_f(t + 4, row) * y;
+}
+#endif
+
 // Bilinear lookup: bytes are decoded first, then filtered. Lanes outside `active` read texture 0. Gives RGB and alpha.
 FN v3 texture_lookup(const Scene* scene, vu texture, vf u, vf v, vi active, vf* alpha) {
-  vu row = pick_u((vu)0u, texture, active) * TEXTURE_WORDS;
+  vu row = texture_row(texture, active);
+#ifdef NEED_TEXTURE_TRANSFORMS
+  {
+    global const float* t = (global const float*)scene->textures + TEXTURE_TRANSFORM;
+    turn_uv(scene, row, &u, &v);
+    u += gather_f(t + 2, row);
+    v += gather_f(t + 5, row);
+  }
+#endif
   vu first = gather_u(scene->textures + TEXTURE_FIRST_TEXEL, row);
   vu width = gather_u(scene->textures + TEXTURE_WIDTH, row);
   vu height = gather_u(scene->textures + TEXTURE_HEIGHT, row);

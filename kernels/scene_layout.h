@@ -5,20 +5,36 @@
 
 #include "scene/model/records.h"
 
-// Triangles: all that shading reads of one, in two cache lines; the second only where normals or uvs are needed.
-#define TRIANGLE_WORDS 32u
+// Triangles: all that shading reads of one, in two cache lines; the second only where normals, uvs or vertex colours
+// are needed, a third only in scenes with second uvs. The host asks triangle_words() for the length of a row.
+#define TRIANGLE_WORDS_PLAIN 32u
+#define TRIANGLE_WORDS_SECOND_UVS 48u
+#ifdef NEED_SECOND_UVS
+#define TRIANGLE_WORDS TRIANGLE_WORDS_SECOND_UVS
+#else
+#define TRIANGLE_WORDS TRIANGLE_WORDS_PLAIN
+#endif
 #define TRIANGLE_P0 0u
 #define TRIANGLE_P1 3u
 #define TRIANGLE_P2 6u
 #define TRIANGLE_MATERIAL 9u
 #define TRIANGLE_EMITTER 10u  // row of the emitter table, or GLEANER_NONE
-#define TRIANGLE_SECOND 16u   // where the second line begins
+// Colours of the corners: two words each, 16 bits a channel, R lowest. The third does not fit into the first line.
+#define TRIANGLE_COLOR0 11u
+#define TRIANGLE_COLOR1 13u
+#define TRIANGLE_COLOR2_RG 15u
+#define TRIANGLE_COLOR2_BA 31u
+#define TRIANGLE_SECOND 16u  // where the second line begins
 #define TRIANGLE_N0 16u
 #define TRIANGLE_N1 19u
 #define TRIANGLE_N2 22u
 #define TRIANGLE_UV0 25u
 #define TRIANGLE_UV1 27u
 #define TRIANGLE_UV2 29u
+#define TRIANGLE_THIRD 32u  // where the third line begins
+#define TRIANGLE_SECOND_UV0 32u
+#define TRIANGLE_SECOND_UV1 34u
+#define TRIANGLE_SECOND_UV2 36u
 
 // Materials: what every vertex needs in the first cache line, what few need behind it.
 #define MATERIAL_WORDS 48u
@@ -45,13 +61,15 @@
 #define MATERIAL_SPECULAR_COLOR_TEXTURE 26u
 
 // Textures: the words of gleaner::scene::Texture.
-#define TEXTURE_WORDS 8u
+#define TEXTURE_WORDS 16u
 #define TEXTURE_FIRST_TEXEL 0u
 #define TEXTURE_WIDTH 1u
 #define TEXTURE_HEIGHT 2u
 #define TEXTURE_WRAP_U 3u
 #define TEXTURE_WRAP_V 4u
 #define TEXTURE_FLAGS 5u
+#define TEXTURE_UV_SET 6u
+#define TEXTURE_TRANSFORM 7u
 
 // Emitters, sorted by cluster. Triangle: corner, two edges, radiance. Point and spot: position, direction, cosines,
 // intensity. Directional: direction, irradiance. The environment has no row.

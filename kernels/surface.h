@@ -18,7 +18,42 @@ typedef struct {
 #ifdef NEED_TEXTURES
   vf u, v;
 #endif
+#ifdef NEED_SECOND_UVS
+  vf second_u, second_v;
+#endif
+#ifdef NEED_VERTEX_COLORS
+  v3 color;  // interpolated from the corners', linear
+  vf color_alpha;
+#endif
 } Hit;
+
+#if defined(NEED_SMOOTH_NORMALS) || defined(NEED_TEXTURES) || defined(NEED_VERTEX_COLORS)
+#define HIT_READS_SECOND_LINE
+#endif
+
+#ifdef NEED_TEXTURES
+// What `texture` shows at a hit, read at the coordinates of its own set.
+FN v3 texture_at(const Scene* scene, const Hit* h, vu texture, vi active, vf* alpha) {
+  vf u = h->u, v = h->v;
+#ifdef NEED_SECOND_UVS
+  vi second = reads_second_uvs(scene, texture, active);
+  u = pick(u, h->second_u, second);
+  v = pick(v, h->second_v, second);
+#endif
+  return texture_lookup(scene, texture, u, v, active, alpha);
+}
+#endif
+
+#ifdef NEED_VERTEX_COLORS
+// Adds a corner's colour, two words of 16-bit channels, times its weight.
+FN void add_corner_color(Hit* h, vu rg, vu ba, vf weight) {
+  weight *= (vf)(1.0f / 65535.0f);
+  h->color.x += to_f(rg & 0xffffu) * weight;
+  h->color.y += to_f(rg >> 16) * weight;
+  h->color.z += to_f(ba & 0xffffu) * weight;
+  h->color_alpha += to_f(ba >> 16) * weight;
+}
+#endif
 
 // Triangles in `active` lanes; the others read triangle 0. The point is reckoned from the corners, not along the ray,
 // so that its error is the corners' and not the distance's.
@@ -28,7 +63,7 @@ FN Hit load_hit(const Scene* scene, vu primitive, vf b1, vf b2, vi active) {
   h.b1 = b1;
   h.b2 = b2;
   load_words(scene->triangles, h.triangle, h.first);
-#if defined(NEED_SMOOTH_NORMALS) || defined(NEED_TEXTURES)
+#ifdef HIT_READS_SECOND_LINE
   vf t2[16];
   load_words(scene->triangles + TRIANGLE_SECOND, h.triangle, t2);
 #endif
@@ -39,8 +74,23 @@ FN Hit load_hit(const Scene* scene, vu primitive, vf b1, vf b2, vi active) {
   h.geometric = normalize3(cross3(h.e1, h.e2));
   h.material = as_vu(h.first[TRIANGLE_MATERIAL]);
   load_words(scene->materials, h.material * MATERIAL_WORDS, h.words);
-#if defined(NEED_SMOOTH_NORMALS) || defined(NEED_TEXTURES)
+#ifdef HIT_READS_SECOND_LINE
   vf b0 = one_f() - b1 - b2;
+#endif
+#ifdef NEED_VERTEX_COLORS
+  h.color = splat3(zero_f());
+  h.color_alpha = zero_f();
+  add_corner_color(&h, as_vu(h.first[TRIANGLE_COLOR0]), as_vu(h.first[TRIANGLE_COLOR0 + 1]), b0);
+  add_corner_color(&h, as_vu(h.first[TRIANGLE_COLOR1]), as_vu(h.first[TRIANGLE_COLOR1 + 1]), b1);
+  add_corner_color(&h, as_vu(h.first[TRIANGLE_COLOR2_RG]), as_vu(t2[TRIANGLE_COLOR2_BA - TRIANGLE_SECOND]), b2);
+#endif
+#ifdef NEED_SECOND_UVS
+  vf t3[16];
+  load_words(scene->triangles + TRIANGLE_THIRD, h.triangle, t3);
+  h.second_u = b0 * t3[TRIANGLE_SECOND_UV0 - TRIANGLE_THIRD] + b1 * t3[TRIANGLE_SECOND_UV1 - TRIANGLE_THIRD] +
+               b2 * t3[TRIANGLE_SECOND_UV2 - TRIANGLE_THIRD];
+  h.second_v = b0 * t3[TRIANGLE_SECOND_UV0 - TRIANGLE_THIRD + 1] + b1 * t3[TRIANGLE_SECOND_UV1 - TRIANGLE_THIRD + 1] +
+               b2 * t3[TRIANGLE_SECOND_UV2 - TRIANGLE_THIRD + 1];
 #endif
 #ifdef NEED_TEXTURES
   h.u = b0 * t2[TRIANGLE_UV0 - TRIANGLE_SECOND] + b1 * t2[TRIANGLE_UV1 - TRIANGLE_SECOND] +
@@ -64,13 +114,26 @@ FN Hit load_hit(const Scene* scene, vu primitive, vf b1, vf b2, vi active) {
     vi mapped = active & (texture != GLEANER_NONE);
     if (any_lane(mapped)) {
       vf unused;
-      v3 n = texture_lookup(scene, texture, h.u, h.v, mapped, &unused);
+      v3 n = texture_at(scene, &h, texture, mapped, &unused);
       vf strength = material_f(scene, h.material, MATERIAL_NORMAL_SCALE);
       n = make3((2.0f * n.x - 1.0f) * strength, (2.0f * n.y - 1.0f) * strength, 2.0f * n.z - 1.0f);
       vf du1 = t2[TRIANGLE_UV1 - TRIANGLE_SECOND] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND];
       vf dv1 = t2[TRIANGLE_UV1 - TRIANGLE_SECOND + 1] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1];
       vf du2 = t2[TRIANGLE_UV2 - TRIANGLE_SECOND] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND];
       vf dv2 = t2[TRIANGLE_UV2 - TRIANGLE_SECOND + 1] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1];
+#ifdef NEED_SECOND_UVS
+      vi second = reads_second_uvs(scene, texture, mapped);
+      const uint uv0 = TRIANGLE_SECOND_UV0 - TRIANGLE_THIRD, uv1 = TRIANGLE_SECOND_UV1 - TRIANGLE_THIRD,
+                 uv2 = TRIANGLE_SECOND_UV2 - TRIANGLE_THIRD;
+      du1 = pick(du1, t3[uv1] - t3[uv0], second);
+      dv1 = pick(dv1, t3[uv1 + 1] - t3[uv0 + 1], second);
+      du2 = pick(du2, t3[uv2] - t3[uv0], second);
+      dv2 = pick(dv2, t3[uv2 + 1] - t3[uv0 + 1], second);
+#endif
+#ifdef NEED_TEXTURE_TRANSFORMS
+      turn_uv(scene, texture_row(texture, mapped), &du1, &dv1);
+      turn_uv(scene, texture_row(texture, mapped), &du2, &dv2);
+#endif
       vf area = du1 * dv2 - du2 * dv1;
       // dp/du, made perpendicular to the normal; the bitangent's sense is that of -dv (v grows downwards in glTF).
       v3 tangent = scale3(sub3(scale3(h.e1, dv2), scale3(h.e2, dv1)), pick((vf)-1.0f, one_f(), area > zero_f()));
@@ -98,9 +161,15 @@ FN vf opacity_of(const Scene* scene, vu material, vu flags, vf alpha) {
 // Colour and opacity: all that emission and alpha tests ask of a material.
 FN void load_color(const Scene* scene, const Hit* h, Surface* m, vi active) {
   m->base = words3(h->words, MATERIAL_BASE_COLOR);
+#ifdef NEED_VERTEX_COLORS
+  m->base = mul3(m->base, h->color);
+#endif
 #ifdef NEED_ALPHA
   vu flags = as_vu(h->words[MATERIAL_FLAGS]);
   m->opacity = h->words[MATERIAL_ALPHA];
+#ifdef NEED_VERTEX_COLORS
+  m->opacity = m->opacity * h->color_alpha;
+#endif
 #endif
 #ifdef NEED_TEXTURES
   {
@@ -108,7 +177,7 @@ FN void load_color(const Scene* scene, const Hit* h, Surface* m, vi active) {
     vi textured = active & (texture != GLEANER_NONE);
     if (any_lane(textured)) {
       vf alpha;
-      v3 color = texture_lookup(scene, texture, h->u, h->v, textured, &alpha);
+      v3 color = texture_at(scene, h, texture, textured, &alpha);
       m->base = pick3(m->base, mul3(m->base, color), textured);
 #ifdef NEED_ALPHA
       m->opacity = pick(m->opacity, m->opacity * alpha, textured);
@@ -143,7 +212,7 @@ FN void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active) {
     vu texture = material_u(scene, h->material, MATERIAL_METALLIC_ROUGHNESS_TEXTURE);
     vi textured = active & (texture != GLEANER_NONE);
     if (any_lane(textured)) {
-      v3 c = texture_lookup(scene, texture, h->u, h->v, textured, &unused);
+      v3 c = texture_at(scene, h, texture, textured, &unused);
       m->alpha = pick(m->alpha, m->alpha * c.y, textured);
 #ifdef NEED_LOBE
       m->metallic = pick(m->metallic, m->metallic * c.z, textured);
@@ -157,13 +226,13 @@ FN void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active) {
     textured = active & (texture != GLEANER_NONE);
     if (any_lane(textured)) {
       vf a;
-      texture_lookup(scene, texture, h->u, h->v, textured, &a);
+      texture_at(scene, h, texture, textured, &a);
       m->specular = pick(m->specular, m->specular * a, textured);
     }
     texture = material_u(scene, h->material, MATERIAL_SPECULAR_COLOR_TEXTURE);
     textured = active & (texture != GLEANER_NONE);
     if (any_lane(textured)) {
-      v3 c = texture_lookup(scene, texture, h->u, h->v, textured, &unused);
+      v3 c = texture_at(scene, h, texture, textured, &unused);
       m->f0 = pick3(m->f0, mul3(m->f0, c), textured);
     }
 #endif
@@ -171,7 +240,7 @@ FN void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active) {
     texture = material_u(scene, h->material, MATERIAL_TRANSMISSION_TEXTURE);
     textured = active & (texture != GLEANER_NONE);
     if (any_lane(textured)) {
-      v3 c = texture_lookup(scene, texture, h->u, h->v, textured, &unused);
+      v3 c = texture_at(scene, h, texture, textured, &unused);
       m->transmission = pick(m->transmission, m->transmission * c.x, textured);
     }
 #endif

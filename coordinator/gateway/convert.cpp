@@ -5,6 +5,7 @@
 #include <new>
 
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 
 namespace gleaner::gateway {
 
@@ -141,7 +142,7 @@ pb::Job to_proto(const JobStatus& status) {
   pb::Job out;
   out.set_id(status.id);
   out.set_state(to_proto(status.state));
-  out.set_scene_name(status.scene_name);
+  out.set_scene_name(printable(status.scene_name));
   out.set_method(status.method);
   out.set_width(status.width);
   out.set_height(status.height);
@@ -157,7 +158,7 @@ pb::Job to_proto(const JobStatus& status) {
     to->set_seconds_left(stage.seconds_left);
   }
   out.set_seconds(status.seconds);
-  out.set_message(status.message);
+  out.set_message(printable(status.message));
   out.set_preview_available(status.preview_available);
   out.set_submitted_unix_seconds(status.submitted_unix_seconds);
   return out;

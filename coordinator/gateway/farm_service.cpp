@@ -8,6 +8,7 @@
 #include "coordinator/film/write.h"
 #include "coordinator/gateway/convert.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 
 namespace gleaner::gateway {
 
@@ -189,7 +190,7 @@ Status FarmService::GetPreview(grpc::ServerContext*, const pb::GetPreviewRequest
 Status FarmService::Why(grpc::ServerContext*, const pb::WhyRequest* request, pb::WhyReply* reply) {
   auto reasons = farm_.why(request->job());
   if (!reasons) return no_job(request->job());
-  for (const std::string& reason : *reasons) reply->add_reasons(reason);
+  for (const std::string& reason : *reasons) reply->add_reasons(printable(reason));
   return Status::OK;
 }
 

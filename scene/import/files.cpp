@@ -1,9 +1,12 @@
 #include "scene/import/files.h"
 
+#include <algorithm>
 #include <array>
+#include <cctype>
 #include <fstream>
 #include <system_error>
 
+#include "scene/import/text.h"
 #include "scene/model/error.h"
 
 namespace gleaner::scene {
@@ -15,10 +18,6 @@ int hex_digit(char c) {
   if (c >= 'a' && c <= 'f') return c - 'a' + 10;
   if (c >= 'A' && c <= 'F') return c - 'A' + 10;
   return -1;
-}
-
-std::string shortened(std::string_view text) {
-  return "\"" + std::string(text.substr(0, 80)) + (text.size() > 80 ? "...\"" : "\"");
 }
 
 std::vector<std::byte> base64_decoded(std::string_view text, const std::string& file, const std::string& element) {
@@ -59,7 +58,7 @@ std::vector<std::byte> base64_decoded(std::string_view text, const std::string& 
 std::uint64_t file_bytes(const fs::path& path, const std::string& file, const std::string& element) {
   const bool is_itself = path == fs::path(file);
   const auto fail = [&](const std::string& found) {
-    throw Error::bad_input(file, element, is_itself ? "a readable file" : "the file " + shortened(path.string()),
+    throw Error::bad_input(file, element, is_itself ? "a readable file" : "the file " + in_quotes(path.string()),
                            found);
   };
   std::error_code code;
@@ -78,7 +77,7 @@ std::uint64_t file_bytes(const fs::path& path, const std::string& file, const st
 std::vector<std::byte> read_file(const fs::path& path, std::uint64_t count, const std::string& file,
                                  const std::string& element) {
   std::ifstream stream(path, std::ios::binary);
-  if (!stream) throw Error::bad_input(file, element, "a readable file", shortened(path.string()));
+  if (!stream) throw Error::bad_input(file, element, "a readable file", in_quotes(path.string()));
   std::vector<std::byte> bytes(count);
   stream.read(reinterpret_cast<char*>(bytes.data()), static_cast<std::streamsize>(count));
   if (static_cast<std::uint64_t>(stream.gcount()) != count)
@@ -90,17 +89,71 @@ fs::path resolve_inside(const std::string& reference, const std::string& file, c
   const std::string expected = "a path inside the scene's folder";
   const fs::path relative(reference);
   if (reference.empty() || relative.is_absolute())
-    throw Error::bad_input(file, element, expected, shortened(reference));
+    throw Error::bad_input(file, element, expected, in_quotes(reference));
   std::error_code code;
   const fs::path parent = fs::path(file).parent_path();
   const fs::path folder = fs::canonical(parent.empty() ? fs::path(".") : parent, code);
   if (code) throw Error::bad_input(file, element, "a readable folder", code.message());
   const fs::path target = fs::weakly_canonical(folder / relative, code);
-  if (code) throw Error::bad_input(file, element, "the file " + shortened(reference), code.message());
+  if (code) throw Error::bad_input(file, element, "the file " + in_quotes(reference), code.message());
   const fs::path inside = target.lexically_relative(folder);
   if (inside.empty() || *inside.begin() == ".." || inside == ".")
-    throw Error::bad_input(file, element, expected, shortened(reference));
+    throw Error::bad_input(file, element, expected, in_quotes(reference));
   return target;
+}
+
+namespace {
+
+bool is_same_but_for_case(const std::string& a, const std::string& b) {
+  return std::equal(a.begin(), a.end(), b.begin(), b.end(),
+                    [](unsigned char x, unsigned char y) { return std::tolower(x) == std::tolower(y); });
+}
+
+// The file or folder in `folder` whose name differs from `name` in the case of its letters alone; the first in the
+// order of bytes. Empty where there is none.
+fs::path in_another_case(const fs::path& folder, const std::string& name) {
+  fs::path found;
+  std::error_code code;
+  for (fs::directory_iterator entry(folder, code), end; !code && entry != end; entry.increment(code)) {
+    const fs::path& path = entry->path();
+    if (is_same_but_for_case(path.filename().string(), name) && (found.empty() || path < found)) found = path;
+  }
+  return found;
+}
+
+// `relative` under `folder`, each part in whatever case it has there. Empty where there is none.
+fs::path found_in_any_case(const fs::path& folder, const fs::path& relative) {
+  fs::path place = folder;
+  std::error_code code;
+  for (const fs::path& part : relative) {
+    if (part == "." || part == "..") {
+      place /= part;
+      continue;
+    }
+    fs::path next = place / part;
+    if (!fs::exists(next, code)) next = in_another_case(place, part.string());
+    if (next.empty()) return {};
+    place = next;
+  }
+  return place;
+}
+
+}  // namespace
+
+fs::path resolve_reference(const std::string& reference, const std::string& file, const std::string& element,
+                           Warnings* warnings) {
+  std::error_code code;
+  const fs::path folder = fs::path(file).parent_path().empty() ? fs::path(".") : fs::path(file).parent_path();
+  const bool is_plain = !reference.empty() && !fs::path(reference).is_absolute();
+  if (is_plain && fs::exists(folder / reference, code)) return resolve_inside(reference, file, element);
+  std::string slashed = reference;
+  std::replace(slashed.begin(), slashed.end(), '\\', '/');
+  if (slashed.empty() || fs::path(slashed).is_absolute()) return resolve_inside(slashed, file, element);
+  const fs::path found = found_in_any_case(folder, slashed);
+  if (found.empty()) return resolve_inside(slashed, file, element);
+  const fs::path inside = resolve_inside(found.lexically_relative(folder).string(), file, element);
+  if (warnings) warnings->add(element, "found under another spelling: backslashes, or letters in another case");
+  return inside;
 }
 
 std::string percent_decoded(std::string_view uri, const std::string& file, const std::string& element) {
@@ -111,11 +164,11 @@ std::string percent_decoded(std::string_view uri, const std::string& file, const
     if (c == '%') {
       const int high = i + 2 < uri.size() ? hex_digit(uri[i + 1]) : -1;
       const int low = i + 2 < uri.size() ? hex_digit(uri[i + 2]) : -1;
-      if (high < 0 || low < 0) throw Error::bad_input(file, element, "two hexadecimal digits after %", shortened(uri));
+      if (high < 0 || low < 0) throw Error::bad_input(file, element, "two hexadecimal digits after %", in_quotes(uri));
       c = static_cast<char>(high * 16 + low);
       i += 2;
     }
-    if (c == 0) throw Error::bad_input(file, element, "a URI without zero bytes", shortened(uri));
+    if (c == 0) throw Error::bad_input(file, element, "a URI without zero bytes", in_quotes(uri));
     text += c;
   }
   return text;
@@ -124,9 +177,9 @@ std::string percent_decoded(std::string_view uri, const std::string& file, const
 std::vector<std::byte> data_uri_bytes(std::string_view uri, const std::string& file, const std::string& element) {
   const std::size_t comma = uri.find(',');
   if (comma == std::string_view::npos)
-    throw Error::bad_input(file, element, "a comma before the data of a data URI", shortened(uri));
+    throw Error::bad_input(file, element, "a comma before the data of a data URI", in_quotes(uri));
   if (!uri.substr(0, comma).ends_with(";base64"))
-    throw Error::bad_input(file, element, "a data URI in base64", shortened(uri.substr(0, comma)));
+    throw Error::bad_input(file, element, "a data URI in base64", in_quotes(uri.substr(0, comma)));
   return base64_decoded(uri.substr(comma + 1), file, element);
 }
 

@@ -8,6 +8,8 @@
 #include <string_view>
 #include <vector>
 
+#include "scene/import/warnings.h"
+
 namespace gleaner::scene {
 
 // Largest file that is read: offsets in a .glb have 32 bits.
@@ -24,6 +26,11 @@ std::vector<std::byte> read_file(const std::filesystem::path& path, std::uint64_
 // The path of something that `file` refers to by a relative `reference`, symbolic links resolved. Throws
 // Error::bad_input where that lies outside the folder of `file`.
 std::filesystem::path resolve_inside(const std::string& reference, const std::string& file, const std::string& element);
+
+// resolve_inside(), forgiving what other systems forgive, with a warning: backslashes between folders, letters in
+// another case. The path need not exist.
+std::filesystem::path resolve_reference(const std::string& reference, const std::string& file,
+                                        const std::string& element, Warnings* warnings = nullptr);
 
 // "%20" to " ". Throws Error::bad_input on a malformed escape or a zero byte.
 std::string percent_decoded(std::string_view uri, const std::string& file, const std::string& element);

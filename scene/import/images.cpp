@@ -9,6 +9,7 @@
 #include <exception>
 #include <fstream>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <thread>
 
@@ -55,6 +56,7 @@ class OpenImage {
           spec_.height <= int(kMaxTextureSide) && spec_.depth <= 1 && spec_.nchannels >= 1))
       fail("1 to " + std::to_string(kMaxTextureSide) + " texels a side",
            std::to_string(spec_.width) + "x" + std::to_string(spec_.height));
+    check_promise(bytes());
   }
 
   ~OpenImage() {
@@ -67,6 +69,21 @@ class OpenImage {
   std::uint32_t width() const { return static_cast<std::uint32_t>(spec_.width); }
   std::uint32_t height() const { return static_cast<std::uint32_t>(spec_.height); }
   bool exceeds_bytes() const { return spec_.format.size() > 1; }
+  std::uint64_t texels() const { return std::uint64_t(width()) * height(); }
+
+  // Deflate never says more than 1032 bytes with one: a PNG that promises more than its bytes can hold is refused
+  // before room is made for it.
+  void check_promise(std::uint64_t bytes) const {
+    constexpr std::uint64_t most = 1032;
+    if (std::string_view(reader_->format_name()) != "png") return;
+    const std::uint64_t bits = spec_.format.size() * 8 * std::uint64_t(spec_.nchannels);
+    // Palettes and one-bit images are unpacked to bytes by the reader: 1 bit a pixel is the least.
+    if (std::uint64_t(spec_.height) * (std::uint64_t(spec_.width) * std::min<std::uint64_t>(bits, 1) / 8) >
+        most * bytes)
+      fail("an image of as many bytes as its " + std::to_string(spec_.width) + "x" + std::to_string(spec_.height) +
+               " texels take",
+           std::to_string(bytes));
+  }
 
   // Returns what a person may want to know about the image; empty where nothing is.
   std::string read(std::uint32_t* texels) {
@@ -79,7 +96,7 @@ class OpenImage {
     const std::string complaint = reader_->geterror();
     if (complaint.find("Premature end") != std::string::npos) fail("a whole image", one_line(complaint));
     if (channels <= 2) spread_grey(texels, count, channels);
-    return complaint.empty() ? "" : source_.element + ": " + one_line(complaint);
+    return complaint.empty() ? "" : one_line(complaint);
   }
 
  private:
@@ -93,6 +110,10 @@ class OpenImage {
       const std::uint32_t grey = texels[i] & 0xff, alpha = channels == 2 ? texels[i] >> 8 & 0xff : 0xff;
       texels[i] = alpha << 24 | grey << 16 | grey << 8 | grey;
     }
+  }
+
+  std::uint64_t bytes() const {
+    return source_.path.empty() ? source_.bytes.size() : file_bytes(source_.path, file_, source_.element);
   }
 
   std::string head() const {
@@ -123,20 +144,26 @@ class OpenImage {
 }  // namespace
 
 std::vector<DecodedImage> decode_images(const std::vector<ImageSource>& sources, const std::string& file,
-                                        std::vector<std::uint32_t>& texels, std::vector<std::string>& warnings) {
+                                        std::uint64_t most_texels, std::vector<std::uint32_t>& texels,
+                                        Warnings& warnings) {
   std::vector<DecodedImage> images;
   std::uint64_t total = texels.size();
   for (const ImageSource& source : sources) {
     const OpenImage image(source, file);
     images.push_back({static_cast<std::uint32_t>(total), image.width(), image.height()});
     total += std::uint64_t(image.width()) * image.height();
-    if (total > kMaxTexels)
-      throw Error::bad_input(file, source.element, "at most " + std::to_string(kMaxTexels) + " texels in all images",
-                             std::to_string(total));
-    if (image.exceeds_bytes()) warnings.push_back(source.element + ": reduced to 8 bits a channel");
+    if (total > std::min<std::uint64_t>(most_texels, kMaxTexels))
+      throw Error::bad_input(
+          file, source.element,
+          "at most " + std::to_string(most_texels) + " texels in all images (--texture-limit sets another number)",
+          std::to_string(total));
+    if (image.exceeds_bytes()) warnings.add(source.element, "reduced to 8 bits a channel");
   }
   texels.resize(total);
 
+  // Decoders keep copies of what they work on: large images take their turns.
+  constexpr std::uint64_t large = std::uint64_t(1) << 24;
+  std::mutex one_large_image;
   std::atomic<std::size_t> next = 0;
   std::vector<std::exception_ptr> errors(sources.size());
   std::vector<std::string> remarks(sources.size());
@@ -147,6 +174,8 @@ std::vector<DecodedImage> decode_images(const std::vector<ImageSource>& sources,
         // A file that changed between its two openings must not write past its place.
         if (image.width() != images[i].width || image.height() != images[i].height)
           throw Error::bad_input(file, sources[i].element, "an image that stays the same", "another size");
+        std::unique_lock<std::mutex> turn(one_large_image, std::defer_lock);
+        if (image.texels() > large) turn.lock();
         remarks[i] = image.read(texels.data() + images[i].first_texel);
       } catch (...) {
         errors[i] = std::current_exception();
@@ -162,8 +191,8 @@ std::vector<DecodedImage> decode_images(const std::vector<ImageSource>& sources,
   }
   for (const std::exception_ptr& error : errors)
     if (error) std::rethrow_exception(error);
-  for (const std::string& remark : remarks)
-    if (!remark.empty()) warnings.push_back(remark);
+  for (std::size_t i = 0; i < remarks.size(); ++i)
+    if (!remarks[i].empty()) warnings.add(sources[i].element, remarks[i]);
   return images;
 }
 

@@ -8,6 +8,8 @@
 #include <string>
 #include <vector>
 
+#include "scene/import/warnings.h"
+
 namespace gleaner::scene {
 
 // Where an image comes from: a file, or bytes where `path` is empty. The bytes must outlive the decoding.
@@ -22,9 +24,11 @@ struct DecodedImage {
 };
 
 // Decodes all images behind one another into `texels` (RGBA, R lowest, row 0 at the top; grey becomes RGB, a missing
-// alpha 255), on all cores. All sizes are checked before memory is taken. Throws Error::bad_input naming `file` and the
-// first image that cannot be read; says in `warnings` what was reduced to 8 bits.
+// alpha 255), on all cores. All sizes are checked before memory is taken: at most `most_texels` in all. Throws
+// Error::bad_input naming `file` and the first image that cannot be read; says in `warnings` what was reduced to 8
+// bits.
 std::vector<DecodedImage> decode_images(const std::vector<ImageSource>& sources, const std::string& file,
-                                        std::vector<std::uint32_t>& texels, std::vector<std::string>& warnings);
+                                        std::uint64_t most_texels, std::vector<std::uint32_t>& texels,
+                                        Warnings& warnings);
 
 }  // namespace gleaner::scene

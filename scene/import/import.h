@@ -1,17 +1,41 @@
 #pragma once
 // Files that people have, turned into scenes.
 
+#include <cstdint>
 #include <string>
+#include <vector>
 
 #include "scene/model/scene.h"
 
 namespace gleaner::scene {
 
-// Reads .gltf, .glb or .obj by its extension. The result is validated and finished. A file without a camera gets one
-// that frames it, and a warning. Throws Error::bad_input naming the file, the element and what was expected.
-Scene import_scene(const std::string& path);
+// What candela and lux of a file mean: W/sr and W/m^2, or 683 lumens a watt. Automatic: radiometric, unless the file's
+// generator is known to write photometric units.
+enum class LightUnits { automatic, radiometric, photometric };
 
-// Reads a lat-long .exr or .hdr. Throws Error::bad_input; every value must be finite and not negative.
-Environment import_environment(const std::string& path);
+// "auto", "radiometric" or "photometric". Throws Error::usage.
+LightUnits parse_light_units(const std::string& word);
+
+struct ImportOptions {
+  LightUnits light_units = LightUnits::automatic;
+  std::string variant;                                 // of KHR_materials_variants; empty: the file's own materials
+  std::uint64_t most_texels = std::uint64_t{1} << 30;  // in all images together: 4 GiB
+  bool strict = false;                                 // what would be a warning is an error
+  bool needs_camera = true;                            // false: somebody else brings one, none is missed
+};
+
+// Reads .gltf, .glb, .obj, .ply or .stl by its extension. The result is validated and finished. A file without a camera
+// gets one that frames it, and a warning. Throws Error::bad_input naming the file, the element and what was expected.
+Scene import_scene(const std::string& path, const ImportOptions& options = {});
+
+struct EnvironmentOptions {
+  double rotation_degrees = 0;  // about +y, counter-clockwise seen from above
+  double strength = 1;          // factor of the radiance
+};
+
+// Reads a lat-long .exr or .hdr. Radiance that is negative or not a number becomes 0, what is infinite the largest
+// finite half float; one warning counts them. Throws Error::bad_input.
+Environment import_environment(const std::string& path, const EnvironmentOptions& options = {},
+                               std::vector<std::string>* warnings = nullptr);
 
 }  // namespace gleaner::scene

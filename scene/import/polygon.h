@@ -6,8 +6,11 @@
 
 namespace gleaner::scene {
 
-// Triangles of a polygon, as numbers of its corners, wound as it is; always points.size() - 2 of them. A convex polygon
-// becomes a fan around its first corner, a concave one is clipped ear by ear. Corners need not lie in one plane.
-std::vector<std::array<std::uint32_t, 3>> triangulated(const std::vector<std::array<double, 3>>& points);
+using Triangles = std::vector<std::array<std::uint32_t, 3>>;
+
+// Triangles of a polygon, as numbers of its corners, wound as it is. Corners need not lie in one plane; it may be
+// concave, and have holes that a doubled edge joins to its outline. `is_simple` is false where no triangulation covers
+// exactly its area, because it crosses itself: then something near it is returned.
+Triangles triangulated(const std::vector<std::array<double, 3>>& points, bool& is_simple);
 
 }  // namespace gleaner::scene

@@ -102,7 +102,7 @@ std::uint32_t SceneBuilder::material(const std::string& name, const Material& ma
 
 std::uint32_t SceneBuilder::texture(std::uint32_t width, std::uint32_t height, bool srgb,
                                     const std::function<Texel(std::uint32_t, std::uint32_t)>& texel) {
-  Texture record{};
+  Texture record = plain_texture();
   record.first_texel = static_cast<std::uint32_t>(scene_.texels.size());
   record.width = width;
   record.height = height;

@@ -18,7 +18,7 @@ namespace {
 static_assert(std::endian::native == std::endian::little, "blobs are little-endian and copied as they stand");
 
 constexpr std::uint64_t kAlignment = 64;
-constexpr std::uint32_t kVersion = 1;
+constexpr std::uint32_t kVersion = 2;
 
 struct Header {
   char magic[8];
@@ -43,6 +43,8 @@ enum SceneSection : std::uint32_t {
   kPositions,
   kNormals,
   kUvs,
+  kSecondUvs,
+  kColors,
   kIndices,
   kTriangleMaterial,
   kMeshes,
@@ -218,15 +220,17 @@ Bytes serialize(const Scene& scene) {
     films.push_back({c.width, c.height, c.aspect});
   }
   Writer writer(kSceneMagic, kSceneSections);
-  writer.expect(4 * (scene.positions.size() + scene.normals.size() + scene.uvs.size() + scene.indices.size() +
-                     scene.triangle_material.size() + scene.texels.size() + scene.albedo_tables.size() +
-                     scene.environment.radiance.size()) +
-                sizeof(Material) * scene.materials.size() + sizeof(Texture) * scene.textures.size() +
-                sizeof(Light) * scene.lights.size() + sizeof(Camera) * cameras.size() + text.size() +
-                16 * lengths.size());
+  writer.expect(4 * (scene.positions.size() + scene.normals.size() + scene.uvs.size() + scene.second_uvs.size() +
+                     scene.indices.size() + scene.triangle_material.size() + scene.texels.size() +
+                     scene.albedo_tables.size() + scene.environment.radiance.size()) +
+                2 * scene.colors.size() + sizeof(Material) * scene.materials.size() +
+                sizeof(Texture) * scene.textures.size() + sizeof(Light) * scene.lights.size() +
+                sizeof(Camera) * cameras.size() + text.size() + 16 * lengths.size());
   writer.add(kPositions, scene.positions);
   writer.add(kNormals, scene.normals);
   writer.add(kUvs, scene.uvs);
+  writer.add(kSecondUvs, scene.second_uvs);
+  writer.add(kColors, scene.colors);
   writer.add(kIndices, scene.indices);
   writer.add(kTriangleMaterial, scene.triangle_material);
   writer.add(kMeshes, meshes);
@@ -250,6 +254,8 @@ Scene parse_scene(std::span<const std::byte> bytes, const std::string& origin) {
   scene.positions = reader.read<float>(kPositions);
   scene.normals = reader.read<float>(kNormals);
   scene.uvs = reader.read<float>(kUvs);
+  scene.second_uvs = reader.read<float>(kSecondUvs);
+  scene.colors = reader.read<std::uint16_t>(kColors);
   scene.indices = reader.read<std::uint32_t>(kIndices);
   scene.triangle_material = reader.read<std::uint32_t>(kTriangleMaterial);
   scene.materials = reader.read<Material>(kMaterials);

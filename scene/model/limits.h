@@ -10,8 +10,8 @@ inline constexpr std::size_t kMaxTriangles = std::size_t(1) << 27;  // a leaf of
 // Of a leaf of the BVH: build_bvh() makes no deeper tree. The OpenCL tracer keeps a stack of as many entries a ray.
 inline constexpr std::uint32_t kMaxBvhDepth = 64;
 inline constexpr std::size_t kMaxVertices = 3 * kMaxTriangles;
-inline constexpr std::size_t kMaxTexels = std::size_t(1) << 30;
-inline constexpr std::uint32_t kMaxTextureSide = 16384;
+inline constexpr std::size_t kMaxTexels = std::size_t(0xffffffffu);  // a texture names its first in 32 bits
+inline constexpr std::uint32_t kMaxTextureSide = 65536;
 inline constexpr std::uint32_t kMaxEnvironmentSide = 16384;
 // Squared areas of triangles stay below the largest float.
 inline constexpr float kMaxCoordinate = 1e9f;

@@ -41,6 +41,13 @@ void compute(std::map<float, DirectionalAlbedo>& by_alpha) {
 
 }  // namespace
 
+Texture plain_texture() {
+  Texture t{};
+  t.wrap_u = t.wrap_v = GLEANER_WRAP_REPEAT;
+  t.transform[0] = t.transform[4] = 1;
+  return t;
+}
+
 void finish_materials(Scene& scene) {
   scene.albedo_tables.clear();
   std::map<float, DirectionalAlbedo> by_alpha;

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
@@ -43,29 +44,45 @@ bool deviates(const Scene& scene, std::size_t triangle, const Face& face) {
 
 bool emits(const Material& m) { return m.emission[0] > 0 || m.emission[1] > 0 || m.emission[2] > 0; }
 
-// BLEND or MASK alone says little: exporters set them on surfaces whose alpha is 1 everywhere.
-bool is_see_through(const Scene& scene, const Material& m) {
-  const bool mask = m.flags & GLEANER_MATERIAL_ALPHA_MASK;
-  if (!mask && !(m.flags & GLEANER_MATERIAL_ALPHA_BLEND)) return false;
-  const float opaque_from = mask ? m.alpha_cutoff : 1;
-  if (m.alpha < opaque_from) return true;
+bool has_alpha_mode(const Material& m) {
+  return m.flags & (GLEANER_MATERIAL_ALPHA_MASK | GLEANER_MATERIAL_ALPHA_BLEND);
+}
+
+// BLEND or MASK alone says little: exporters set them on surfaces whose alpha is 1 everywhere. `vertex_alpha` is the
+// least of the vertices' colours.
+bool is_see_through(const Scene& scene, const Material& m, float vertex_alpha) {
+  if (!has_alpha_mode(m)) return false;
+  const float opaque_from = m.flags & GLEANER_MATERIAL_ALPHA_MASK ? m.alpha_cutoff : 1;
+  const float alpha = m.alpha * vertex_alpha;
+  if (alpha < opaque_from) return true;
   if (m.base_color_texture == GLEANER_NONE) return false;
   const Texture& t = scene.textures[m.base_color_texture];
   const std::uint32_t* texel = scene.texels.data() + t.first_texel;
   const std::size_t count = std::size_t(t.width) * t.height;
   for (std::size_t i = 0; i < count; ++i)
-    if (static_cast<float>(texel[i] >> 24) / 255 * m.alpha < opaque_from) return true;
+    if (static_cast<float>(texel[i] >> 24) / 255 * alpha < opaque_from) return true;
   return false;
 }
 
-void add_material(const Scene& scene, const Material& m, SceneNeeds& needs) {
-  const bool other_texture = m.metallic_roughness_texture != GLEANER_NONE || m.normal_texture != GLEANER_NONE ||
+void add_textures(const Scene& scene, const Material& m, SceneNeeds& needs) {
+  constexpr float plain[6] = {1, 0, 0, 0, 1, 0};
+  for (const gl_uint index : {m.base_color_texture, m.metallic_roughness_texture, m.normal_texture, m.emission_texture,
+                              m.transmission_texture, m.specular_texture, m.specular_color_texture}) {
+    if (index == GLEANER_NONE) continue;
+    const Texture& t = scene.textures[index];
+    needs.textures = true;
+    needs.texture_transforms |= !std::equal(plain, plain + 6, t.transform);
+    needs.second_uvs |= t.uv_set == 1;
+  }
+  needs.material_textures |= m.metallic_roughness_texture != GLEANER_NONE || m.normal_texture != GLEANER_NONE ||
                              m.emission_texture != GLEANER_NONE || m.transmission_texture != GLEANER_NONE ||
                              m.specular_texture != GLEANER_NONE || m.specular_color_texture != GLEANER_NONE;
-  needs.material_textures |= other_texture;
-  needs.textures |= other_texture || m.base_color_texture != GLEANER_NONE;
   needs.normal_maps |= m.normal_texture != GLEANER_NONE;
-  needs.alpha |= is_see_through(scene, m);
+}
+
+void add_material(const Scene& scene, const Material& m, float vertex_alpha, SceneNeeds& needs) {
+  add_textures(scene, m, needs);
+  needs.alpha |= is_see_through(scene, m, vertex_alpha);
   if (m.flags & GLEANER_MATERIAL_UNLIT) {
     needs.unlit = true;
     return;
@@ -84,6 +101,20 @@ void add_material(const Scene& scene, const Material& m, SceneNeeds& needs) {
   }
 }
 
+// The least alpha of the vertices' colours, one a material that has an alpha mode.
+std::vector<float> vertex_alphas(const Scene& scene) {
+  std::vector<float> least(scene.materials.size(), 1.0f);
+  if (scene.colors.empty()) return least;
+  for (std::size_t t = 0; t < scene.triangle_count(); ++t) {
+    const std::uint32_t material = scene.triangle_material[t];
+    if (!has_alpha_mode(scene.materials[material])) continue;
+    for (int k = 0; k < 3; ++k)
+      least[material] = std::min(
+          least[material], static_cast<float>(scene.colors[4 * std::size_t(scene.indices[3 * t + k]) + 3]) / 65535);
+  }
+  return least;
+}
+
 }  // namespace
 
 SceneNeeds needs_of(const Scene& scene) {
@@ -100,29 +131,60 @@ SceneNeeds needs_of(const Scene& scene) {
     needs.emissive_triangles |= emissive;
     needs.smooth_normals = needs.smooth_normals || deviates(scene, t, face);
   }
+  const std::vector<float> least_alpha = vertex_alphas(scene);
   for (std::size_t m = 0; m < used.size(); ++m)
-    if (used[m]) add_material(scene, scene.materials[m], needs);
+    if (used[m]) add_material(scene, scene.materials[m], least_alpha[m], needs);
+  needs.vertex_colors = std::any_of(scene.colors.begin(), scene.colors.end(), [](auto c) { return c != 65535; });
   needs.punctual_lights = !scene.lights.empty();
   needs.environment = !scene.environment.empty();
   return needs;
 }
 
 std::uint32_t SceneNeeds::bits() const {
-  const bool fields[] = {specular,    glossy,         metallic,        transmissive,       rough_transmissive,
-                         attenuation, alpha,          unlit,           textures,           material_textures,
-                         normal_maps, smooth_normals, punctual_lights, emissive_triangles, environment,
-                         deforming};
+  const bool fields[] = {specular,
+                         glossy,
+                         metallic,
+                         transmissive,
+                         rough_transmissive,
+                         attenuation,
+                         alpha,
+                         unlit,
+                         textures,
+                         material_textures,
+                         normal_maps,
+                         smooth_normals,
+                         punctual_lights,
+                         emissive_triangles,
+                         environment,
+                         deforming,
+                         vertex_colors,
+                         texture_transforms,
+                         second_uvs};
   std::uint32_t bits = 0;
   for (std::size_t i = 0; i < std::size(fields); ++i) bits |= std::uint32_t(fields[i]) << i;
   return bits;
 }
 
 const std::vector<std::string>& need_names() {
-  static const std::vector<std::string> names = {
-      "specular",    "glossy",         "metallic",        "transmissive",       "rough_transmissive",
-      "attenuation", "alpha",          "unlit",           "textures",           "material_textures",
-      "normal_maps", "smooth_normals", "punctual_lights", "emissive_triangles", "environment",
-      "deforming"};
+  static const std::vector<std::string> names = {"specular",
+                                                 "glossy",
+                                                 "metallic",
+                                                 "transmissive",
+                                                 "rough_transmissive",
+                                                 "attenuation",
+                                                 "alpha",
+                                                 "unlit",
+                                                 "textures",
+                                                 "material_textures",
+                                                 "normal_maps",
+                                                 "smooth_normals",
+                                                 "punctual_lights",
+                                                 "emissive_triangles",
+                                                 "environment",
+                                                 "deforming",
+                                                 "vertex_colors",
+                                                 "texture_transforms",
+                                                 "second_uvs"};
   return names;
 }
 

@@ -63,15 +63,18 @@ GLEANER_SIZE(Material, 144);
 #define GLEANER_WRAP_CLAMP 1u
 #define GLEANER_WRAP_MIRROR 2u
 
-// One image with a sampler. Texels are RGBA bytes, row 0 at v = 0 (glTF: the top). 32 bytes.
+// One image with a sampler, and how it is laid on: it is read at (t[0] u + t[1] v + t[2], t[3] u + t[4] v + t[5]).
+// Texels are RGBA bytes, row 0 at v = 0 (glTF: the top). 64 bytes.
 typedef struct {
   gl_uint first_texel;  // index of the first 4-byte texel
   gl_uint width, height;
   gl_uint wrap_u, wrap_v;
   gl_uint flags;
-  gl_uint reserved[2];
+  gl_uint uv_set;         // 0: the vertices' uvs, 1: their second_uvs
+  gl_float transform[6];  // t
+  gl_uint reserved[3];
 } Texture;
-GLEANER_SIZE(Texture, 32);
+GLEANER_SIZE(Texture, 64);
 
 #define GLEANER_LIGHT_POINT 0u
 #define GLEANER_LIGHT_SPOT 1u

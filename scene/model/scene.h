@@ -31,10 +31,15 @@ struct Mesh {
 };
 
 struct Scene {
-  std::string name;                              // the file's stem
+  std::string name;  // the file's stem
+  // Where, in the file's coordinates, the origin of this scene's lies. Does not travel: who reads or writes the file's
+  // coordinates adds or takes it away.
+  std::array<double, 3> origin{};
   std::vector<float> positions;                  // 3 per vertex, metres
   std::vector<float> normals;                    // 3 per vertex, unit; (0,0,0) = none: the triangle's own is used
   std::vector<float> uvs;                        // 2 per vertex; empty where no material has a texture
+  std::vector<float> second_uvs;                 // 2 per vertex; empty where no texture reads them (Texture::uv_set)
+  std::vector<std::uint16_t> colors;             // 4 per vertex, linear RGBA, 65535 = 1; empty: all white and opaque
   std::vector<std::uint32_t> indices;            // 3 per triangle
   std::vector<std::uint32_t> triangle_material;  // 1 per triangle
   std::vector<Mesh> meshes;                      // consecutive ranges that cover all triangles
@@ -46,7 +51,10 @@ struct Scene {
   std::vector<Light> lights;
   std::vector<NamedCamera> cameras;
   Environment environment;
-  std::vector<std::string> warnings;  // what the importer wants a person to know
+  // What the importer wants a person to know. Like `origin`, these do not travel.
+  std::vector<std::string> warnings;
+  std::string light_units;            // what a file's candela and lux were taken for, and why; empty: it has none
+  std::vector<std::string> variants;  // material variants that the file offers
 
   std::size_t vertex_count() const { return positions.size() / 3; }
   std::size_t triangle_count() const { return indices.size() / 3; }
@@ -69,7 +77,10 @@ struct SceneNeeds {
   bool punctual_lights = false;
   bool emissive_triangles = false;
   bool environment = false;
-  bool deforming = false;  // no format read so far brings deforming meshes
+  bool deforming = false;           // no format read so far brings deforming meshes
+  bool vertex_colors = false;       // any vertex colour but opaque white
+  bool texture_transforms = false;  // a texture with coordinates of its own: Texture::transform
+  bool second_uvs = false;          // a texture that reads the second coordinates
 
   std::uint32_t bits() const;  // one bit a field, in the order above
 };
@@ -83,12 +94,15 @@ struct Bounds {
 };
 Bounds bounds_of(const Scene& scene);
 
+// A texture without an image yet: it repeats, and is read at the vertices' uvs as they are.
+Texture plain_texture();
+
 // Fills in what is derived from what was read: f0, attenuation, albedo tables. Importers and the scene library call it
 // last.
 void finish_materials(Scene& scene);
 
 // Throws Error::bad_input naming `file` and the element: non-finite vertices, indices and materials out of range,
-// arrays of the wrong length, too many triangles (2^27) or texels (2^30).
+// arrays of the wrong length, too many triangles (2^27) or texels (2^32).
 void validate(const Scene& scene, const std::string& file);
 
 // A camera that frames the scene's bounds from the front, for files without one.

@@ -80,6 +80,8 @@ class Checker {
     if (vertices > kMaxVertices) fail("vertices", "at most " + std::to_string(kMaxVertices), std::to_string(vertices));
     length("normals", s.normals.size(), s.positions.size());
     if (!s.uvs.empty()) length("uvs", s.uvs.size(), 2 * vertices);
+    if (!s.second_uvs.empty()) length("second_uvs", s.second_uvs.size(), 2 * vertices);
+    if (!s.colors.empty()) length("colors", s.colors.size(), 4 * vertices);
     length("triangle_material", s.triangle_material.size(), triangles);
     for (std::size_t i = 0; i < s.positions.size(); ++i) {
       if (!(std::abs(s.positions[i]) <= kMaxCoordinate))
@@ -92,6 +94,8 @@ class Checker {
       unit(n, [&] { return item("normals", i / 3); });
     }
     for (std::size_t i = 0; i < s.uvs.size(); ++i) finite(s.uvs[i], [&] { return item("uvs", i / 2); });
+    for (std::size_t i = 0; i < s.second_uvs.size(); ++i)
+      finite(s.second_uvs[i], [&] { return item("second_uvs", i / 2); });
     for (std::size_t i = 0; i < s.indices.size(); ++i) {
       if (s.indices[i] >= vertices)
         fail(item("indices", i), "a vertex index below " + std::to_string(vertices), std::to_string(s.indices[i]));
@@ -180,6 +184,8 @@ class Checker {
         fail(item("textures", i), "a known wrap mode", std::to_string(t.wrap_u) + " and " + std::to_string(t.wrap_v));
       if (t.flags & ~GLEANER_TEXTURE_SRGB)
         fail(item("textures", i, "flags"), "known bits alone", std::to_string(t.flags));
+      if (t.uv_set > 1) fail(item("textures", i, "uv_set"), "0 or 1", std::to_string(t.uv_set));
+      for (const float x : t.transform) finite(x, [&] { return item("textures", i, "transform"); });
     }
   }
 

@@ -1,6 +1,9 @@
 find_package(OpenImageIO REQUIRED)
 find_package(nlohmann_json REQUIRED)
-foreach(subject gltf gltf_bad obj images scenes fuzz)
+find_package(meshoptimizer REQUIRED)
+find_library(DRACO_LIBRARY draco REQUIRED)
+foreach(subject gltf gltf_bad deform compression tolerance mesh obj images scenes fuzz)
   gleaner_test(NAME import_${subject} SOURCES import_${subject}_test.cpp import_files.cpp
                LIBRARIES gleaner_import OpenImageIO::OpenImageIO nlohmann_json::nlohmann_json)
 endforeach()
+target_link_libraries(test_import_compression PRIVATE meshoptimizer::meshoptimizer ${DRACO_LIBRARY})

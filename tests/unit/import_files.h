@@ -44,7 +44,8 @@ struct GltfFile {
   std::size_t add_view(std::string_view bytes);
   template <typename T>
   std::size_t add(const std::vector<T>& values, int component_type, const std::string& type) {
-    static const std::map<std::string, std::size_t> components = {{"SCALAR", 1}, {"VEC2", 2}, {"VEC3", 3}, {"VEC4", 4}};
+    static const std::map<std::string, std::size_t> components = {
+        {"SCALAR", 1}, {"VEC2", 2}, {"VEC3", 3}, {"VEC4", 4}, {"MAT4", 16}};
     const std::size_t view = add_view({reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T)});
     json["accessors"].push_back({{"bufferView", view},
                                  {"componentType", component_type},

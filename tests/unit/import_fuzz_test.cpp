@@ -1,9 +1,12 @@
 // Thousands of damaged files, the same ones every time: each is refused with Error::bad_input or yields a scene that
 // holds every promise. Nothing else may be thrown, and nothing may crash; a build with the address and undefined
-// behaviour sanitizers sees more.
+// behaviour sanitizers sees more. GLEANER_FUZZ_EXECUTIONS is the number of files of each kind (bench/fuzz sets it).
 
 #include <gtest/gtest.h>
 
+#include <array>
+#include <cmath>
+#include <cstdlib>
 #include <fstream>
 #include <random>
 
@@ -54,11 +57,55 @@ GltfFile rich_file(const Folder& folder) {
                      {{"mesh", 0}, {"camera", 0}, {"translation", {1, 2, 3}}},
                      lamp};
   f.json["extensionsUsed"] = {"KHR_lights_punctual"};
+  // Vertices that move and shine.
+  f.primitive()["attributes"]["COLOR_0"] = f.add<float>({1, 0.5f, 0, 0, 0, 0, 1, 1, 1}, 5126, "VEC3");
+  f.primitive()["attributes"]["TEXCOORD_1"] = f.add<float>({0, 1, 1, 1, 0, 0}, 5126, "VEC2");
+  m["normalTexture"] = {{"index", 1}, {"texCoord", 1}};
+  m["normalTexture"]["extensions"]["KHR_texture_transform"] = {{"scale", {2, 2}}};
+  f.primitive()["targets"] = {{{"POSITION", f.primitive()["attributes"]["NORMAL"]}}};
+  f.json["meshes"][0]["weights"] = {0.5};
+  json skinned = f.primitive();
+  skinned["attributes"]["JOINTS_0"] = f.add<std::uint8_t>({0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0}, 5121, "VEC4");
+  skinned["attributes"]["WEIGHTS_0"] = f.add<float>({1, 0, 0, 0, 0, 1, 0, 0, .5f, .5f, 0, 0}, 5126, "VEC4");
+  f.json["meshes"].push_back({{"primitives", {skinned}}});
+  f.json["skins"] = {{{"joints", {1, 2}}}};
+  f.json["nodes"].push_back({{"mesh", 1}, {"skin", 0}});
+  json many = {{"mesh", 0}};
+  many["extensions"]["EXT_mesh_gpu_instancing"]["attributes"]["TRANSLATION"] =
+      f.add<float>({1, 0, 0, 0, 2, 0}, 5126, "VEC3");
+  f.json["nodes"].push_back(many);
+  f.json["scenes"][0]["nodes"] = {0, 3, 4};
+  f.json["extensions"]["KHR_materials_variants"]["variants"] = {{{"name", "a"}}};
   return f;
+}
+
+int executions(int usual) {
+  const char* wanted = std::getenv("GLEANER_FUZZ_EXECUTIONS");
+  return wanted ? std::atoi(wanted) : usual;
+}
+
+std::string contents(const std::string& path) {
+  std::ifstream stream(path, std::ios::binary);
+  return {std::istreambuf_iterator<char>(stream), {}};
 }
 
 class Outcomes {
  public:
+  ~Outcomes() { std::printf("%d executions: %d taken, %d refused\n", taken + refused, taken, refused); }
+
+  void import_sky(const std::string& path, const std::string& what) {
+    try {
+      const Environment sky = import_environment(path);
+      for (const float value : sky.radiance) ASSERT_TRUE(value >= 0 && std::isfinite(value)) << what;
+      ++taken;
+    } catch (const Error& error) {
+      ASSERT_EQ(error.kind(), ErrorKind::bad_input) << what << ": " << error.what();
+      ++refused;
+    } catch (const std::exception& error) {
+      FAIL() << what << ": " << error.what();
+    }
+  }
+
   void import(const std::string& path, const std::string& what) {
     try {
       const Scene scene = import_scene(path);
@@ -144,7 +191,7 @@ TEST(Fuzz, DamagedBytesOfAGlb) {
   ASSERT_NO_THROW(import_text(folder, "good.glb", good));
   std::mt19937 random(11);
   Outcomes outcomes;
-  for (int i = 0; i < 2000; ++i)
+  for (int i = 0; i < executions(2000); ++i)
     outcomes.import(folder.write("f.glb", damaged(good, random)), "mutation " + std::to_string(i));
   EXPECT_GT(outcomes.taken, 20);
   EXPECT_GT(outcomes.refused, 20);
@@ -155,7 +202,7 @@ TEST(Fuzz, DamagedValuesOfAGlb) {
   const GltfFile good = rich_file(folder);
   std::mt19937 random(12);
   Outcomes outcomes;
-  for (int i = 0; i < 3000; ++i) {
+  for (int i = 0; i < executions(3000); ++i) {
     GltfFile file = good;
     for (unsigned n = 1 + random() % 3; n > 0; --n) damage(file.json, random);
     if (random() % 4 == 0 && !file.binary.empty())
@@ -180,12 +227,77 @@ TEST(Fuzz, DamagedObjAndMtl) {
   ASSERT_NO_THROW(import_text(folder, "good.obj", obj));
   std::mt19937 random(13);
   Outcomes outcomes;
-  for (int i = 0; i < 3000; ++i) {
+  for (int i = 0; i < executions(3000); ++i) {
     folder.write("m.mtl", i % 2 ? mtl : damaged(mtl, random));
     outcomes.import(folder.write("f.obj", i % 2 ? damaged(obj, random) : obj), "mutation " + std::to_string(i));
   }
   EXPECT_GT(outcomes.taken, 100);
   EXPECT_GT(outcomes.refused, 100);
+}
+
+TEST(Fuzz, DamagedPlyAndStl) {
+  const Folder folder;
+  const std::string head =
+      "element vertex 4\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar "
+      "green\nproperty uchar blue\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n";
+  std::string binary = "ply\nformat binary_little_endian 1.0\n" + head;
+  for (const auto& p : {std::array<float, 3>{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0}})
+    binary.append(reinterpret_cast<const char*>(p.data()), 12).append("\1\2\3");
+  binary.append("\4\0\0\0\0\1\0\0\0\2\0\0\0\3\0\0\0\3\0\0\0\0\1\0\0\0\2\0\0\0", 30);
+  const std::string text =
+      "ply\nformat ascii 1.0\n" + head + "0 0 0 1 2 3\n1 0 0 1 2 3\n1 1 0 1 2 3\n0 1 0 1 2 3\n4 0 1 2 3\n3 0 1 2\n";
+  std::string stl(80, ' ');
+  stl.append("\2\0\0\0", 4).append(100, '\1');
+  const std::string solid =
+      "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 "
+      "0\nendloop\nendfacet\nendsolid\n";
+  const std::pair<const char*, std::string> good[] = {
+      {"f.ply", binary}, {"f.ply", text}, {"f.stl", stl}, {"f.stl", solid}};
+  for (const auto& [name, bytes] : good) ASSERT_NO_THROW(import_text(folder, name, bytes));
+  std::mt19937 random(14);
+  Outcomes outcomes;
+  for (int i = 0; i < executions(3000); ++i) {
+    const auto& [name, bytes] = good[i % 4];
+    outcomes.import(folder.write(name, damaged(bytes, random)), "mutation " + std::to_string(i));
+  }
+  EXPECT_GT(outcomes.taken, 100);
+  EXPECT_GT(outcomes.refused, 100);
+}
+
+TEST(Fuzz, DamagedImages) {
+  const Folder folder;
+  std::vector<float> noise(3 * 8 * 8);
+  std::mt19937 random(15);
+  for (float& value : noise) value = static_cast<float>(random() % 256) / 255;
+  GltfFile file = triangle_file();
+  file.json["textures"] = {{{"source", 0}}};
+  file.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] = {{"index", 0}};
+  Outcomes outcomes;
+  const char* names[] = {"t.png", "t.jpg", "t.webp"};
+  std::string good[3];
+  for (int k = 0; k < 3; ++k) good[k] = contents(folder.write_image(names[k], 8, 8, 3, noise));
+  for (int i = 0; i < executions(1500); ++i) {
+    file.json["images"] = {{{"uri", names[i % 3]}}};
+    folder.write(names[i % 3], damaged(good[i % 3], random));
+    outcomes.import(folder.write("f.glb", file.glb()), "mutation " + std::to_string(i));
+  }
+  EXPECT_GT(outcomes.taken, 20);
+  EXPECT_GT(outcomes.refused, 20);
+}
+
+TEST(Fuzz, DamagedEnvironments) {
+  const Folder folder;
+  std::vector<float> noise(3 * 8 * 4);
+  std::mt19937 random(16);
+  for (float& value : noise) value = static_cast<float>(random() % 256) / 16;
+  const char* names[] = {"e.exr", "e.hdr"};
+  std::string good[2];
+  for (int k = 0; k < 2; ++k) good[k] = contents(folder.write_image(names[k], 8, 4, 3, noise));
+  Outcomes outcomes;
+  for (int i = 0; i < executions(1500); ++i)
+    outcomes.import_sky(folder.write(names[i % 2], damaged(good[i % 2], random)), "mutation " + std::to_string(i));
+  EXPECT_GT(outcomes.taken, 20);
+  EXPECT_GT(outcomes.refused, 20);
 }
 
 }  // namespace

@@ -238,7 +238,8 @@ TEST_F(Gltf, DeepHierarchiesAreNoTrouble) {
   for (int i = 0; i < 20000; ++i) nodes.push_back({{"children", {i + 1}}, {"translation", {0, 0, 1}}});
   nodes.push_back({{"mesh", 0}});
   file.json["nodes"] = nodes;
-  EXPECT_FLOAT_EQ(read(file).positions[2], 20000);
+  const Scene s = read(file);
+  EXPECT_EQ(s.positions[2] + s.origin[2], 20000);
 }
 
 TEST_F(Gltf, Cameras) {
@@ -393,12 +394,8 @@ TEST_F(Gltf, UnknownExtensionsThatAreOnlyUsedGetAWord) {
 
 TEST_F(Gltf, WhatIsNotReadGetsAWord) {
   GltfFile file = triangle_file();
-  file.json["skins"] = {{{"joints", {0}}}};
   file.json["animations"] = {json::object()};
-  file.json["meshes"][0]["weights"] = {0};
-  file.primitive()["attributes"]["COLOR_0"] = 0;
-  EXPECT_THAT(warnings(read(file)),
-              ElementsAre(HasSubstr("skins"), HasSubstr("animations"), HasSubstr("morph"), HasSubstr("COLOR_0")));
+  EXPECT_THAT(warnings(read(file)), ElementsAre(HasSubstr("animations")));
 }
 
 TEST_F(Gltf, ASceneWithoutTrianglesIsRead) {

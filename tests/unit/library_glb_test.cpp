@@ -188,7 +188,7 @@ TEST(Glb, KeepsEveryFieldOfAMaterial) {
   Scene scene = one_triangle();
   scene.uvs = {0, 0, 1, 0, 0, 1};
   for (std::uint32_t i = 0; i < 8; ++i) {
-    Texture t{};
+    Texture t = plain_texture();
     t.first_texel = static_cast<std::uint32_t>(scene.texels.size());
     t.width = 2 + i;
     t.height = 3;

@@ -36,7 +36,9 @@ inline Scene square() {
 inline Scene rich_square() {
   Scene s = square();
   s.uvs = {0, 0, 1, 0, 1, 1, 0, 1};
-  s.textures = {{0, 2, 1, GLEANER_WRAP_CLAMP, GLEANER_WRAP_MIRROR, GLEANER_TEXTURE_SRGB, {}}};
+  s.second_uvs = {0, 0, .5f, 0, .5f, .5f, 0, .5f};
+  s.colors = {65535, 0, 0, 65535, 0, 65535, 0, 65535, 0, 0, 65535, 65535, 1, 2, 3, 4};
+  s.textures = {{0, 2, 1, GLEANER_WRAP_CLAMP, GLEANER_WRAP_MIRROR, GLEANER_TEXTURE_SRGB, 1, {2, 0, 1, 0, 2, 1}, {}}};
   s.texels = {0xff0000ff, 0x80ffffff};
   s.materials.push_back(plain_material());
   s.material_names.push_back("glossy \xc3\xa9");

@@ -16,6 +16,7 @@
 
 #include "gleaner/v1/worker.grpc.pb.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 #include "worker/agent/blob_client.h"
 
 namespace gleaner::worker {
@@ -132,7 +133,7 @@ struct Agent::Impl {
     auto stream = stub->Work(&context);
     pb::WorkerMessage hello;
     hello.mutable_hello()->set_protocol(protocol_version);
-    hello.mutable_hello()->set_name(settings.name);
+    hello.mutable_hello()->set_name(printable(settings.name));
     *hello.mutable_hello()->mutable_device() = describe(runner->info());
     hello.mutable_hello()->set_needs_bvh(runner->needs_bvh());
     pb::HubMessage message;
@@ -242,7 +243,7 @@ struct Agent::Impl {
       out.message.emplace();
       out.message->mutable_failed()->set_lease(lease.lease());
       out.message->mutable_failed()->set_epoch(lease.epoch());
-      out.message->mutable_failed()->set_message(failure.substr(0, 4096));
+      out.message->mutable_failed()->set_message(printable(failure.substr(0, 4096)));
     }
     out.lease = std::move(lease);
     return out;

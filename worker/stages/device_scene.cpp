@@ -20,6 +20,8 @@ SAME_WORD(Texture, height, TEXTURE_HEIGHT);
 SAME_WORD(Texture, wrap_u, TEXTURE_WRAP_U);
 SAME_WORD(Texture, wrap_v, TEXTURE_WRAP_V);
 SAME_WORD(Texture, flags, TEXTURE_FLAGS);
+SAME_WORD(Texture, uv_set, TEXTURE_UV_SET);
+SAME_WORD(Texture, transform, TEXTURE_TRANSFORM);
 #undef SAME_WORD
 
 // 256 sRGB bytes decoded, then i / 255 for data that is linear already.
@@ -64,14 +66,27 @@ std::vector<float> material_rows(const scene::Scene& scene) {
   return rows;
 }
 
-void write_triangles(const scene::Scene& scene, const std::vector<std::uint32_t>& emitters, float* out) {
-  for (std::size_t t = 0; t < scene.triangle_count(); ++t, out += TRIANGLE_WORDS) {
-    std::memset(out, 0, 4 * TRIANGLE_WORDS);
+unsigned triangle_words(const scene::SceneNeeds& needs) {
+  return needs.second_uvs ? TRIANGLE_WORDS_SECOND_UVS : TRIANGLE_WORDS_PLAIN;
+}
+
+void write_triangles(const scene::Scene& scene, const std::vector<std::uint32_t>& emitters, unsigned words,
+                     float* out) {
+  constexpr unsigned color_rg[] = {TRIANGLE_COLOR0, TRIANGLE_COLOR1, TRIANGLE_COLOR2_RG};
+  constexpr unsigned color_ba[] = {TRIANGLE_COLOR0 + 1, TRIANGLE_COLOR1 + 1, TRIANGLE_COLOR2_BA};
+  const bool second_uvs = words == TRIANGLE_WORDS_SECOND_UVS && !scene.second_uvs.empty();
+  for (std::size_t t = 0; t < scene.triangle_count(); ++t, out += words) {
+    std::memset(out, 0, 4 * words);
     for (std::size_t k = 0; k < 3; ++k) {
       const std::size_t vertex = scene.indices[3 * t + k];
       std::memcpy(out + TRIANGLE_P0 + 3 * k, &scene.positions[3 * vertex], 12);
       if (!scene.normals.empty()) std::memcpy(out + TRIANGLE_N0 + 3 * k, &scene.normals[3 * vertex], 12);
       if (!scene.uvs.empty()) std::memcpy(out + TRIANGLE_UV0 + 2 * k, &scene.uvs[2 * vertex], 8);
+      if (second_uvs) std::memcpy(out + TRIANGLE_SECOND_UV0 + 2 * k, &scene.second_uvs[2 * vertex], 8);
+      if (!scene.colors.empty()) {
+        std::memcpy(out + color_rg[k], &scene.colors[4 * vertex], 4);
+        std::memcpy(out + color_ba[k], &scene.colors[4 * vertex + 2], 4);
+      }
     }
     std::memcpy(out + TRIANGLE_MATERIAL, &scene.triangle_material[t], 4);
     std::memcpy(out + TRIANGLE_EMITTER, &emitters[t], 4);
@@ -99,12 +114,12 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
   cl::CommandQueue queue = device.make_queue();
   LightTables lights = make_light_tables(*scene);
 
-  const std::size_t triangle_bytes = std::max<std::size_t>(scene->triangle_count(), 1) * 4 * TRIANGLE_WORDS;
+  const std::size_t triangle_bytes = std::max<std::size_t>(scene->triangle_count(), 1) * 4 * triangle_words(needs);
   triangles_ = device.make_buffer(triangle_bytes, CL_MEM_READ_ONLY);
   // Written in place: a copy of the largest table would double the scene's memory for a moment.
   auto* rows = static_cast<float*>(queue.enqueueMapBuffer(triangles_, CL_TRUE, CL_MAP_WRITE, 0, triangle_bytes));
-  std::memset(rows, 0, 4 * TRIANGLE_WORDS);
-  write_triangles(*scene, lights.triangle_emitter, rows);
+  std::memset(rows, 0, 4 * triangle_words(needs));
+  write_triangles(*scene, lights.triangle_emitter, triangle_words(needs), rows);
   queue.enqueueUnmapMemObject(triangles_, rows);
   queue.finish();
   bytes_ += triangle_bytes;
@@ -132,7 +147,7 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
     tracer_ = make_embree_tracer(*scene, device.info().threads);
   } else {
     if (!bvh) throw Error::failed("the OpenCL tracer needs the scene's BVH");
-    tracer_ = make_opencl_tracer(device, *bvh, triangles_);
+    tracer_ = make_opencl_tracer(device, *bvh, triangles_, triangle_words(needs));
   }
 
   bool emission_textures = false;
@@ -152,6 +167,9 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
       {needs.normal_maps, "NORMAL_MAPS"},
       {emission_textures, "EMISSION_TEXTURES"},
       {needs.smooth_normals, "SMOOTH_NORMALS"},
+      {needs.vertex_colors, "VERTEX_COLORS"},
+      {needs.texture_transforms, "TEXTURE_TRANSFORMS"},
+      {needs.second_uvs, "SECOND_UVS"},
       {needs.punctual_lights, "PUNCTUAL_LIGHTS"},
       {needs.emissive_triangles, "EMISSIVE_TRIANGLES"},
       {needs.environment, "ENVIRONMENT"},

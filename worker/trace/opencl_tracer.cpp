@@ -1,5 +1,6 @@
 #include <mutex>
 
+#include "kernels/scene_layout.h"
 #include "scene/model/error.h"
 #include "scene/model/limits.h"
 #include "worker/device/kernel.h"
@@ -19,10 +20,12 @@ std::uint32_t stack_size(const scene::Bvh& bvh) {
 
 class OpenClTracer final : public Tracer {
  public:
-  OpenClTracer(const Device& device, const scene::Bvh& bvh, const cl::Buffer& triangles)
+  OpenClTracer(const Device& device, const scene::Bvh& bvh, const cl::Buffer& triangles, unsigned triangle_words)
       : device_(device),
         triangles_(triangles),
-        program_(device.build("kernels/bvh_trace.cl", "-D LANES=1 -D STACK_SIZE=" + std::to_string(stack_size(bvh)))),
+        program_(device.build("kernels/bvh_trace.cl",
+                              "-D LANES=1 -D STACK_SIZE=" + std::to_string(stack_size(bvh)) +
+                                  (triangle_words == TRIANGLE_WORDS_SECOND_UVS ? " -D NEED_SECOND_UVS" : ""))),
         nodes_(device.make_buffer(bvh.nodes.size() * sizeof(scene::BvhNode), CL_MEM_READ_ONLY)),
         slots_(device.make_buffer(bvh.triangles.size() * sizeof(std::uint32_t), CL_MEM_READ_ONLY)),
         overflow_(device.make_buffer(sizeof(std::uint32_t))) {
@@ -74,8 +77,9 @@ class OpenClTracer final : public Tracer {
 
 }  // namespace
 
-std::unique_ptr<Tracer> make_opencl_tracer(const Device& device, const scene::Bvh& bvh, const cl::Buffer& triangles) {
-  return std::make_unique<OpenClTracer>(device, bvh, triangles);
+std::unique_ptr<Tracer> make_opencl_tracer(const Device& device, const scene::Bvh& bvh, const cl::Buffer& triangles,
+                                           unsigned triangle_words) {
+  return std::make_unique<OpenClTracer>(device, bvh, triangles, triangle_words);
 }
 
 }  // namespace gleaner::worker

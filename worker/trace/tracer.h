@@ -32,6 +32,7 @@ class Tracer {
 
 std::unique_ptr<Tracer> make_embree_tracer(const scene::Scene& scene, unsigned threads);
 // `triangles`: the table of kernels/scene_layout.h.
-std::unique_ptr<Tracer> make_opencl_tracer(const Device& device, const scene::Bvh& bvh, const cl::Buffer& triangles);
+std::unique_ptr<Tracer> make_opencl_tracer(const Device& device, const scene::Bvh& bvh, const cl::Buffer& triangles,
+                                           unsigned triangle_words);
 
 }  // namespace gleaner::worker

@@ -1,0 +1,29 @@
+#pragma once
+// The words that say how a scene's files are read: the same for every command that reads one.
+
+#include <cstdint>
+#include <string>
+
+#include "scene/import/import.h"
+
+namespace CLI {
+class App;
+}
+
+namespace gleaner::cli {
+
+struct ImportWords {
+  std::string scene, environment;  // paths
+  double environment_rotation = 0, environment_strength = 1;
+  std::string light_units = "auto", variant;
+  std::uint64_t texture_limit = scene::ImportOptions().most_texels;
+  bool strict = false;
+};
+
+void add_import_options(CLI::App& command, ImportWords& words);
+
+// Reads the scene and its environment. `needs_camera`: whether one that is missing deserves a warning. Throws
+// Error::usage for malformed words, Error::bad_input for what the files say.
+scene::Scene read_scene(const ImportWords& words, bool needs_camera);
+
+}  // namespace gleaner::cli

@@ -1,0 +1,370 @@
+#include "scene/import/gltf/meshes.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "scene/model/limits.h"
+
+namespace gleaner::scene::gltf {
+namespace {
+
+std::size_t vertex_at(const std::vector<std::uint32_t>& kept, std::size_t i) { return kept.empty() ? i : kept[i]; }
+
+// The vertices that triangles name, in order, where those are few: files may share one long accessor among many
+// primitives. Empty: all of them.
+std::vector<std::uint32_t> kept_vertices(const Primitive& primitive) {
+  std::vector<std::uint32_t> kept;
+  if (primitive.vertices() <= 3 * primitive.triangles()) return kept;
+  for (std::size_t i = 0; i < primitive.triangles(); ++i)
+    for (const std::uint32_t corner : primitive.triangle(i)) kept.push_back(corner);
+  std::sort(kept.begin(), kept.end());
+  kept.erase(std::unique(kept.begin(), kept.end()), kept.end());
+  if (kept.size() == primitive.vertices()) kept.clear();
+  return kept;
+}
+
+std::uint16_t to_16_bits(float x) { return static_cast<std::uint16_t>(std::lround(std::clamp(x, 0.0f, 1.0f) * 65535)); }
+
+}  // namespace
+
+Element Meshes::mesh_of(const Instance& instance) const {
+  return document_.item("meshes", nodes_.node(instance.node).at("mesh"));
+}
+
+Box Meshes::place() {
+  for (const std::size_t index : nodes_.in_scene()) place_node(index);
+  for (const Instance& instance : instances_) total_ = counted(instance, total_);
+  Box all;
+  for (const Instance& instance : instances_) {
+    const Element primitives = mesh_of(instance).at("primitives");
+    for (std::size_t p = 0; p < primitives.size(); ++p) {
+      if (size_of(document_, primitives[p]).triangles == 0) continue;
+      const Primitive primitive(document_, primitives[p], weights_of(instance.node, mesh_of(instance)), draco_meshes_,
+                                warnings_);
+      all.enclose(box_of(primitive, instance));
+    }
+  }
+  return all;
+}
+
+void Meshes::place_node(std::size_t index) {
+  const Element node = nodes_.node(index);
+  const auto reference = node.find("mesh");
+  if (!reference) return;
+  const Element mesh = document_.item("meshes", *reference);
+  Instance instance{index, {}, false};
+  const auto skin = node.find("skin");
+  if (skin) {
+    instance.skinned = true;
+    instance.placements = joint_matrices(document_.item("skins", *skin));
+  } else if (const auto instancing = node.extension("EXT_mesh_gpu_instancing")) {
+    instance.placements = repeated(*instancing, nodes_.to_world(index), mesh);
+  } else {
+    instance.placements = {nodes_.to_world(index)};
+  }
+  instances_.push_back(std::move(instance));
+}
+
+// EXT_mesh_gpu_instancing: each instance's transform comes before the node's.
+std::vector<Matrix> Meshes::repeated(const Element& instancing, const Matrix& to_world, const Element& mesh) const {
+  const Element attributes = instancing.at("attributes");
+  const auto view = [&](const char* key, const char* type) -> std::optional<FloatView> {
+    const auto reference = attributes.find(key);
+    if (!reference) return std::nullopt;
+    const std::size_t count = document_.item("accessors", *reference).at("count").count(1, 0xffffffffu);
+    std::size_t triangles = 1;
+    const Element primitives = mesh.at("primitives");
+    for (std::size_t p = 0; p < primitives.size(); ++p) triangles += size_of(document_, primitives[p]).triangles;
+    if (count > kMaxTriangles / triangles)
+      reference->fail("at most " + std::to_string(kMaxTriangles) + " triangles in all",
+                      std::to_string(count) + " instances of " + std::to_string(triangles - 1));
+    return FloatView(accessor_of(document_, *reference, {type}));
+  };
+  const auto translation = view("TRANSLATION", "VEC3"), rotation = view("ROTATION", "VEC4"),
+             scale = view("SCALE", "VEC3");
+  std::size_t count = 0;
+  for (const auto* each : {&translation, &rotation, &scale})
+    if (*each && count != 0 && (*each)->size() != count)
+      attributes.fail("as many elements in each: " + std::to_string(count), std::to_string((*each)->size()));
+    else if (*each)
+      count = (*each)->size();
+  if (count == 0) return {to_world};
+  std::vector<Matrix> placements;
+  for (std::size_t i = 0; i < count; ++i) {
+    float values[3][4] = {{0, 0, 0, 0}, {0, 0, 0, 1}, {1, 1, 1, 0}};
+    if (translation) translation->load(i, values[0]);
+    if (rotation) rotation->load(i, values[1]);
+    if (scale) scale->load(i, values[2]);
+    const std::array<double, 3> t{values[0][0], values[0][1], values[0][2]},
+        s{values[2][0], values[2][1], values[2][2]};
+    const std::array<double, 4> r{values[1][0], values[1][1], values[1][2], values[1][3]};
+    const Matrix placement = product(to_world, composed(t.data(), r.data(), s.data()));
+    if (!is_finite(placement)) attributes.fail("finite transforms", "another of instance " + std::to_string(i));
+    placements.push_back(placement);
+  }
+  return placements;
+}
+
+// A joint's world transform after its inverse bind matrix; the skinned node's own transform does not count (glTF 2.0,
+// 3.7.3.3).
+std::vector<Matrix> Meshes::joint_matrices(const Element& skin) {
+  const Element joints = skin.at("joints");
+  std::optional<FloatView> inverse;
+  if (const auto reference = skin.find("inverseBindMatrices")) {
+    inverse.emplace(accessor_of(document_, *reference, {"MAT4"}));
+    if (inverse->size() < joints.size())
+      reference->fail("a matrix for each of " + std::to_string(joints.size()) + " joints",
+                      std::to_string(inverse->size()));
+  }
+  std::vector<Matrix> matrices;
+  for (std::size_t j = 0; j < joints.size(); ++j) {
+    Matrix m = nodes_.to_world(joints[j].index(document_.size("nodes")));
+    if (inverse) {
+      float values[16];
+      inverse->load(j, values);
+      Matrix bind;
+      std::copy(values, values + 16, bind.begin());
+      bind[3] = bind[7] = bind[11] = 0;  // exporters' rounding; a bind matrix is affine
+      bind[15] = 1;
+      m = product(m, bind);
+    }
+    if (!is_finite(m)) joints[j].fail("a finite transform", "another");
+    matrices.push_back(m);
+  }
+  return matrices;
+}
+
+// Of the morph targets at rest: the node's go before the mesh's.
+std::vector<double> Meshes::weights_of(std::size_t node, const Element& mesh) const {
+  std::optional<Element> weights = nodes_.node(node).find("weights");
+  if (!weights) weights = mesh.find("weights");
+  std::vector<double> values;
+  for (std::size_t i = 0; weights && i < weights->size(); ++i)
+    values.push_back((*weights)[i].number(-kAnyNumber, kAnyNumber));
+  return values;
+}
+
+Box Meshes::box_of(const Primitive& primitive, const Instance& instance) {
+  Box box;
+  if (instance.skinned) {
+    for (std::size_t v = 0; v < primitive.vertices(); ++v)
+      box.add(transformed(skinned(primitive, instance, v), primitive.position(v)));
+    return box;
+  }
+  const std::string& name = primitive.element().name();
+  const auto [place, is_new] = box_of_primitive_.try_emplace(name);
+  Box& local = place->second;
+  // A node's own weights of morph targets may make another shape of it.
+  if (is_new || nodes_.node(instance.node).find("weights")) {
+    local = {};
+    for (std::size_t v = 0; v < primitive.vertices(); ++v) local.add(primitive.position(v));
+    warn_of_coarse_floats(local, name, "the file's coordinates", warnings_);
+  }
+  if (local.empty()) return box;
+  for (const Matrix& placement : instance.placements)
+    for (int corner = 0; corner < 8; ++corner) {
+      const auto side = [&](int c) { return corner >> c & 1 ? local.upper[c] : local.lower[c]; };
+      box.add(transformed(placement, {side(0), side(1), side(2)}));
+    }
+  return box;
+}
+
+// Adds an instance's size to `total`, or fails where that is too much.
+PrimitiveSize Meshes::counted(const Instance& instance, PrimitiveSize total) const {
+  const Element primitives = mesh_of(instance).at("primitives");
+  const std::size_t times = instance.skinned ? 1 : instance.placements.size();
+  for (std::size_t p = 0; p < primitives.size(); ++p) {
+    const PrimitiveSize size = size_of(document_, primitives[p]);
+    total.triangles += times * size.triangles;
+    total.vertices += times * size.vertices;
+    if (total.triangles > kMaxTriangles)
+      primitives[p].fail("at most " + std::to_string(kMaxTriangles) + " triangles in all", "more");
+    if (total.vertices > kMaxVertices)
+      primitives[p].fail("at most " + std::to_string(kMaxVertices) + " vertices in all", "more");
+  }
+  return total;
+}
+
+void Meshes::add(std::optional<std::size_t> variant) {
+  scene_.positions.reserve(3 * total_.vertices);
+  scene_.normals.reserve(3 * total_.vertices);
+  if (materials_.needs_channel(0)) scene_.uvs.reserve(2 * total_.vertices);
+  if (materials_.needs_channel(1)) scene_.second_uvs.reserve(2 * total_.vertices);
+  scene_.indices.reserve(3 * total_.triangles);
+  scene_.triangle_material.reserve(total_.triangles);
+  for (const Instance& instance : instances_) add_instance(instance, variant);
+  const bool all_white = std::all_of(scene_.colors.begin(), scene_.colors.end(), [](auto c) { return c == 65535; });
+  if (all_white) scene_.colors = {};
+}
+
+void Meshes::add_instance(const Instance& instance, std::optional<std::size_t> variant) {
+  const Element mesh = mesh_of(instance), primitives = mesh.at("primitives");
+  const std::size_t first = scene_.triangle_count();
+  for (std::size_t p = 0; p < primitives.size(); ++p) {
+    const Element element = primitives[p];
+    const auto mode = element.find("mode");
+    if (mode && mode->count(0, 6) < 4) {
+      warnings_.add(element.name(), "points and lines are not drawn");
+      continue;
+    }
+    if (!element.at("attributes").find("POSITION")) {
+      warnings_.add(element.name(), "a primitive without POSITION is not drawn");
+      continue;
+    }
+    if (size_of(document_, element).triangles == 0) continue;
+    const Primitive primitive(document_, element, weights_of(instance.node, mesh), draco_meshes_, warnings_);
+    if (instance.skinned && !primitive.has_joints())
+      warnings_.add(element.name(), "under a skin but without JOINTS_0: it stands where its node does");
+    if (!instance.skinned && primitive.has_joints())
+      warnings_.add(element.name(), "JOINTS_0 without a skin: it stands where its node does");
+    const std::uint32_t material = materials_.material_of(element, variant);
+    if (instance.skinned && primitive.has_joints())
+      add_primitive(primitive, material, instance, kIdentity);
+    else if (instance.skinned)
+      add_primitive(primitive, material, {instance.node, {}, false}, nodes_.to_world(instance.node));
+    else
+      for (const Matrix& placement : instance.placements) add_primitive(primitive, material, instance, placement);
+  }
+  if (const std::size_t count = scene_.triangle_count() - first)
+    scene_.meshes.push_back(
+        {name_of(nodes_.node(instance.node), mesh, mesh.name()), std::uint32_t(first), std::uint32_t(count)});
+}
+
+void Meshes::add_primitive(const Primitive& primitive, std::uint32_t material, const Instance& instance,
+                           const Matrix& placement) {
+  const std::vector<std::uint32_t> kept = kept_vertices(primitive);
+  const std::size_t count = kept.empty() ? primitive.vertices() : kept.size();
+  const auto first = static_cast<std::uint32_t>(scene_.vertex_count());
+  add_vertices(primitive, kept, count, instance, placement);
+  add_colors(primitive, kept, count);
+  if (materials_.needs_channel(0)) add_uvs(primitive, kept, count, material, 0, scene_.uvs);
+  if (materials_.needs_channel(1)) add_uvs(primitive, kept, count, material, 1, scene_.second_uvs);
+  // A transform that mirrors turns triangles inside out; swapping two corners keeps the front in front.
+  const bool mirrored =
+      is_mirror(instance.skinned ? skinned(primitive, instance, primitive.triangle(0)[0]) : placement);
+  for (std::size_t i = 0; i < primitive.triangles(); ++i) {
+    std::array<std::uint32_t, 3> corners = primitive.triangle(i);
+    if (mirrored) std::swap(corners[1], corners[2]);
+    for (std::uint32_t corner : corners) {
+      if (!kept.empty())
+        corner = static_cast<std::uint32_t>(std::lower_bound(kept.begin(), kept.end(), corner) - kept.begin());
+      scene_.indices.push_back(first + corner);
+    }
+  }
+  scene_.triangle_material.resize(scene_.triangle_count(), material);
+}
+
+Matrix Meshes::skinned(const Primitive& primitive, const Instance& instance, std::size_t vertex) const {
+  Matrix sum{};
+  double weights = 0;
+  primitive.each_joint(vertex, [&](std::uint32_t joint, double weight) {
+    if (joint >= instance.placements.size())
+      primitive.element()
+          .at("attributes")
+          .at("JOINTS_0")
+          .fail("joints below " + std::to_string(instance.placements.size()),
+                std::to_string(joint) + " at vertex " + std::to_string(vertex));
+    for (std::size_t i = 0; i < 16; ++i) sum[i] += weight * instance.placements[joint][i];
+    weights += weight;
+  });
+  if (!(weights > 0) || !is_finite(sum)) {
+    warnings_.add(primitive.element().name(), "vertices whose skin weights do not add up follow the first joint");
+    return instance.placements.empty() ? kIdentity : instance.placements.front();
+  }
+  for (double& x : sum) x /= weights;
+  return sum;
+}
+
+void Meshes::add_vertices(const Primitive& primitive, const std::vector<std::uint32_t>& kept, std::size_t count,
+                          const Instance& instance, const Matrix& placement) {
+  const Element attributes = primitive.element().at("attributes");
+  const bool moved_by_skin = instance.skinned;
+  Matrix m = placement;
+  NormalTransform turn(m);
+  bool has_zero = false;
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::size_t v = vertex_at(kept, i);
+    if (moved_by_skin) {
+      m = skinned(primitive, instance, v);
+      turn = NormalTransform(m);
+    }
+    Vector p = transformed(m, primitive.position(v));
+    for (int c = 0; c < 3; ++c) {
+      p[c] -= scene_.origin[c];
+      if (!(std::abs(p[c]) <= kMaxCoordinate))
+        attributes.at("POSITION")
+            .fail("finite coordinates within 1e9 m of the scene's centre",
+                  std::to_string(p[c]) + " at vertex " + std::to_string(v));
+      scene_.positions.push_back(static_cast<float>(p[c]));
+    }
+    if (!primitive.has_normals()) continue;
+    const Vector n = primitive.normal(v);
+    for (const double c : n)
+      if (!std::isfinite(c))
+        attributes.at("NORMAL").fail("finite normals", std::to_string(c) + " at vertex " + std::to_string(v));
+    const Vector world = turn(n);
+    has_zero |= dot(world, world) == 0;
+    for (const double c : world) scene_.normals.push_back(static_cast<float>(c));
+  }
+  scene_.normals.resize(scene_.positions.size());
+  if (has_zero)
+    warnings_.add(attributes.name() + ".NORMAL", "normals of length 0 are replaced by those of the triangles");
+}
+
+void Meshes::add_colors(const Primitive& primitive, const std::vector<std::uint32_t>& kept, std::size_t count) {
+  if (!primitive.has_colors()) {
+    // White, once a primitive before had colours.
+    if (!scene_.colors.empty()) scene_.colors.resize(4 * scene_.vertex_count(), 65535);
+    return;
+  }
+  scene_.colors.resize(4 * (scene_.vertex_count() - count), 65535);
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::size_t v = vertex_at(kept, i);
+    for (const float c : primitive.color(v)) {
+      if (!std::isfinite(c))
+        primitive.element()
+            .at("attributes")
+            .at("COLOR_0")
+            .fail("finite colours", "another at vertex " + std::to_string(v));
+      if (c < 0 || c > 1) warnings_.add(primitive.element().name(), "vertex colours outside 0 to 1 are clamped");
+      scene_.colors.push_back(to_16_bits(c));
+    }
+  }
+}
+
+void Meshes::add_uvs(const Primitive& primitive, const std::vector<std::uint32_t>& kept, std::size_t count,
+                     std::uint32_t material, std::size_t channel, std::vector<float>& to) {
+  const std::optional<UvSource>& source = materials_.uvs(material).channels[channel];
+  const std::optional<FloatView> values = source ? primitive.uvs(source->set) : std::nullopt;
+  if (!values) {
+    if (source)
+      warnings_.add(primitive.element().name() + ".attributes",
+                    "no TEXCOORD_" + std::to_string(source->set) +
+                        " for a material with textures: their corner's texel is taken");
+    to.resize(2 * scene_.vertex_count());
+    return;
+  }
+  const double cosine = std::cos(source->rotation), sine = std::sin(source->rotation);
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::size_t v = vertex_at(kept, i);
+    float pair[2];
+    values->load(v, pair);
+    primitive.morph_uv(source->set, v, pair);
+    if (!source->is_plain()) {
+      const double u = source->scale[0] * pair[0], w = source->scale[1] * pair[1];
+      pair[0] = static_cast<float>(cosine * u + sine * w + source->offset[0]);
+      pair[1] = static_cast<float>(-sine * u + cosine * w + source->offset[1]);
+    }
+    for (const float c : pair) {
+      if (!std::isfinite(c))
+        primitive.element()
+            .at("attributes")
+            .at(("TEXCOORD_" + std::to_string(source->set)).c_str())
+            .fail("finite coordinates", std::to_string(c) + " at vertex " + std::to_string(v));
+      to.push_back(c);
+    }
+  }
+}
+
+}  // namespace gleaner::scene::gltf

@@ -1,0 +1,63 @@
+#pragma once
+// Meshes where nodes place them: flat arrays in the scene's space.
+
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <vector>
+
+#include "scene/import/gltf/document.h"
+#include "scene/import/gltf/materials.h"
+#include "scene/import/gltf/nodes.h"
+#include "scene/import/gltf/primitive.h"
+#include "scene/import/placement.h"
+
+namespace gleaner::scene::gltf {
+
+class Meshes {
+ public:
+  Meshes(const Document& document, Scene& scene, Materials& materials, Nodes& nodes, Warnings& warnings)
+      : document_(document), scene_(scene), materials_(materials), nodes_(nodes), warnings_(warnings) {}
+
+  // Finds what stands where, and the box around all of it in the file's coordinates.
+  Box place();
+  // Adds it all, relative to the scene's origin. `variant`: see Materials::material_of.
+  void add(std::optional<std::size_t> variant);
+
+ private:
+  // A mesh under a node. A skinned one is moved by its joints alone.
+  struct Instance {
+    std::size_t node = 0;
+    std::vector<Matrix> placements;  // to the world; several where the node repeats its mesh
+    bool skinned = false;            // placements are the joints' matrices instead
+  };
+  void place_node(std::size_t index);
+  std::vector<Matrix> repeated(const Element& instancing, const Matrix& to_world, const Element& mesh) const;
+  std::vector<Matrix> joint_matrices(const Element& skin);
+  std::vector<double> weights_of(std::size_t node, const Element& mesh) const;
+  Element mesh_of(const Instance& instance) const;
+  PrimitiveSize counted(const Instance& instance, PrimitiveSize total) const;
+  Box box_of(const Primitive& primitive, const Instance& instance);
+
+  void add_instance(const Instance& instance, std::optional<std::size_t> variant);
+  void add_primitive(const Primitive& primitive, std::uint32_t material, const Instance& instance,
+                     const Matrix& placement);
+  void add_vertices(const Primitive& primitive, const std::vector<std::uint32_t>& kept, std::size_t count,
+                    const Instance& instance, const Matrix& placement);
+  void add_colors(const Primitive& primitive, const std::vector<std::uint32_t>& kept, std::size_t count);
+  void add_uvs(const Primitive& primitive, const std::vector<std::uint32_t>& kept, std::size_t count,
+               std::uint32_t material, std::size_t channel, std::vector<float>& to);
+  Matrix skinned(const Primitive& primitive, const Instance& instance, std::size_t vertex) const;
+
+  const Document& document_;
+  Scene& scene_;
+  Materials& materials_;
+  Nodes& nodes_;
+  Warnings& warnings_;
+  std::vector<Instance> instances_;
+  PrimitiveSize total_;                          // of all instances
+  std::map<std::string, Box> box_of_primitive_;  // in the mesh's space
+  DracoMeshes draco_meshes_;
+};
+
+}  // namespace gleaner::scene::gltf

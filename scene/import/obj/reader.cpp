@@ -1,0 +1,356 @@
+// Wavefront OBJ with MTL. Illumination models 5 and 7 are the mirror and the glass; every other one is a Lambert
+// surface, unless the material has a roughness or a metallic value.
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <set>
+#include <string_view>
+
+#include "scene/import/files.h"
+#include "scene/import/formats.h"
+#include "scene/import/obj/lines.h"
+#include "scene/import/obj/materials.h"
+#include "scene/import/obj/mtl.h"
+#include "scene/import/placement.h"
+#include "scene/import/polygon.h"
+#include "scene/import/vertex_colors.h"
+#include "scene/model/error.h"
+#include "scene/model/limits.h"
+
+namespace gleaner::scene {
+namespace obj {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr double kMostCoordinate = 1e15;  // of what a file says; the scene's own limit holds about its centre
+
+// What the last written digit of a number stands for.
+double step_of(std::string_view word) {
+  const std::size_t e = std::min(word.find_first_of("eE"), word.size()), point = word.substr(0, e).find('.');
+  int exponent = point == std::string_view::npos ? 0 : -static_cast<int>(e - point - 1);
+  if (e < word.size()) {
+    int written = 0;
+    std::string_view digits = word.substr(e + 1);
+    if (digits.starts_with('+')) digits.remove_prefix(1);
+    std::from_chars(digits.data(), digits.data() + digits.size(), written);
+    exponent += written;
+  }
+  return exponent < -15 ? 1e-15 : std::pow(10.0, std::min(exponent, 15));
+}
+
+class ObjReader {
+ public:
+  ObjReader(const std::string& path, const ImportOptions& options, Warnings& warnings)
+      : path_(path), options_(options), warnings_(warnings) {}
+
+  Scene read() {
+    Lines lines(path_, path_, "");
+    while (const auto line = lines.next()) statement(lines, *line);
+    close_mesh();
+    place_vertices();
+    add_materials();
+    return std::move(scene_);
+  }
+
+ private:
+  // A vertex of the scene: the corner that it stands for, as numbers from 0 (-1: none), and the next one of its v.
+  struct Corner {
+    std::int32_t v = -1, vt = -1, vn = -1;
+  };
+  struct Use {
+    Corner corner;
+    std::uint32_t next;
+  };
+
+  void statement(const Lines& lines, std::string_view line) {
+    const std::string_view keyword = take_word(line);
+    if (keyword == "v") {
+      add_vertex(lines, line);
+    } else if (keyword == "f") {
+      add_face(lines, line);
+    } else if (keyword == "vn") {
+      add_normal(lines, line);
+    } else if (keyword == "vt") {
+      texture_vertices_.push_back(static_cast<float>(lines.within(take_word(line), "vt", -1e30, 1e30)));
+      const std::string_view v = take_word(line);
+      // OBJ counts v from the image's bottom row, textures here from the top.
+      texture_vertices_.push_back(static_cast<float>(1 - (v.empty() ? 0 : lines.within(v, "vt", -1e30, 1e30))));
+    } else if (keyword == "g" || keyword == "o") {
+      close_mesh();
+      mesh_name_ = std::string(trimmed(line));
+    } else if (keyword == "usemtl") {
+      use_material(lines, std::string(trimmed(line)));
+    } else if (keyword == "mtllib") {
+      add_library(lines, line);
+    } else if (keyword == "l" || keyword == "p") {
+      warnings_.add("points and lines are not drawn");
+    } else if (keyword != "s") {
+      warnings_.add("the statement \"" + std::string(keyword.substr(0, 40)) + "\" is not read");
+    }
+  }
+
+  // x y z, then a weight, which polygons do not have, or a colour.
+  void add_vertex(const Lines& lines, std::string_view line) {
+    for (int c = 0; c < 3; ++c) {
+      const std::string_view word = take_word(line);
+      vertices_.push_back(lines.within(word, "v", -kMostCoordinate, kMostCoordinate));
+      finest_step_ = std::min(finest_step_, step_of(word));
+    }
+    if (vertices_.size() / 3 > kMaxVertices)
+      lines.fail("v", "at most " + std::to_string(kMaxVertices) + " vertices", "more");
+    std::string_view words[4];
+    int count = 0;
+    for (std::string_view word = take_word(line); !word.empty() && count < 4; word = take_word(line))
+      words[count++] = word;
+    if (count < 3) return;
+    colors_.resize(vertices_.size() - 3, -1);
+    for (int c = 0; c < 3; ++c) colors_.push_back(static_cast<float>(lines.within(words[c], "v", -1e30, 1e30)));
+  }
+
+  void add_normal(const Lines& lines, std::string_view line) {
+    double n[3];
+    for (double& c : n) c = lines.number(take_word(line), "vn");
+    const double length = std::hypot(n[0], n[1], n[2]);
+    // A normal of length 0 is none: the triangle's own is taken.
+    for (const double c : n)
+      normals_.push_back(length > 0 && std::isfinite(length) ? static_cast<float>(c / length) : 0.0f);
+  }
+
+  // One index of a face: from 1, or backwards from the last with -1.
+  static std::int32_t resolve(const Lines& lines, std::string_view word, std::size_t count, const char* what) {
+    std::int64_t index = 0;
+    const auto [end, code] = std::from_chars(word.data(), word.data() + word.size(), index);
+    if (code != std::errc() || end != word.data() + word.size())
+      lines.fail("f", std::string("an index of ") + what, in_quotes(word));
+    const auto limit = static_cast<std::int64_t>(count);
+    if (index > 0 && index <= limit) return static_cast<std::int32_t>(index - 1);
+    if (index < 0 && index >= -limit) return static_cast<std::int32_t>(limit + index);
+    lines.fail("f", "an index among the " + std::to_string(count) + " " + what + " so far", in_quotes(word));
+  }
+
+  Corner corner(const Lines& lines, std::string_view word) const {
+    Corner c;
+    const std::size_t counts[] = {vertices_.size() / 3, texture_vertices_.size() / 2, normals_.size() / 3};
+    constexpr const char* names[] = {"vertices", "texture vertices", "normals"};
+    std::int32_t* const parts[] = {&c.v, &c.vt, &c.vn};
+    for (int k = 0; k < 3; ++k) {
+      const std::size_t slash = std::min(word.find('/'), word.size());
+      const std::string_view part = word.substr(0, slash);
+      if (k == 0 || !part.empty()) *parts[k] = resolve(lines, part, counts[k], names[k]);
+      if (slash == word.size()) return c;
+      word.remove_prefix(slash + 1);
+    }
+    lines.fail("f", "at most three indices a corner", in_quotes(word));
+  }
+
+  std::uint32_t vertex_of(const Corner& c) {
+    const auto v = static_cast<std::size_t>(c.v);
+    if (v >= first_use_of_.size()) first_use_of_.resize(std::max(vertices_.size() / 3, v + 1), kNone);
+    const auto number = static_cast<std::uint32_t>(uses_.size());
+    std::uint32_t* link = &first_use_of_[v];
+    int steps = 0;
+    for (; *link != kNone && steps < kMostSteps; link = &uses_[*link].next, ++steps) {
+      const Corner& known = uses_[*link].corner;
+      if (known.vt == c.vt && known.vn == c.vn) return *link;
+    }
+    if (steps == kMostSteps) {  // the pole of a sphere, or worse
+      const auto [place, is_new] = further_uses_.try_emplace({c.v, c.vt, c.vn}, number);
+      if (!is_new) return place->second;
+    } else {
+      *link = number;  // before the vector moves
+    }
+    uses_.push_back({c, kNone});
+    return number;
+  }
+
+  void add_face(const Lines& lines, std::string_view line) {
+    polygon_.clear();
+    for (std::string_view word = take_word(line); !word.empty(); word = take_word(line))
+      polygon_.push_back(corner(lines, word));
+    if (polygon_.size() < 3) {
+      warnings_.add(lines.here() + ": f", "faces of fewer than 3 corners are not drawn");
+      return;
+    }
+    if (scene_.triangle_count() + polygon_.size() - 2 > kMaxTriangles)
+      lines.fail("f", "at most " + std::to_string(kMaxTriangles) + " triangles", "more");
+    if (!material_) use_material(lines, "");
+    if (polygon_.size() == 3) {
+      for (const Corner& c : polygon_) scene_.indices.push_back(vertex_of(c));
+    } else {
+      points_.clear();
+      for (const Corner& c : polygon_) {
+        const double* p = &vertices_[3 * static_cast<std::size_t>(c.v)];
+        points_.push_back({p[0], p[1], p[2]});
+      }
+      bool is_simple = true;
+      for (const auto& triangle : triangulated(points_, is_simple))
+        for (const std::uint32_t k : triangle) scene_.indices.push_back(vertex_of(polygon_[k]));
+      if (!is_simple) warnings_.add(lines.here() + ": f", "a polygon crosses itself: it is filled approximately");
+    }
+    scene_.triangle_material.resize(scene_.triangle_count(), *material_);
+  }
+
+  void close_mesh() {
+    const std::size_t first =
+        scene_.meshes.empty() ? 0 : scene_.meshes.back().first_triangle + scene_.meshes.back().triangle_count;
+    if (scene_.triangle_count() == first) return;
+    scene_.meshes.push_back({mesh_name_.empty() ? "mesh " + std::to_string(scene_.meshes.size()) : mesh_name_,
+                             static_cast<std::uint32_t>(first),
+                             static_cast<std::uint32_t>(scene_.triangle_count() - first)});
+  }
+
+  // Vertices that faces use, relative to the scene's centre.
+  void place_vertices() {
+    Box box;
+    for (const Use& use : uses_) {
+      const double* p = &vertices_[3 * static_cast<std::size_t>(use.corner.v)];
+      box.add({p[0], p[1], p[2]});
+    }
+    scene_.origin = origin_for(box);
+    if (box.magnitude() > kFarAway * box.extent() && finest_step_ * kFewSteps > box.extent() && box.extent() > 0) {
+      char text[160];
+      std::snprintf(text, sizeof text, "coordinates far from the origin are written to %.2g m, %.2g %% of the size",
+                    finest_step_, 100 * finest_step_ / box.extent());
+      warnings_.add(text);
+    }
+    scene_.positions.reserve(3 * uses_.size());
+    for (const Use& use : uses_) {
+      const double* p = &vertices_[3 * static_cast<std::size_t>(use.corner.v)];
+      for (int c = 0; c < 3; ++c) {
+        const double relative = p[c] - scene_.origin[static_cast<std::size_t>(c)];
+        if (!(std::abs(relative) <= kMaxCoordinate))
+          throw Error::bad_input(path_, "v " + std::to_string(use.corner.v + 1),
+                                 "coordinates within 1e9 m of the scene's centre", std::to_string(relative));
+        scene_.positions.push_back(static_cast<float>(relative));
+      }
+    }
+    vertices_ = {};
+    scene_.normals.reserve(3 * uses_.size());
+    constexpr float zero[3] = {};
+    for (const Use& use : uses_) {
+      const float* normal = use.corner.vn < 0 ? zero : &normals_[3 * static_cast<std::size_t>(use.corner.vn)];
+      scene_.normals.insert(scene_.normals.end(), normal, normal + 3);
+    }
+    normals_ = {};
+    if (!colors_.empty()) add_colors();
+  }
+
+  void add_colors() {
+    std::vector<float> colors;
+    colors.reserve(3 * uses_.size());
+    for (const Use& use : uses_)
+      for (std::size_t c = 0; c < 3; ++c) {
+        const std::size_t at = 3 * static_cast<std::size_t>(use.corner.v) + c;
+        colors.push_back(at < colors_.size() ? colors_[at] : -1);
+      }
+    scene_.colors = linear_colors(colors);
+  }
+
+  void add_uvs() {
+    scene_.uvs.reserve(2 * uses_.size());
+    constexpr float zero[2] = {};
+    for (const Use& use : uses_) {
+      const float* uv = use.corner.vt < 0 ? zero : &texture_vertices_[2 * static_cast<std::size_t>(use.corner.vt)];
+      scene_.uvs.insert(scene_.uvs.end(), uv, uv + 2);
+    }
+  }
+
+  void use_material(const Lines& lines, const std::string& name) {
+    const auto [place, is_new] =
+        material_by_name_.try_emplace(name, static_cast<std::uint32_t>(scene_.material_names.size()));
+    if (is_new) {
+      scene_.material_names.push_back(name);
+      first_use_.push_back(lines.here());
+    }
+    material_ = place->second;
+  }
+
+  // One file, or several with spaces between them; a name with spaces in it is tried first.
+  void add_library(const Lines& lines, std::string_view names) {
+    const std::string whole(trimmed(names));
+    if (whole.empty()) lines.fail("mtllib", "a file's name", "nothing");
+    std::error_code code;
+    if (fs::exists(fs::path(path_).parent_path() / slashed(whole), code)) {
+      read_library(lines, whole);
+      return;
+    }
+    for (std::string_view name = take_word(names); !name.empty(); name = take_word(names))
+      read_library(lines, std::string(name));
+  }
+
+  void read_library(const Lines& lines, const std::string& name) {
+    const std::string element = lines.here() + ": mtllib " + name;
+    const std::string relative = slashed(name);
+    const fs::path path = resolve_reference(relative, path_, element, &warnings_);
+    if (!libraries_.insert(path).second) return;
+    std::error_code code;
+    if (!fs::exists(path, code)) {
+      warnings_.add(element, "there is no such file: its materials are grey");
+      return;
+    }
+    has_library_ = true;
+    read_mtl(path, relative, path_, element, library_, warnings_);
+  }
+
+  // The library's material of a name; comments behind a name, which some write, are tried without.
+  MtlMaterial material_named(const std::string& name, const std::string& where) {
+    auto known = library_.find(name);
+    if (known == library_.end()) {
+      const std::size_t comment = name.find(" #");
+      if (comment != std::string::npos) known = library_.find(std::string(trimmed(name.substr(0, comment))));
+    }
+    if (known != library_.end()) return known->second;
+    if (!name.empty() && has_library_)
+      warnings_.add(where + ": usemtl", "no library has the material " + in_quotes(name) + ": it is grey");
+    else if (!name.empty())
+      warnings_.add("usemtl without mtllib: materials are grey Lambert surfaces");
+    return {};
+  }
+
+  void add_materials() {
+    TextureTable textures;
+    for (std::size_t i = 0; i < scene_.material_names.size(); ++i) {
+      std::string& name = scene_.material_names[i];
+      MtlMaterial mtl = material_named(name, first_use_[i]);
+      if (!scene_.colors.empty() && !mtl.kd) mtl.kd = Color{1, 1, 1};  // the vertices' colours are the surface's
+      scene_.materials.push_back(converted(mtl, path_, name, textures, warnings_));
+      if (name.empty()) name = "default";
+    }
+    textures.decode_into(scene_, path_, options_.most_texels, warnings_);
+    if (!textures.empty()) add_uvs();
+  }
+
+  static constexpr std::uint32_t kNone = ~0u;
+  static constexpr int kMostSteps = 32;  // along the uses of one v
+
+  std::string path_;
+  const ImportOptions& options_;
+  Warnings& warnings_;
+  Scene scene_;
+  std::vector<double> vertices_;
+  std::vector<float> texture_vertices_, normals_, colors_;  // colours: 3 a vertex, -1 where it has none; may end early
+  std::vector<Corner> polygon_;
+  std::vector<std::array<double, 3>> points_;                          // of polygon_
+  std::vector<std::uint32_t> first_use_of_;                            // of each v: its first use, or kNone
+  std::vector<Use> uses_;                                              // the scene's vertices
+  std::map<std::array<std::int32_t, 3>, std::uint32_t> further_uses_;  // of v with many
+  double finest_step_ = 1e300;  // of the last digit of a coordinate, over the file
+  std::string mesh_name_;
+  std::optional<std::uint32_t> material_;
+  std::map<std::string, std::uint32_t> material_by_name_;
+  std::vector<std::string> first_use_;  // of each material: its line
+  bool has_library_ = false;
+  std::set<fs::path> libraries_;
+  MtlLibrary library_;
+};
+
+}  // namespace
+}  // namespace obj
+
+Scene read_obj(const std::string& path, const ImportOptions& options, Warnings& warnings) {
+  return obj::ObjReader(path, options, warnings).read();
+}
+
+}  // namespace gleaner::scene
