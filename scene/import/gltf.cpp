@@ -150,6 +150,10 @@ class Reader {
         if (!(product <= any)) strength->fail("a product with emissiveFactor that a float can hold");
         e = static_cast<float>(product);
       }
+    // Other surfaces scatter on both sides whatever the file says.
+    const auto sides = element.find("doubleSided");
+    if (sides && sides->boolean() && std::any_of(m.emission, m.emission + 3, [](float e) { return e > 0; }))
+      m.flags |= GLEANER_MATERIAL_DOUBLE_SIDED;
     const std::string mode = element.find("alphaMode") ? element.at("alphaMode").text() : "OPAQUE";
     if (mode == "MASK")
       m.flags |= GLEANER_MATERIAL_ALPHA_MASK;
@@ -178,7 +182,7 @@ class Reader {
     if (const auto volume = extension(element, "KHR_materials_volume")) add_volume(*volume, m);
     if (extension(element, "KHR_materials_unlit")) {
       // It emits its base colour whatever else the file says.
-      m.flags |= GLEANER_MATERIAL_UNLIT;
+      m.flags = (m.flags & ~GLEANER_MATERIAL_DOUBLE_SIDED) | GLEANER_MATERIAL_UNLIT;
       m.metallic = m.specular = m.transmission = 0;
       std::fill(m.emission, m.emission + 3, 0.0f);
       m.metallic_roughness_texture = m.normal_texture = m.emission_texture = GLEANER_NONE;

@@ -1,6 +1,8 @@
 #include <cmath>
 #include <vector>
 
+#include "scene/model/emission.h"
+#include "scene/model/media.h"
 #include "scene/model/scene.h"
 
 namespace gleaner::scene {
@@ -43,21 +45,6 @@ bool deviates(const Scene& scene, std::size_t triangle, const Face& face) {
 
 bool emits(const Material& m) { return m.emission[0] > 0 || m.emission[1] > 0 || m.emission[2] > 0; }
 
-// BLEND or MASK alone says little: exporters set them on surfaces whose alpha is 1 everywhere.
-bool is_see_through(const Scene& scene, const Material& m) {
-  const bool mask = m.flags & GLEANER_MATERIAL_ALPHA_MASK;
-  if (!mask && !(m.flags & GLEANER_MATERIAL_ALPHA_BLEND)) return false;
-  const float opaque_from = mask ? m.alpha_cutoff : 1;
-  if (m.alpha < opaque_from) return true;
-  if (m.base_color_texture == GLEANER_NONE) return false;
-  const Texture& t = scene.textures[m.base_color_texture];
-  const std::uint32_t* texel = scene.texels.data() + t.first_texel;
-  const std::size_t count = std::size_t(t.width) * t.height;
-  for (std::size_t i = 0; i < count; ++i)
-    if (static_cast<float>(texel[i] >> 24) / 255 * m.alpha < opaque_from) return true;
-  return false;
-}
-
 void add_material(const Scene& scene, const Material& m, SceneNeeds& needs) {
   const bool other_texture = m.metallic_roughness_texture != GLEANER_NONE || m.normal_texture != GLEANER_NONE ||
                              m.emission_texture != GLEANER_NONE || m.transmission_texture != GLEANER_NONE ||
@@ -70,18 +57,23 @@ void add_material(const Scene& scene, const Material& m, SceneNeeds& needs) {
     needs.unlit = true;
     return;
   }
-  const bool rough = m.roughness > 0 || m.metallic_roughness_texture != GLEANER_NONE;
-  const bool opaque_part = m.transmission < 1 || m.transmission_texture != GLEANER_NONE;
+  const bool textured = m.metallic_roughness_texture != GLEANER_NONE;
+  const bool rough = m.roughness > 0 || textured;
+  const bool transmissive = is_transmissive(m);
+  const bool opaque_part =
+      !transmissive || m.transmission < 1 || m.transmission_texture != GLEANER_NONE || m.metallic > 0;
   if (opaque_part && (m.metallic > 0 || m.specular > 0)) (rough ? needs.glossy : needs.specular) = true;
   needs.metallic |= opaque_part && m.metallic > 0;
-  if (m.transmission > 0) {
-    needs.transmissive = true;
-    // A thin sheet lets light through unbent however rough it is.
-    const bool scatters = rough && (m.flags & GLEANER_MATERIAL_SOLID);
-    needs.rough_transmissive |= scatters;
-    (scatters ? needs.glossy : needs.specular) = true;
-    needs.attenuation |= (m.flags & GLEANER_MATERIAL_ATTENUATES) != 0;
-  }
+  if (!transmissive) return;
+  needs.transmissive = true;
+  const bool solid = m.flags & GLEANER_MATERIAL_SOLID;
+  const bool blurs = textured || m.roughness * m.roughness >= GLEANER_SMOOTH_GLASS_ALPHA;
+  const bool smooth = !blurs || textured;
+  needs.rough_transmissive |= blurs;
+  (blurs ? needs.glossy : needs.specular) = true;
+  needs.panes |= smooth && !solid;
+  needs.refractive |= smooth && solid;
+  needs.attenuation |= (m.flags & GLEANER_MATERIAL_ATTENUATES) != 0;
 }
 
 }  // namespace
@@ -92,37 +84,72 @@ SceneNeeds needs_of(const Scene& scene) {
   for (std::size_t t = 0; t < scene.triangle_count(); ++t) {
     const std::uint32_t material = scene.triangle_material[t];
     used[material] = true;
-    const bool emissive = !needs.emissive_triangles && emits(scene.materials[material]) &&
-                          !(scene.materials[material].flags & GLEANER_MATERIAL_UNLIT);
+    const Material& m = scene.materials[material];
+    const bool shines = emits(m) && !(m.flags & GLEANER_MATERIAL_UNLIT);
+    const bool two_sided = shines && (m.flags & GLEANER_MATERIAL_DOUBLE_SIDED);
+    const bool emissive = (shines && !needs.emissive_triangles) || (two_sided && !needs.two_sided_emitters);
     if (!emissive && needs.smooth_normals) continue;
     const Face face = face_of(scene, t);
     if (!face.has_area) continue;
     needs.emissive_triangles |= emissive;
+    needs.two_sided_emitters |= two_sided;
     needs.smooth_normals = needs.smooth_normals || deviates(scene, t, face);
   }
   for (std::size_t m = 0; m < used.size(); ++m)
     if (used[m]) add_material(scene, scene.materials[m], needs);
   needs.punctual_lights = !scene.lights.empty();
   needs.environment = !scene.environment.empty();
+  needs.media = needs.attenuation || (needs.transmissive && media_may_overlap(scene, media_by_rank(scene)));
   return needs;
 }
 
 std::uint32_t SceneNeeds::bits() const {
-  const bool fields[] = {specular,    glossy,         metallic,        transmissive,       rough_transmissive,
-                         attenuation, alpha,          unlit,           textures,           material_textures,
-                         normal_maps, smooth_normals, punctual_lights, emissive_triangles, environment,
-                         deforming};
+  const bool fields[] = {specular,
+                         glossy,
+                         metallic,
+                         transmissive,
+                         rough_transmissive,
+                         attenuation,
+                         alpha,
+                         unlit,
+                         textures,
+                         material_textures,
+                         normal_maps,
+                         smooth_normals,
+                         punctual_lights,
+                         emissive_triangles,
+                         environment,
+                         deforming,
+                         two_sided_emitters,
+                         panes,
+                         refractive,
+                         media};
   std::uint32_t bits = 0;
   for (std::size_t i = 0; i < std::size(fields); ++i) bits |= std::uint32_t(fields[i]) << i;
   return bits;
 }
 
 const std::vector<std::string>& need_names() {
-  static const std::vector<std::string> names = {
-      "specular",    "glossy",         "metallic",        "transmissive",       "rough_transmissive",
-      "attenuation", "alpha",          "unlit",           "textures",           "material_textures",
-      "normal_maps", "smooth_normals", "punctual_lights", "emissive_triangles", "environment",
-      "deforming"};
+  static const std::vector<std::string> names = {"specular",
+                                                 "glossy",
+                                                 "metallic",
+                                                 "transmissive",
+                                                 "rough_transmissive",
+                                                 "attenuation",
+                                                 "alpha",
+                                                 "unlit",
+                                                 "textures",
+                                                 "material_textures",
+                                                 "normal_maps",
+                                                 "smooth_normals",
+                                                 "punctual_lights",
+                                                 "emissive_triangles",
+                                                 "environment",
+                                                 "deforming",
+                                                 "two_sided_emitters",
+                                                 "panes",
+                                                 "refractive",
+                                                 "media"};
   return names;
 }
 
