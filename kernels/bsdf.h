@@ -240,7 +240,7 @@ typedef struct {
   v3 weight;     // BSDF n.l / pdf
   vf pdf;        // per steradian; 0 = the direction was not drawn from a density that light sampling could share
   vf eta;        // n_t / n_i of a refraction, else 1
-  vi straight;   // goes on as it came: through a smooth pane, or glass that is hidden
+  vi straight;   // goes on as it came: through a smooth pane, or where glass bends nothing
   vi crosses;    // into a solid or out of it
 } BsdfSample;
 
@@ -251,6 +251,11 @@ FN vf glass_fresnel(const Surface* m, vf vh, vf* cos_t) {
   vf fresnel = fresnel_dielectric(min_f(vh, one_f()), m->eta, cos_t);
   return pick(2.0f * fresnel / (one_f() + fresnel), fresnel, m->solid);
 }
+#endif
+
+#ifdef NEED_MEDIA
+// Does the surface bound a solid and yet bend nothing: hidden, or between equals?
+FN vi bends_nothing(const Surface* m) { return m->hidden | (m->solid & (m->eta == one_f())); }
 #endif
 
 #ifdef NEED_ROUGH_TRANSMISSIVE
@@ -331,7 +336,8 @@ FN BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vf u_lobe,
     vf fresnel = glass_fresnel(m, vh, &ct);
     vi reflected = u_lobe < fresnel;
 #ifdef NEED_MEDIA
-    reflected = reflected & none(m->hidden);
+    vi unbent = bends_nothing(m);
+    reflected = reflected & none(unbent);
 #endif
     v3 mirror = sub3(scale3(h, 2.0f * vh), v);
     v3 refracted = sub3(scale3(h, vh / eta - ct), scale3(v, one_f() / eta));
@@ -349,14 +355,14 @@ FN BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vf u_lobe,
       vf nl = fabs(direction.z);
       vf a2 = m->alpha * m->alpha;
       masking = pick(one_f(), 2.0f * nl / (nl + sqrt(fma(one_f() - a2, nl * nl, a2))), m->blurs);
-      vi wrong_side = pick(direction.z, -direction.z, reflected) > zero_f();
+      vi wrong_side = pick(direction.z, -direction.z, reflected) > (vf)-1e-6f;
       masking = pick(masking, zero_f(), m->blurs & wrong_side);
     }
 #endif
 #ifdef NEED_MEDIA
-    direction = pick3(direction, negate3(v), m->hidden);
-    weight = pick3(weight, splat3(one_f()), m->hidden);
-    eta = pick(eta, one_f(), m->hidden);
+    direction = pick3(direction, negate3(v), unbent);
+    weight = pick3(weight, pick3(m->base, splat3(one_f()), m->hidden), unbent);
+    eta = pick(eta, one_f(), unbent);
 #endif
     b.direction = pick3(b.direction, direction, glass);
     b.weight = pick3(b.weight, scale3(weight, masking), glass);
@@ -365,7 +371,7 @@ FN BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vf u_lobe,
     b.eta = pick(b.eta, eta, b.crosses);
     b.straight = glass & none(reflected) & none(m->solid | m->blurs);
 #ifdef NEED_MEDIA
-    b.straight = b.straight | (glass & m->hidden);
+    b.straight = b.straight | (glass & unbent);
 #endif
   }
 #ifdef NEED_ROUGH_TRANSMISSIVE

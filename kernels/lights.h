@@ -43,13 +43,12 @@ FN vf cluster_importance_of(v3 offset, vf radius, v3 axis, vf cosine, vf sine, v
 
 FN vf cluster_importance(const Scene* scene, uint k, v3 p) {
   global const float* c = scene->clusters + CLUSTER_WORDS * k;
-  uint kind = ((global const uint*)c)[CLUSTER_KIND];
+  uint kind = ((global const uint*)c)[CLUSTER_KIND], two_sided = ((global const uint*)c)[CLUSTER_TWO_SIDED];
   if (kind >= CLUSTER_DIRECTIONAL) return (vf)c[CLUSTER_POWER];
   v3 offset = make3(p.x - c[CLUSTER_CENTER], p.y - c[CLUSTER_CENTER + 1], p.z - c[CLUSTER_CENTER + 2]);
   return cluster_importance_of(offset, (vf)c[CLUSTER_RADIUS],
                                uniform3(c[CLUSTER_AXIS], c[CLUSTER_AXIS + 1], c[CLUSTER_AXIS + 2]), (vf)c[CLUSTER_COS],
-                               (vf)c[CLUSTER_SIN], (vf)c[CLUSTER_POWER], no_lanes(),
-                               (vu)((global const uint*)c)[CLUSTER_TWO_SIDED] != 0u);
+                               (vf)c[CLUSTER_SIN], (vf)c[CLUSTER_POWER], no_lanes(), (vu)two_sided != 0u);
 }
 
 // The same for a cluster that varies over the lanes.

@@ -375,13 +375,9 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       shadow_direction = pick3(sub3(light.target, shadow_origin), light.direction, light.infinite);
       shadow_far = pick((vf)-1.0f, pick((vf)SHADOW_FAR, (vf)INFINITY, light.infinite), connected);
 #ifdef NEED_MEDIA
-      // A shadow ray stays in what it begins in: solids block it.
       vi beneath = toward.z < zero_f();
-      Media around;
-      around.high = pick_u(media.high, beyond.high, beneath);
-      around.low = pick_u(media.low, beyond.low, beneath);
-      vf reach = pick(length3(sub3(light.target, p)), (vf)INFINITY, light.infinite);
-      contribution = mul3(contribution, absorption(scene, around, reach, connected));
+      set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_MEDIA, pick_u(media.high, beyond.high, beneath));
+      set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_MEDIA + 1u, pick_u(media.low, beyond.low, beneath));
 #endif
 #ifdef TRANSPARENT_SHADOWS
       shadow_bits |= pick_u((vu)0u, (vu)SHADOW_INFINITE, light.infinite);
@@ -496,14 +492,9 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   next_specular = (next_specular & none(passes)) | (specular_since & passes);
   eta = pick(eta, row_f(paths, PATH_ROWS, block, ROW_ETA), passes);
 #ifdef TRANSPARENT_SHADOWS
-  vi carried_on = passes;
-#ifdef NEED_MEDIA
-  // Shadow rays stop at solids, hidden or not.
-  carried_on = carried_on & none(scattered.crosses & unbent);
-#endif
-  vf next_travelled = pick(zero_f(), row_f(paths, PATH_ROWS, block, ROW_TRAVELLED) + segment_length, carried_on);
-  scattered.pdf = pick(scattered.pdf, pick(zero_f(), last_pdf, carried_on), passes);
-  light_total = pick(light_total, last_total, carried_on);
+  vf next_travelled = pick(zero_f(), row_f(paths, PATH_ROWS, block, ROW_TRAVELLED) + segment_length, passes);
+  scattered.pdf = pick(scattered.pdf, last_pdf, passes);
+  light_total = pick(light_total, last_total, passes);
 #else
   scattered.pdf = pick(scattered.pdf, zero_f(), passes);
 #endif
@@ -577,6 +568,20 @@ kernel WIDE void path_pass(global float* restrict shadows, global float* restric
   vi hit = asked & (row_u(shadows, SHADOW_ROWS, block, ROW_GEOMETRY) != GLEANER_NONE) &
            (infinite | (row_f(shadows, SHADOW_ROWS, block, ROW_FAR) <= (vf)SHADOW_FAR));
   v3 contribution = row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION);
+  v3 origin = row_3(shadows, SHADOW_ROWS, block, ROW_ORIGIN);
+  v3 direction = row_3(shadows, SHADOW_ROWS, block, ROW_DIRECTION);
+  vu primitive = pick_u((vu)0u, row_u(shadows, SHADOW_ROWS, block, ROW_PRIMITIVE), hit);
+  Hit h = load_hit(scene, primitive, row_f(shadows, SHADOW_ROWS, block, ROW_U),
+                   row_f(shadows, SHADOW_ROWS, block, ROW_V), hit);
+#ifdef NEED_MEDIA
+  Media media;
+  media.high = row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_MEDIA);
+  media.low = row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_MEDIA + 1u);
+  media = media_at_end(media, &h, scene, meets_back(&h, direction), hit);
+  vf reach = pick(length3(direction), (vf)INFINITY, infinite);
+  reach = pick(reach, length3(sub3(h.p, origin)), hit);
+  contribution = mul3(contribution, absorption(scene, media, reach, asked));
+#endif
   vi arrived = asked & none(hit);
   if (any_lane(arrived)) {
     add_to_slots(slots, slot_count, slot & ~SHADOW_BITS, (slot & SHADOW_INDIRECT) != 0u, contribution, arrived);
@@ -584,14 +589,22 @@ kernel WIDE void path_pass(global float* restrict shadows, global float* restric
   }
 
   vi passes = hit;
-  v3 origin = row_3(shadows, SHADOW_ROWS, block, ROW_ORIGIN);
-  v3 direction = row_3(shadows, SHADOW_ROWS, block, ROW_DIRECTION);
-  vu primitive = pick_u((vu)0u, row_u(shadows, SHADOW_ROWS, block, ROW_PRIMITIVE), passes);
-  Hit h = load_hit(scene, primitive, row_f(shadows, SHADOW_ROWS, block, ROW_U),
-                   row_f(shadows, SHADOW_ROWS, block, ROW_V), passes);
   Surface m;
   load_color(scene, &h, &m, passes);
-  contribution = mul3(contribution, straight_share(scene, &h, &m, normalize3(direction), passes));
+  vf cosine = one_f();
+#ifdef PASSES_GLASS
+  load_lobes(scene, &h, &m, passes);
+  ShadingFrame frame = shading_frame(&h, normalize3(direction));
+  set_side(&m, frame.from_back);
+  cosine = frame.view.z;
+#endif
+#ifdef NEED_MEDIA
+  Media beyond = media_beyond(media, &h, scene, frame.from_back, passes);
+  set_boundary(scene, &m, media, beyond, passes);
+  set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_MEDIA, beyond.high);
+  set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_MEDIA + 1u, beyond.low);
+#endif
+  contribution = mul3(contribution, straight_share(&m, cosine));
   passes = passes & (max_component(contribution) > zero_f());
   v3 start = offset_ray_origin(h.p, h.error, h.geometric, direction);
   passes = passes & finite3(start);

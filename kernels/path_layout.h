@@ -4,8 +4,9 @@
 
 #include "kernels/rays.h"
 
-// Surfaces that light passes straight, weakened: what is not opaque, and smooth panes.
-#if (defined(NEED_ALPHA) || defined(NEED_PANES)) && defined(CLUSTERS)
+// Surfaces that light passes straight, weakened: what is not opaque, smooth panes, and boundaries of solids that bend
+// nothing.
+#if (defined(NEED_ALPHA) || defined(NEED_PANES) || defined(NEED_MEDIA)) && defined(CLUSTERS)
 #define TRANSPARENT_SHADOWS
 #endif
 
@@ -45,10 +46,16 @@
 // that light passes straight, its shadow rays pass them too, weakened: they ask for the closest hit.
 #define PLAIN_SHADOW_ROWS 16u
 #define TRANSPARENT_SHADOW_ROWS 24u
+#define MEDIA_SHADOW_ROWS 26u
 #ifdef TRANSPARENT_SHADOWS
 #define ROW_CONTRIBUTION 20u
 #define ROW_SHADOW_SLOT 23u
+#ifdef NEED_MEDIA
+#define ROW_SHADOW_MEDIA 24u  // as ROW_MEDIA
+#define SHADOW_ROWS MEDIA_SHADOW_ROWS
+#else
 #define SHADOW_ROWS TRANSPARENT_SHADOW_ROWS
+#endif
 #else
 #define ROW_CONTRIBUTION 12u
 #define ROW_SHADOW_SLOT 15u  // the slot and the bits below; the slot count: no ray

@@ -208,14 +208,6 @@ FN void set_eta(Surface* m, vf eta) {
 }
 #endif
 
-#if defined(NEED_PANES) || defined(NEED_MEDIA)
-#define PASSES_GLASS
-// May light go straight on through the surface's glass? After set_side().
-FN vi is_passable(const Surface* m) {
-  return (m->transmission > zero_f()) & ((none(m->solid) & none(m->blurs)) | m->hidden);
-}
-#endif
-
 // After load_lobes(): the index of refraction on the other side over that on the ray's, around a solid nothing but air.
 FN void set_side(Surface* m, vi from_back) {
 #ifdef NEED_TRANSMISSIVE
@@ -305,20 +297,33 @@ FN v3 scattered_direction(const ShadingFrame* f, v3 scattered, vi smooth) {
   return out;
 }
 
-#if defined(NEED_ALPHA) || defined(NEED_PANES)
-// What a surface lets go straight on of light along unit `direction`, RGB: what is not opaque, and smooth panes. The
-// same on both sides, and in the mean what a path lets through.
-FN v3 straight_share(const Scene* scene, const Hit* h, Surface* m, v3 direction, vi active) {
+#if defined(NEED_PANES) || defined(NEED_MEDIA)
+#define PASSES_GLASS
+// May light go straight on through the surface's glass? After set_side() and set_boundary().
+FN vi is_passable(const Surface* m) {
+  vi passable = none(m->solid) & none(m->blurs);
+#ifdef NEED_MEDIA
+  passable = passable | bends_nothing(m);
+#endif
+  return passable & (m->transmission > zero_f());
+}
+#endif
+
+// What a surface lets go straight on of light that meets it at cosine nv, RGB: what is not opaque, and what glass
+// passes. The same on both sides, and in the mean what a path lets through.
+FN v3 straight_share(const Surface* m, vf nv) {
   v3 share = splat3(zero_f());
-#ifdef NEED_PANES
-  load_lobes(scene, h, m, active);
-  ShadingFrame f = shading_frame(h, direction);
-  set_side(m, f.from_back);
-  vi pane = active & is_passable(m);
-  if (any_lane(pane)) {
+#ifdef PASSES_GLASS
+  vi passable = is_passable(m);
+  if (any_lane(passable)) {
     vf unused;
-    vf passing = m->transmission * (one_f() - glass_fresnel(m, f.view.z, &unused));
-    share = pick3(share, scale3(m->base, passing), pane);
+    vf fresnel = glass_fresnel(m, nv, &unused);
+    v3 tint = m->base;
+#ifdef NEED_MEDIA
+    fresnel = pick(fresnel, zero_f(), bends_nothing(m));
+    tint = pick3(tint, splat3(one_f()), m->hidden);
+#endif
+    share = pick3(share, scale3(tint, m->transmission * (one_f() - fresnel)), passable);
   }
 #endif
 #ifdef NEED_ALPHA
@@ -326,7 +331,6 @@ FN v3 straight_share(const Scene* scene, const Hit* h, Surface* m, v3 direction,
 #endif
   return share;
 }
-#endif
 
 // --- Segments: what the media along a ray absorb ---
 

@@ -99,7 +99,10 @@ SceneNeeds needs_of(const Scene& scene) {
     if (used[m]) add_material(scene, scene.materials[m], needs);
   needs.punctual_lights = !scene.lights.empty();
   needs.environment = !scene.environment.empty();
-  needs.media = needs.attenuation || (needs.transmissive && media_may_overlap(scene, media_by_rank(scene)));
+  // Of an index of 1, shadow rays pass.
+  for (std::size_t m = 0; m < used.size(); ++m)
+    needs.media |= used[m] && is_solid(scene.materials[m]) && scene.materials[m].ior == 1;
+  needs.media |= needs.attenuation || (needs.transmissive && media_may_overlap(scene, media_by_rank(scene)));
   return needs;
 }
 

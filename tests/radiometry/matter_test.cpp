@@ -122,7 +122,7 @@ TEST(Matter, AlphaWeighsEmission) {
   Material m = scene::emitter(grey(6));
   m.flags |= GLEANER_MATERIAL_ALPHA_MASK;
   m.base_color_texture = masked.texture(64, 1, true, [](std::uint32_t x, std::uint32_t) {
-    return scene::Texel{255, 255, 255, static_cast<std::uint8_t>(x < 32 ? 255 : 100)};
+    return scene::Texel{255, 255, 255, static_cast<std::uint8_t>(x < 32 ? 255 : 0)};
   });
   lamp(masked, m, true);
   // The texture's left half is the lamp's left half.
@@ -510,7 +510,7 @@ TEST(Matter, NoSheetIsLitFromBehind) {
                       lamp_below.material("lamp", two_sided(scene::emitter(grey(5)))));
       EXPECT_EQ(sheet_radiance(lamp_below, trace), 0);
       // Bright below the horizon alone: neither samples nor scattered rays leak.
-      sky.environment(64, [](Vec d) { return grey(d.y < -0.06 ? 5 : 0); });
+      sky.environment(64, [](Vec d) { return grey(d.y < -0.3 ? 5 : 0); });
       EXPECT_EQ(sheet_radiance(sky, trace), 0);
       // From above it is lit by its bent normal.
       day.directional_light(scene::normalize({-1, -1, 0}), grey(3));

@@ -243,9 +243,9 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
     if (need && (lights.cluster_slots || (std::strcmp(word, "PUNCTUAL_LIGHTS") &&
                                           std::strcmp(word, "EMISSIVE_TRIANGLES") && std::strcmp(word, "ENVIRONMENT"))))
       options_ += std::string(" -D NEED_") + word;
-  transparent_shadows_ = (needs.alpha || needs.panes) && lights.cluster_slots;
+  transparent_shadows_ = (needs.alpha || needs.panes || needs.media) && lights.cluster_slots;
   path_rows_ = needs.media ? MEDIA_PATH_ROWS : transparent_shadows_ ? TRANSPARENT_PATH_ROWS : PLAIN_PATH_ROWS;
-  shadow_rows_ = transparent_shadows_ ? TRANSPARENT_SHADOW_ROWS : PLAIN_SHADOW_ROWS;
+  shadow_rows_ = !transparent_shadows_ ? PLAIN_SHADOW_ROWS : needs.media ? MEDIA_SHADOW_ROWS : TRANSPARENT_SHADOW_ROWS;
   if (lights.cluster_slots) options_ += " -D CLUSTERS=" + std::to_string(lights.cluster_slots);
 }
 
