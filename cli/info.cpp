@@ -11,6 +11,7 @@
 
 #include "cli/commands.h"
 #include "cli/import_options.h"
+#include "scene/model/emission.h"
 #include "scene/model/names.h"
 #include "scene/model/scene.h"
 
@@ -30,7 +31,7 @@ std::array<double, 3> in_file(const Scene& scene, const float* p) {
   return {scene.origin[0] + p[0], scene.origin[1] + p[1], scene.origin[2] + p[2]};
 }
 
-// All emissive triangles of a scene; power is what leaves the front faces, emission textures taken as white.
+// All emissive triangles of a scene; power is what leaves the faces that emit, textures and opacity taken in the mean.
 struct Emitters {
   std::uint64_t triangles = 0;
   double area = 0;                // m^2
@@ -39,9 +40,11 @@ struct Emitters {
 
 Emitters emitters_of(const Scene& scene) {
   Emitters emitters;
+  const std::vector<std::array<float, 3>> means = scene::mean_emission(scene);
   for (std::size_t t = 0; t < scene.triangle_count(); ++t) {
     const scene::Material& m = scene.materials[scene.triangle_material[t]];
-    if (!(m.emission[0] > 0 || m.emission[1] > 0 || m.emission[2] > 0)) continue;
+    const std::array<float, 3>& radiance = means[scene.triangle_material[t]];
+    if (!(radiance[0] > 0 || radiance[1] > 0 || radiance[2] > 0)) continue;
     double edge[2][3];
     for (int e = 0; e < 2; ++e)
       for (int c = 0; c < 3; ++c)
@@ -54,7 +57,8 @@ Emitters emitters_of(const Scene& scene) {
     if (!(area > 0)) continue;
     ++emitters.triangles;
     emitters.area += area;
-    for (int c = 0; c < 3; ++c) emitters.power[c] += std::numbers::pi * area * m.emission[c];
+    const int faces = m.flags & GLEANER_MATERIAL_DOUBLE_SIDED ? 2 : 1;
+    for (int c = 0; c < 3; ++c) emitters.power[c] += std::numbers::pi * area * faces * radiance[c];
   }
   return emitters;
 }

@@ -1,7 +1,8 @@
 // The glTF 2.0 material: GGX with separable Smith masking and Schlick's Fresnel (appendix B), over a Lambert layer that
 // gets what the specular lobe leaves, reciprocally: f_d = base/pi (1 - s E(n.v)) (1 - s E(n.l)) / (1 - s M), so that a
-// white surface reflects exactly 1. Glass: exact Fresnel, smooth or GGX, solid or a thin sheet. Local frames: z is the
-// normal.
+// white surface reflects exactly 1. Glass: exact Fresnel, smooth or GGX (Walter et al. 2007), solid or a thin sheet.
+// Metal hides glass: of a surface's light, `metallic` meets metal, and of the rest `transmission` meets glass. Local
+// frames: z is the normal.
 #ifndef GLEANER_KERNELS_BSDF_H
 #define GLEANER_KERNELS_BSDF_H
 
@@ -12,7 +13,20 @@
 #define NEED_LOBE
 #endif
 
+// Normals for shading that differ from the triangles' own.
+#if defined(NEED_SMOOTH_NORMALS) || defined(NEED_NORMAL_MAPS)
+#define NEED_BENT_NORMALS
+#endif
+
 #define INV_PI 0.31830988618379067f
+
+// What geometry leaves of light that a surface scatters back: gl and nl are its cosines to the triangle's normal and to
+// that for shading, ng that between the two; lengths do not matter. Nothing comes from behind the triangle, and ever
+// less towards its horizon, so that the terminator has no edge (Chiang et al. 2019, "Taming the shadow terminator").
+FN vf terminator(vf gl, vf nl, vf ng) {
+  vf g = min_f(gl / (nl * ng), one_f());
+  return pick(zero_f(), g * fma(g, one_f() - g, one_f()), (gl > zero_f()) & (nl > zero_f()));
+}
 
 // A point's material, evaluated.
 typedef struct {
@@ -32,9 +46,12 @@ typedef struct {
   vi mirror;
 #endif
 #ifdef NEED_TRANSMISSIVE
-  vf transmission;
+  vf transmission;  // share of the light that meets glass, metal taken off
   vf ior;
+  vf eta;  // n_t / n_i for light that arrives on the ray's side
   vi solid;
+  vi blurs;   // glass that scatters: not smooth
+  vi hidden;  // glass within a solid of higher rank: as if it were not there
 #if !defined(NEED_LOBE)
   vf alpha;
 #endif
@@ -223,13 +240,65 @@ typedef struct {
   v3 weight;     // BSDF n.l / pdf
   vf pdf;        // per steradian; 0 = the direction was not drawn from a density that light sampling could share
   vf eta;        // n_t / n_i of a refraction, else 1
+  vi straight;   // goes on as it came: through a smooth pane, or where glass bends nothing
+  vi crosses;    // into a solid or out of it
 } BsdfSample;
 
-// Draws a direction: u_lobe chooses, (u0, u1) aim. Weight 0: the path ends. `v` is local, v.z > 0; `inside`: v came
-// from within a solid.
-FN BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vi inside, vf u_lobe, vf u_glass, vf u0, vf u1) {
+#ifdef NEED_TRANSMISSIVE
+// Reflectance of glass at half-vector cosine vh > 0; cos_t as in fresnel_dielectric(). A thin sheet sums its inner
+// reflections: 2 F / (1 + F), so that (1 - F) / (1 + F) goes on.
+FN vf glass_fresnel(const Surface* m, vf vh, vf* cos_t) {
+  vf fresnel = fresnel_dielectric(min_f(vh, one_f()), m->eta, cos_t);
+  return pick(2.0f * fresnel / (one_f() + fresnel), fresnel, m->solid);
+}
+#endif
+
+#ifdef NEED_MEDIA
+// Does the surface bound a solid and yet bend nothing: hidden, or between equals?
+FN vi bends_nothing(const Surface* m) { return m->hidden | (m->solid & (m->eta == one_f())); }
+#endif
+
+#ifdef NEED_ROUGH_TRANSMISSIVE
+// Rough glass in the directions v and l, v.z > 0, l on either side: BSDF times |n.l| and the density with which
+// sample_bsdf() takes l once it has chosen glass; 0 in lanes of other glass. A thin sheet transmits the lobe that it
+// reflects, flipped to the other side.
+FN v3 eval_glass(const Surface* m, v3 v, v3 l, vf* pdf) {
+  vi above = l.z > zero_f();
+  v3 across = make3(l.x, l.y, fabs(l.z));
+  vf eta = pick(one_f(), m->eta, none(above) & m->solid);
+  // The half-vector: between v and l, of refraction along v + eta l (Walter et al. 2007, eq. 16).
+  v3 h = add3(v, scale3(pick3(across, l, m->solid), eta));
+  h = normalize3(pick3(h, negate3(h), h.z < zero_f()));
+  vf vh = dot3(v, h), lh = dot3(pick3(across, l, m->solid), h);
+  vi valid = m->blurs & (vh > zero_f()) & ((lh < zero_f()) == (m->solid & none(above))) & (fabs(l.z) > (vf)1e-6f);
+  vf unused;
+  vf fresnel = glass_fresnel(m, max_f(vh, zero_f()), &unused);
+  vf a2 = pick(one_f(), m->alpha * m->alpha, m->blurs);
+  vf t = (h.x * h.x + h.y * h.y) / a2 + h.z * h.z;
+  vf d = INV_PI / (a2 * t * t);
+  vf gv = v.z + sqrt(fma(one_f() - a2, v.z * v.z, a2));
+  vf nl = fabs(l.z);
+  vf masking = 2.0f * nl / (nl + sqrt(fma(one_f() - a2, nl * nl, a2)));
+  // Density of the half-vector, D G1(v) v.h / v.z, times its change with l: 1 / (4 v.h) of a reflection,
+  // eta^2 |l.h| / (v.h + eta l.h)^2 of a refraction (eq. 17).
+  vf sum = fma(eta, lh, vh);
+  vf refraction = 2.0f * d / gv * vh * eta * eta * fabs(lh) / (sum * sum);
+  vf density = pick(d / (2.0f * gv), refraction, none(above) & m->solid);
+  density *= pick(one_f() - fresnel, fresnel, above);
+  valid = valid & finite_f(density);
+  *pdf = pick(zero_f(), density, valid);
+  // Radiance is squeezed into a smaller solid angle on its way into the denser side: (n_i / n_t)^2.
+  v3 weight = pick3(scale3(m->base, one_f() / (eta * eta)), splat3(one_f()), above);
+  return scale3(weight, *pdf * masking);
+}
+#endif
+
+// Draws a direction: u_lobe chooses, (u0, u1) aim. Weight 0: the path ends. `v` is local, v.z > 0.
+FN BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vf u_lobe, vf u_glass, vf u0, vf u1) {
   BsdfSample b;
   b.eta = one_f();
+  b.straight = no_lanes();
+  b.crosses = no_lanes();
   b.direction = sample_cosine(u0, u1);
 #ifdef NEED_LOBE
   vi specular = u_lobe < m->lobe_share;
@@ -258,39 +327,64 @@ FN BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vi inside,
   vi glass = u_glass < m->transmission;
   if (any_lane(glass)) {
     v3 h = uniform3(0.0f, 0.0f, 1.0f);
-    vf masking = one_f();
 #ifdef NEED_ROUGH_TRANSMISSIVE
-    vi rough = (m->alpha > zero_f()) & m->solid;
-    h = pick3(h, sample_visible_normal(v, pick(one_f(), m->alpha, rough), u0, u1), rough);
+    h = pick3(h, sample_visible_normal(v, pick(one_f(), m->alpha, m->blurs), u0, u1), m->blurs);
 #endif
-    vf eta = pick(m->ior, one_f() / m->ior, inside & m->solid);
+    vf eta = m->eta;
     vf vh = dot3(v, h);
     vf ct;
-    vf fresnel = fresnel_dielectric(min_f(vh, one_f()), eta, &ct);
-    // A thin sheet sums its inner reflections and lets light go on unbent.
-    fresnel = pick(2.0f * fresnel / (one_f() + fresnel), fresnel, m->solid);
+    vf fresnel = glass_fresnel(m, vh, &ct);
     vi reflected = u_lobe < fresnel;
+#ifdef NEED_MEDIA
+    vi unbent = bends_nothing(m);
+    reflected = reflected & none(unbent);
+#endif
     v3 mirror = sub3(scale3(h, 2.0f * vh), v);
     v3 refracted = sub3(scale3(h, vh / eta - ct), scale3(v, one_f() / eta));
     refracted = pick3(negate3(v), refracted, m->solid);
+#ifdef NEED_ROUGH_TRANSMISSIVE
+    refracted = pick3(refracted, make3(mirror.x, mirror.y, -mirror.z), m->blurs & none(m->solid));
+#endif
     v3 direction = pick3(refracted, mirror, reflected);
+    // Radiance is squeezed into a smaller solid angle on its way into the denser side: (n_i / n_t)^2.
+    vf squeeze = pick(one_f(), one_f() / (eta * eta), m->solid);
+    v3 weight = pick3(scale3(m->base, squeeze), splat3(one_f()), reflected);
+    vf masking = one_f();
 #ifdef NEED_ROUGH_TRANSMISSIVE
     {
       vf nl = fabs(direction.z);
       vf a2 = m->alpha * m->alpha;
-      masking = pick(one_f(), 2.0f * nl / (nl + sqrt(fma(one_f() - a2, nl * nl, a2))), rough);
-      vi wrong_side = pick(direction.z, -direction.z, reflected) > zero_f();
-      masking = pick(masking, zero_f(), rough & wrong_side);
+      masking = pick(one_f(), 2.0f * nl / (nl + sqrt(fma(one_f() - a2, nl * nl, a2))), m->blurs);
+      vi wrong_side = pick(direction.z, -direction.z, reflected) > (vf)-1e-6f;
+      masking = pick(masking, zero_f(), m->blurs & wrong_side);
     }
 #endif
-    // Radiance is squeezed into a smaller solid angle on its way into the denser side: (n_i / n_t)^2.
-    vf squeeze = pick(one_f(), one_f() / (eta * eta), m->solid);
-    v3 weight = pick3(scale3(m->base, squeeze), splat3(one_f()), reflected);
+#ifdef NEED_MEDIA
+    direction = pick3(direction, negate3(v), unbent);
+    weight = pick3(weight, pick3(m->base, splat3(one_f()), m->hidden), unbent);
+    eta = pick(eta, one_f(), unbent);
+#endif
     b.direction = pick3(b.direction, direction, glass);
     b.weight = pick3(b.weight, scale3(weight, masking), glass);
     b.pdf = pick(b.pdf, zero_f(), glass);
-    b.eta = pick(b.eta, eta, glass & none(reflected) & m->solid);
+    b.crosses = glass & none(reflected) & m->solid;
+    b.eta = pick(b.eta, eta, b.crosses);
+    b.straight = glass & none(reflected) & none(m->solid | m->blurs);
+#ifdef NEED_MEDIA
+    b.straight = b.straight | (glass & unbent);
+#endif
   }
+#ifdef NEED_ROUGH_TRANSMISSIVE
+  // Both kinds of samples may take any direction here; light samples weigh against the density of them together.
+  if (any_lane(m->blurs)) {
+    vf glass_pdf, opaque_pdf;
+    eval_glass(m, v, b.direction, &glass_pdf);
+    eval_bsdf(scene, m, v, make3(b.direction.x, b.direction.y, fabs(b.direction.z)), &opaque_pdf);
+    opaque_pdf = pick(zero_f(), opaque_pdf, b.direction.z > zero_f());
+    vf both = fma(m->transmission, glass_pdf, (one_f() - m->transmission) * opaque_pdf);
+    b.pdf = pick(b.pdf, both, m->blurs & (max_component(b.weight) > zero_f()));
+  }
+#endif
 #endif
   return b;
 }

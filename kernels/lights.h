@@ -7,15 +7,28 @@
 #include "kernels/sampling.h"
 #include "kernels/scene_access.h"
 
+// Fields of the row `e` of the emitters.
+#ifdef NEED_TWO_SIDED_EMITTERS
+FN vu emitter_cluster(const vf* e) { return as_vu(e[EMITTER_CLUSTER]) & (vu)~EMITTER_TWO_SIDED; }
+FN vi is_two_sided(const vf* e) { return (as_vu(e[EMITTER_CLUSTER]) & (vu)EMITTER_TWO_SIDED) != 0u; }
+#else
+FN vu emitter_cluster(const vf* e) { return as_vu(e[EMITTER_CLUSTER]); }
+FN vi is_two_sided(const vf* e) { return no_lanes(); }
+#endif
+
 #if defined(NEED_EMISSIVE_TRIANGLES) || defined(NEED_PUNCTUAL_LIGHTS) || defined(NEED_ENVIRONMENT)
 #define NEED_LIGHTS
 
-// Bound of the irradiance at a point, the cluster's fields given (varying or uniform).
-FN vf cluster_importance_of(v3 offset, vf radius, v3 axis, vf cosine, vf sine, vf power, vi anywhere) {
+// Bound of the irradiance at a point, the cluster's fields given (varying or uniform). The emitters of a two-sided
+// cluster have normals in a cone about the axis or in the opposite one.
+FN vf cluster_importance_of(v3 offset, vf radius, v3 axis, vf cosine, vf sine, vf power, vi anywhere, vi two_sided) {
   vf d2 = dot3(offset, offset);
   vf r2 = radius * radius;
   vf inverse = one_f() / sqrt(d2);
   vf cos_t = dot3(axis, offset) * inverse;
+#ifdef NEED_TWO_SIDED_EMITTERS
+  cos_t = pick(cos_t, fabs(cos_t), two_sided);
+#endif
   vf sin_t = safe_sqrt(one_f() - cos_t * cos_t);
   vf sin_u = radius * inverse;
   vf cos_u = safe_sqrt(one_f() - sin_u * sin_u);
@@ -30,12 +43,12 @@ FN vf cluster_importance_of(v3 offset, vf radius, v3 axis, vf cosine, vf sine, v
 
 FN vf cluster_importance(const Scene* scene, uint k, v3 p) {
   global const float* c = scene->clusters + CLUSTER_WORDS * k;
-  uint kind = ((global const uint*)c)[CLUSTER_KIND];
+  uint kind = ((global const uint*)c)[CLUSTER_KIND], two_sided = ((global const uint*)c)[CLUSTER_TWO_SIDED];
   if (kind >= CLUSTER_DIRECTIONAL) return (vf)c[CLUSTER_POWER];
   v3 offset = make3(p.x - c[CLUSTER_CENTER], p.y - c[CLUSTER_CENTER + 1], p.z - c[CLUSTER_CENTER + 2]);
   return cluster_importance_of(offset, (vf)c[CLUSTER_RADIUS],
                                uniform3(c[CLUSTER_AXIS], c[CLUSTER_AXIS + 1], c[CLUSTER_AXIS + 2]), (vf)c[CLUSTER_COS],
-                               (vf)c[CLUSTER_SIN], (vf)c[CLUSTER_POWER], no_lanes());
+                               (vf)c[CLUSTER_SIN], (vf)c[CLUSTER_POWER], no_lanes(), (vu)two_sided != 0u);
 }
 
 // The same for a cluster that varies over the lanes.
@@ -49,7 +62,8 @@ FN vf cluster_importance_at(const Scene* scene, vu k, v3 p) {
   return cluster_importance_of(
       offset, gather_f(scene->clusters + CLUSTER_RADIUS, row), gather3(scene->clusters + CLUSTER_AXIS, row),
       gather_f(scene->clusters + CLUSTER_COS, row), gather_f(scene->clusters + CLUSTER_SIN, row),
-      gather_f(scene->clusters + CLUSTER_POWER, row), anywhere);
+      gather_f(scene->clusters + CLUSTER_POWER, row), anywhere,
+      gather_u((global const uint*)scene->clusters + CLUSTER_TWO_SIDED, row) != 0u);
 #endif
 }
 
@@ -64,27 +78,65 @@ typedef struct {
 } LightSample;
 
 #ifdef NEED_EMISSIVE_TRIANGLES
+#ifdef NEED_TEXTURES
+// The coordinates at which `texture` is read on a triangle (first word of its row), at the weights of its second and
+// third corner.
+FN void emitter_uv(const Scene* scene, vu triangle, vu texture, vf b1, vf b2, vi active, vf* u, vf* v) {
+  vf b0 = one_f() - b1 - b2;
+  global const float* t = scene->triangles;
+#ifdef NEED_SECOND_UVS
+  triangle += pick_u((vu)0u, (vu)(TRIANGLE_SECOND_UV0 - TRIANGLE_UV0), reads_second_uvs(scene, texture, active));
+#endif
+  *u = b0 * gather_f(t + TRIANGLE_UV0, triangle) + b1 * gather_f(t + TRIANGLE_UV1, triangle) +
+       b2 * gather_f(t + TRIANGLE_UV2, triangle);
+  *v = b0 * gather_f(t + TRIANGLE_UV0 + 1, triangle) + b1 * gather_f(t + TRIANGLE_UV1 + 1, triangle) +
+       b2 * gather_f(t + TRIANGLE_UV2 + 1, triangle);
+}
+#endif
+
+#ifdef NEED_ALPHA_EMITTERS
+// What load_color() finds for a hit at this place.
+FN vf emitter_opacity(const Scene* scene, vu triangle, vu material, vf b1, vf b2, vi active) {
+  vf alpha = material_f(scene, material, MATERIAL_ALPHA);
+#ifdef NEED_VERTEX_COLORS
+  global const uint* words = (global const uint*)scene->triangles;
+  vf sum = to_f(gather_u(words + TRIANGLE_COLOR0 + 1, triangle) >> 16) * (one_f() - b1 - b2) +
+           to_f(gather_u(words + TRIANGLE_COLOR1 + 1, triangle) >> 16) * b1 +
+           to_f(gather_u(words + TRIANGLE_COLOR2_BA, triangle) >> 16) * b2;
+  alpha *= sum * (vf)(1.0f / 65535.0f);
+#endif
+#ifdef NEED_TEXTURES
+  vu texture = material_u(scene, material, MATERIAL_BASE_COLOR_TEXTURE);
+  vi textured = active & (texture != GLEANER_NONE);
+  if (any_lane(textured)) {
+    vf texel, u, v;
+    emitter_uv(scene, triangle, texture, b1, b2, textured, &u, &v);
+    texture_lookup(scene, texture, u, v, textured, &texel);
+    alpha = pick(alpha, alpha * texel, textured);
+  }
+#endif
+  return opacity_of(scene, material, material_u(scene, material, MATERIAL_FLAGS), alpha);
+}
+#endif
+
 // Radiance of an emitting triangle, the row `e` of the emitters, at the weights of its second and third corner.
 FN v3 emitter_radiance(const Scene* scene, const vf* e, vf b1, vf b2, vi active) {
   v3 radiance = words3(e, EMITTER_RADIANCE);
-#ifdef NEED_EMISSION_TEXTURES
+#if defined(NEED_EMISSION_TEXTURES) || defined(NEED_ALPHA_EMITTERS)
   vu triangle = pick_u((vu)0u, as_vu(e[EMITTER_TRIANGLE]), active) * TRIANGLE_WORDS;
   vu material = gather_u((global const uint*)scene->triangles + TRIANGLE_MATERIAL, triangle);
+#endif
+#ifdef NEED_EMISSION_TEXTURES
   vu texture = material_u(scene, material, MATERIAL_EMISSION_TEXTURE);
   vi textured = active & (texture != GLEANER_NONE);
   if (any_lane(textured)) {
-    vf b0 = one_f() - b1 - b2;
-    global const float* t = scene->triangles;
-#ifdef NEED_SECOND_UVS
-    triangle += pick_u((vu)0u, (vu)(TRIANGLE_SECOND_UV0 - TRIANGLE_UV0), reads_second_uvs(scene, texture, textured));
-#endif
-    vf u = b0 * gather_f(t + TRIANGLE_UV0, triangle) + b1 * gather_f(t + TRIANGLE_UV1, triangle) +
-           b2 * gather_f(t + TRIANGLE_UV2, triangle);
-    vf v = b0 * gather_f(t + TRIANGLE_UV0 + 1, triangle) + b1 * gather_f(t + TRIANGLE_UV1 + 1, triangle) +
-           b2 * gather_f(t + TRIANGLE_UV2 + 1, triangle);
-    vf unused;
+    vf unused, u, v;
+    emitter_uv(scene, triangle, texture, b1, b2, textured, &u, &v);
     radiance = pick3(radiance, mul3(radiance, texture_lookup(scene, texture, u, v, textured, &unused)), textured);
   }
+#endif
+#ifdef NEED_ALPHA_EMITTERS
+  radiance = scale3(radiance, emitter_opacity(scene, triangle, material, b1, b2, active));
 #endif
   return radiance;
 }
@@ -169,7 +221,8 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
     vf d2 = dot3(d, d);
     vf distance = sqrt(d2);
     v3 w = scale3(d, one_f() / distance);
-    vf projected = -dot3(n, w);  // front face alone
+    vf projected = -dot3(n, w);  // front face alone, or both
+    projected = pick(projected, fabs(projected), is_two_sided(e));
     vf pdf = chance * 2.0f * d2 / projected;
     vi ok = here & (projected > zero_f()) & (d2 > zero_f()) & finite_f(pdf);
     // A query knows the light's corners by their offsets from where it begins: their rounding, and that of its sums of
@@ -239,9 +292,10 @@ FN vf light_pdf(const Scene* scene, vu emitter, v3 p, v3 w, vf distance, vf tota
   load_words(scene->emitters, emitter * EMITTER_WORDS, e);
   v3 n = cross3(words3(e, EMITTER_E1), words3(e, EMITTER_E2));
   vf projected = -dot3(n, w);
+  projected = pick(projected, fabs(projected), is_two_sided(e));
   vf chance = e[EMITTER_PMF];
 #if CLUSTERS > 1
-  chance *= cluster_importance_at(scene, as_vu(e[EMITTER_CLUSTER]), p) / total;
+  chance *= cluster_importance_at(scene, emitter_cluster(e), p) / total;
 #endif
   vf pdf = chance * 2.0f * distance * distance / projected;
   return pick(zero_f(), pdf, (projected > zero_f()) & finite_f(pdf));

@@ -9,7 +9,8 @@
 //   until no path is left
 //   path_resolve      slots are summed to the items' records, in the order of the samples
 //
-// With alpha and punctual lights, trace (closest hits) and path_pass take turns on the shadow rays until none is left.
+// Where light passes surfaces straight, trace (closest hits) and path_pass take turns on the shadow rays until none is
+// left.
 //
 // What a path gathers depends on (scene, parameters, pixel, chunk, sample) alone: its random numbers are keyed by them,
 // its slot is its own, and survivors are traced one by one, so neither their order nor the wave's size can be seen in
@@ -48,7 +49,7 @@ FN void add_clamped(global float* slots, uint slot_count, vu slot, v3 value, vi 
 kernel WIDE void path_generate(global const PathParameters* restrict parameters, global const uint* restrict items,
                                uint listed, uint first_item_low, uint first_item_high, uint first_path, uint base,
                                uint count, global float* restrict paths, global float* restrict slots,
-                               global float* restrict features) {
+                               global float* restrict features, uint media_high, uint media_low) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
   if (first_lane >= count) return;
@@ -99,6 +100,13 @@ kernel WIDE void path_generate(global const PathParameters* restrict parameters,
   set_row_u(paths, PATH_ROWS, at, ROW_META, (sample << META_SAMPLE) | pick_u((vu)0u, (vu)META_IDLE, idle));
   set_row_u(paths, PATH_ROWS, at, ROW_KEY, key);
   set_row_f(paths, PATH_ROWS, at, ROW_ETA, one_f());
+#ifdef TRANSPARENT_SHADOWS
+  set_row_f(paths, PATH_ROWS, at, ROW_TRAVELLED, zero_f());
+#endif
+#ifdef NEED_MEDIA
+  set_row_u(paths, PATH_ROWS, at, ROW_MEDIA, (vu)media_high);
+  set_row_u(paths, PATH_ROWS, at, ROW_MEDIA + 1u, (vu)media_low);
+#endif
 #ifdef COVERED
   set_row_f(paths, PATH_ROWS, at, ROW_COVER, zero_f());
 #endif
@@ -172,12 +180,22 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   Hit h =
       load_hit(scene, primitive, row_f(paths, PATH_ROWS, block, ROW_U), row_f(paths, PATH_ROWS, block, ROW_V), active);
   v3 p = h.p;
-  throughput = absorbed(scene, &h, origin, direction, throughput, active);
+  vf segment_length = length3(sub3(p, origin));
+#ifdef NEED_MEDIA
+  Media media;
+  media.high = row_u(paths, PATH_ROWS, block, ROW_MEDIA);
+  media.low = row_u(paths, PATH_ROWS, block, ROW_MEDIA + 1u);
+  media = media_at_end(media, &h, scene, meets_back(&h, direction), active);
+  throughput = mul3(throughput, absorption(scene, media, segment_length, active));
+#endif
+
+  Surface m;
+  load_color(scene, &h, &m, active);
 
 #ifdef NEED_EMISSIVE_TRIANGLES
   {
     vu emitter = as_vu(h.first[TRIANGLE_EMITTER]);
-    vi emits = active & (dot3(h.geometric, direction) < zero_f()) & (emitter != GLEANER_NONE);
+    vi emits = active & shines_towards(&h, direction) & (emitter != GLEANER_NONE);
     if (any_lane(emits)) {
       emitter = pick_u((vu)0u, emitter, emits);
       v3 radiance = gather3(scene->emitters + EMITTER_RADIANCE, emitter * EMITTER_WORDS);
@@ -187,9 +205,17 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       vf unused;
       radiance = pick3(radiance, mul3(radiance, texture_at(scene, &h, texture, textured, &unused)), textured);
 #endif
-      v3 to_hit = sub3(p, origin);
-      vf distance = length3(to_hit);
-      vf light = light_pdf(scene, emitter, origin, direction, distance, last_total);
+#ifdef NEED_ALPHA_EMITTERS
+      radiance = scale3(radiance, m.opacity);
+#endif
+#ifdef TRANSPARENT_SHADOWS
+      // From where the direction was drawn.
+      vf travelled = row_f(paths, PATH_ROWS, block, ROW_TRAVELLED);
+      vf light = light_pdf(scene, emitter, sub3(origin, scale3(direction, travelled)), direction,
+                           travelled + segment_length, last_total);
+#else
+      vf light = light_pdf(scene, emitter, origin, direction, segment_length, last_total);
+#endif
       vf weight = pick(one_f(), power_heuristic(last_pdf, light), last_pdf > zero_f());
       v3 found = scale3(mul3(throughput, radiance), weight);
       add_to_slots(slots, slot_count, slot, found_indirect, found, emits);
@@ -198,8 +224,6 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   }
 #endif
 
-  Surface m;
-  load_color(scene, &h, &m, active);
   if (parameters->features) {
     vi first_hit = active & (bounce == 0u);
     if (any_lane(first_hit)) {
@@ -211,7 +235,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       scatter_f(features + 3, at, facing.x);
       scatter_f(features + 4, at, facing.y);
       scatter_f(features + 5, at, facing.z);
-      scatter_f(features + 6, at, length3(sub3(p, origin)));
+      scatter_f(features + 6, at, segment_length);
       scatter_f(features + 7, at, one_f());
     }
   }
@@ -234,7 +258,12 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   }
 #endif
   uint most = parameters->depth;
+#ifdef PASSES_GLASS
+  // Paths that may not scatter again may still go straight on.
+  vi spent = active & none(passes) & (depth >= (vu)most) & ((vu)most != 0u);
+#else
   if (most) active = active & ((depth < most) | passes);
+#endif
 
 #ifdef COVERED
   // A virtual point light's place, reached straight from a surface that it lights: of what the diffuse layer here
@@ -250,9 +279,16 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 #endif
   load_lobes(scene, &h, &m, active);
 
-  ShadingFrame frame = shading_frame(h.normal, direction);
-  // Grazing beyond what the interpolated normal can tell: nothing is scattered.
+  ShadingFrame frame = shading_frame(&h, direction);
   active = active & ((frame.view.z > (vf)1e-6f) | passes);
+  set_side(&m, frame.from_back);
+#ifdef NEED_MEDIA
+  Media beyond = media_beyond(media, &h, scene, frame.from_back, active);
+  set_boundary(scene, &m, media, beyond, active);
+#endif
+#ifdef PASSES_GLASS
+  active = active & (none(spent) | is_passable(&m));
+#endif
 #ifdef NEED_LOBE
   prepare_lobe(scene, &m, max_f(frame.view.z, (vf)1e-6f));
 #ifdef COVERED
@@ -272,13 +308,24 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 #ifdef NEED_LIGHTS
   {
     vi lit = active & none(passes);
+#ifdef PASSES_GLASS
+    lit = lit & none(spent);
+#endif
 #ifdef NEED_TRANSMISSIVE
     vf opaque_share = one_f() - m.transmission;
-    lit = lit & (opaque_share > zero_f());
+    vi sees_light = opaque_share > zero_f();
+#ifdef NEED_ROUGH_TRANSMISSIVE
+    sees_light = sees_light | m.blurs;
+#endif
+    lit = lit & sees_light;
 #endif
 #ifdef NEED_LOBE
     // A bare mirror: no layer below and no rough lobe.
-    lit = lit & none(m.mirror & (m.lobe_share >= one_f()));
+    vi bare = m.mirror & (m.lobe_share >= one_f());
+#ifdef NEED_ROUGH_TRANSMISSIVE
+    bare = bare & none(m.blurs);
+#endif
+    lit = lit & none(bare);
 #endif
     vf l0, l1;
     if (any_lane(lit)) {
@@ -287,7 +334,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       light_total = light.total;
       v3 toward = make3(dot3(frame.tangent, light.direction), dot3(frame.bitangent, light.direction),
                         dot3(frame.normal, light.direction));
-      vi seen = lit & (light.pdf > zero_f()) & (toward.z > (vf)1e-6f);
+      vi above = toward.z > (vf)1e-6f;
+      vi seen = lit & (light.pdf > zero_f()) & above;
       vf pdf;
       v3 f = eval_bsdf(scene, &m, frame.view, make3(toward.x, toward.y, max_f(toward.z, (vf)1e-6f)), &pdf);
 #ifdef COVERED
@@ -306,6 +354,19 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       f = scale3(f, opaque_share);
       pdf *= opaque_share;
 #endif
+#ifdef NEED_ROUGH_TRANSMISSIVE
+      if (any_lane(m.blurs)) {
+        vf glass_pdf;
+        v3 g = eval_glass(&m, frame.view, toward, &glass_pdf);
+        vi through = m.blurs & (toward.z < (vf)-1e-6f);
+        f = mad3(g, m.transmission, pick3(f, splat3(zero_f()), through));
+        pdf = fma(m.transmission, glass_pdf, pick(pdf, zero_f(), through));
+        seen = lit & (light.pdf > zero_f()) & (above | through);
+      }
+#endif
+#ifdef NEED_BENT_NORMALS
+      f = scale3(f, geometric_share(&frame, light.direction, toward.z));
+#endif
       vf weight = power_heuristic(light.pdf, pdf);
       weight = pick(weight, one_f(), light.delta);
       contribution = scale3(mul3(mul3(throughput, f), light.radiance), weight / light.pdf);
@@ -313,9 +374,13 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
       shadow_origin = offset_ray_origin(p, h.error, h.geometric, light.direction);
       shadow_direction = pick3(sub3(light.target, shadow_origin), light.direction, light.infinite);
       shadow_far = pick((vf)-1.0f, pick((vf)SHADOW_FAR, (vf)INFINITY, light.infinite), connected);
+#ifdef NEED_MEDIA
+      vi beneath = toward.z < zero_f();
+      set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_MEDIA, pick_u(media.high, beyond.high, beneath));
+      set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_MEDIA + 1u, pick_u(media.low, beyond.low, beneath));
+#endif
 #ifdef TRANSPARENT_SHADOWS
-      shadow_bits |=
-          pick_u((vu)0u, (vu)SHADOW_PASSES, light.delta) | pick_u((vu)0u, (vu)SHADOW_INFINITE, light.infinite);
+      shadow_bits |= pick_u((vu)0u, (vu)SHADOW_INFINITE, light.infinite);
 #endif
     }
   }
@@ -330,15 +395,24 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   // One scattered ray.
   vf d0, d1;
   sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 3u, &d0, &d1);
-  BsdfSample scattered = sample_bsdf(scene, &m, frame.view, frame.from_back, u_lobe, u_glass, d0, d1);
-  v3 out = from_frame(&frame, scattered.direction);
-  v3 next_throughput = mul3(throughput, scattered.weight);
+  BsdfSample scattered = sample_bsdf(scene, &m, frame.view, u_lobe, u_glass, d0, d1);
   vi specular = scattered.pdf <= zero_f();
+  v3 out = scattered_direction(&frame, scattered.direction, specular);
+  v3 next_throughput = mul3(throughput, scattered.weight);
+#ifdef NEED_BENT_NORMALS
+  next_throughput =
+      scale3(next_throughput, pick(geometric_share(&frame, out, scattered.direction.z), one_f(), specular));
+#endif
   vf eta = row_f(paths, PATH_ROWS, block, ROW_ETA) * scattered.eta;
 #ifdef COVERED
   // Whether the diffuse layer scattered it or the lobe: by lot, in proportion to what each sends this way. A rough lobe
   // is one with the layer.
-  vi by_layer = none(specular);
+  vi unfiltered = specular;
+#ifdef NEED_ROUGH_TRANSMISSIVE
+  // Rough glass has a density too, but virtual point lights know nothing of it.
+  unfiltered = unfiltered | (u_glass < m.transmission);
+#endif
+  vi by_layer = none(unfiltered);
   vf gain = one_f();
   vi through = no_lanes();
 #ifdef NEED_LOBE
@@ -357,7 +431,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
     v3 factor = make3(pick(zero_f(), max_f(part.x, zero_f()) / both.x * odds, both.x > zero_f()),
                       pick(zero_f(), max_f(part.y, zero_f()) / both.y * odds, both.y > zero_f()),
                       pick(zero_f(), max_f(part.z, zero_f()) / both.z * odds, both.z > zero_f()));
-    next_throughput = pick3(mul3(next_throughput, factor), next_throughput, specular);
+    next_throughput = pick3(mul3(next_throughput, factor), next_throughput, unfiltered);
     through = (m.lobe_share >= one_f()) & none(rough);
     layer_share = pick(layer_share, clamped_share(parameters->clamp, geometry * gain, straight), rough);
   }
@@ -366,18 +440,37 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   through = through | (u_glass < m.transmission);
 #endif
   vi first_surface = cover == zero_f();
+#ifdef NEED_MEDIA
+  // Within a solid virtual point lights would have to be weakened by it: paths find all light there.
+  by_layer = by_layer & (none(first_surface) | (filling(media) == 0u));
+#endif
   next_throughput = pick3(next_throughput, scale3(next_throughput, layer_share), straight & by_layer);
   vf next_cover = pick(cover, (vf)COVER_FREE, straight);
   next_cover = pick(next_cover, (vf)COVER_CLAMPED, straight & by_layer);
   next_cover = pick(next_cover, (vf)COVER_FREE, first_surface & none(through));
   next_cover =
       pick(next_cover, max_f(scattered.direction.z, (vf)1e-6f) * gain, first_surface & by_layer & none(through));
-  // Through a veil no virtual point light is seen: what stands behind it is found by paths.
+#endif
+#ifdef NEED_MEDIA
+  vi opaque_passed = passes;  // through what is not opaque, which is no boundary
+#endif
+#ifdef PASSES_GLASS
+  vi unbent = active & none(passes) & scattered.straight;
+  v3 passed = pick3(throughput, next_throughput, unbent);
+  passes = passes | unbent;
+#else
+  v3 passed = throughput;
+#endif
+#ifdef COVERED
+  // Through a surface that is passed straight no virtual point light is seen: what stands behind it is found by paths.
   next_cover = pick(next_cover, pick(cover, (vf)COVER_FREE, cover > zero_f()), passes);
 #endif
   vi alive =
       active & none(passes) & (max_component(next_throughput) > zero_f()) & finite3(next_throughput) & finite3(out);
   vu next_depth = min(depth + 1u, (vu)META_DEPTH_MASK);
+#ifdef PASSES_GLASS
+  alive = alive & none(spent);
+#endif
 #if !defined(NEED_EMISSIVE_TRIANGLES) && !defined(NEED_ENVIRONMENT) && !defined(NEED_UNLIT)
   // The last scattering's ray could find emission alone, and here is none.
   if (most) alive = alive & (next_depth < most);
@@ -391,15 +484,21 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   vu next_diffuse = min(diffuse_count + pick_u((vu)1u, (vu)0u, specular), (vu)2u);
   vi next_specular = specular;
 
-#ifdef NEED_ALPHA
+#if defined(NEED_ALPHA) || defined(PASSES_GLASS)
   out = pick3(out, direction, passes);
-  next_throughput = pick3(next_throughput, throughput, passes);
+  next_throughput = pick3(next_throughput, passed, passes);
   next_depth = pick_u(next_depth, depth, passes);
   next_diffuse = pick_u(next_diffuse, diffuse_count, passes);
   next_specular = (next_specular & none(passes)) | (specular_since & passes);
   eta = pick(eta, row_f(paths, PATH_ROWS, block, ROW_ETA), passes);
+#ifdef TRANSPARENT_SHADOWS
+  vf next_travelled = pick(zero_f(), row_f(paths, PATH_ROWS, block, ROW_TRAVELLED) + segment_length, passes);
+  scattered.pdf = pick(scattered.pdf, last_pdf, passes);
+  light_total = pick(light_total, last_total, passes);
+#else
   scattered.pdf = pick(scattered.pdf, zero_f(), passes);
-  alive = (alive & none(passes)) | (active & passes);
+#endif
+  alive = (alive & none(passes)) | (active & passes & (max_component(passed) > zero_f()));
 #endif
   v3 start = offset_ray_origin(p, h.error, h.geometric, out);
   vu next_bounce = bounce + 1u;
@@ -438,6 +537,14 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   scatter_u(next_words + 16u * ROW_META, to, next_meta);
   scatter_u(next_words + 16u * ROW_KEY, to, key);
   scatter_f(next + 16u * ROW_ETA, to, eta);
+#ifdef TRANSPARENT_SHADOWS
+  scatter_f(next + 16u * ROW_TRAVELLED, to, next_travelled);
+#endif
+#ifdef NEED_MEDIA
+  scatter_u(next_words + 16u * ROW_MEDIA, to, pick_u(media.high, beyond.high, scattered.crosses & none(opaque_passed)));
+  scatter_u(next_words + 16u * (ROW_MEDIA + 1u), to,
+            pick_u(media.low, beyond.low, scattered.crosses & none(opaque_passed)));
+#endif
 #ifdef COVERED
   scatter_f(next + 16u * ROW_COVER, to, next_cover);
 #endif
@@ -445,9 +552,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 
 #ifdef TRANSPARENT_SHADOWS
 
-// Shadow rays and their closest hits: adds the light samples that arrived, and sends on, weakened, those of point, spot
-// and directional lights that met a surface which is not opaque. The others are blocked by it: their light is found by
-// paths that pass it themselves.
+// Shadow rays and their closest hits: adds the light samples that arrived, and sends on, weakened, those that met a
+// surface which light passes straight.
 kernel WIDE void path_pass(global float* restrict shadows, global float* restrict slots, uint slot_count, uint count,
                            global uint* counters, SCENE_PARAMETERS) {
   uint block = (uint)get_global_id(0);
@@ -462,21 +568,43 @@ kernel WIDE void path_pass(global float* restrict shadows, global float* restric
   vi hit = asked & (row_u(shadows, SHADOW_ROWS, block, ROW_GEOMETRY) != GLEANER_NONE) &
            (infinite | (row_f(shadows, SHADOW_ROWS, block, ROW_FAR) <= (vf)SHADOW_FAR));
   v3 contribution = row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION);
+  v3 origin = row_3(shadows, SHADOW_ROWS, block, ROW_ORIGIN);
+  v3 direction = row_3(shadows, SHADOW_ROWS, block, ROW_DIRECTION);
+  vu primitive = pick_u((vu)0u, row_u(shadows, SHADOW_ROWS, block, ROW_PRIMITIVE), hit);
+  Hit h = load_hit(scene, primitive, row_f(shadows, SHADOW_ROWS, block, ROW_U),
+                   row_f(shadows, SHADOW_ROWS, block, ROW_V), hit);
+#ifdef NEED_MEDIA
+  Media media;
+  media.high = row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_MEDIA);
+  media.low = row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_MEDIA + 1u);
+  media = media_at_end(media, &h, scene, meets_back(&h, direction), hit);
+  vf reach = pick(length3(direction), (vf)INFINITY, infinite);
+  reach = pick(reach, length3(sub3(h.p, origin)), hit);
+  contribution = mul3(contribution, absorption(scene, media, reach, asked));
+#endif
   vi arrived = asked & none(hit);
   if (any_lane(arrived)) {
     add_to_slots(slots, slot_count, slot & ~SHADOW_BITS, (slot & SHADOW_INDIRECT) != 0u, contribution, arrived);
     add_clamped(slots, slot_count, slot & ~SHADOW_BITS, contribution, arrived & ((slot & SHADOW_CLAMPED) != 0u));
   }
 
-  vi passes = hit & ((slot & SHADOW_PASSES) != 0u);
-  v3 origin = row_3(shadows, SHADOW_ROWS, block, ROW_ORIGIN);
-  v3 direction = row_3(shadows, SHADOW_ROWS, block, ROW_DIRECTION);
-  vu primitive = pick_u((vu)0u, row_u(shadows, SHADOW_ROWS, block, ROW_PRIMITIVE), passes);
-  Hit h = load_hit(scene, primitive, row_f(shadows, SHADOW_ROWS, block, ROW_U),
-                   row_f(shadows, SHADOW_ROWS, block, ROW_V), passes);
+  vi passes = hit;
   Surface m;
   load_color(scene, &h, &m, passes);
-  contribution = scale3(contribution, one_f() - m.opacity);
+  vf cosine = one_f();
+#ifdef PASSES_GLASS
+  load_lobes(scene, &h, &m, passes);
+  ShadingFrame frame = shading_frame(&h, normalize3(direction));
+  set_side(&m, frame.from_back);
+  cosine = frame.view.z;
+#endif
+#ifdef NEED_MEDIA
+  Media beyond = media_beyond(media, &h, scene, frame.from_back, passes);
+  set_boundary(scene, &m, media, beyond, passes);
+  set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_MEDIA, beyond.high);
+  set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_MEDIA + 1u, beyond.low);
+#endif
+  contribution = mul3(contribution, straight_share(&m, cosine));
   passes = passes & (max_component(contribution) > zero_f());
   v3 start = offset_ray_origin(h.p, h.error, h.geometric, direction);
   passes = passes & finite3(start);

@@ -4,6 +4,12 @@
 
 #include "kernels/rays.h"
 
+// Surfaces that light passes straight, weakened: what is not opaque, smooth panes, and boundaries of solids that bend
+// nothing.
+#if (defined(NEED_ALPHA) || defined(NEED_PANES) || defined(NEED_MEDIA)) && defined(CLUSTERS)
+#define TRANSPARENT_SHADOWS
+#endif
+
 // Rows of a block of 16 paths: the ray and its hit as Embree knows them, then the path's own state.
 #define ROW_THROUGHPUT 20u  // times 1 / survival of the roulette
 #define ROW_PDF 23u    // density, per steradian, of the ray's direction; 0: lights could not have been sampled there
@@ -13,7 +19,22 @@
 #define ROW_KEY 27u
 #define ROW_ETA 28u    // product of n_t / n_i along the path
 #define ROW_COVER 29u  // COVERED: what virtual point lights do with light that arrives on this ray, see COVER_...
-#define PATH_ROWS 30u
+// In scenes with surfaces that light passes straight: the way since the ray's direction was drawn, m. Passing is no
+// scattering: emission found beyond weighs against the light samples of where the direction was drawn, for shadow rays
+// pass the same surfaces.
+#define ROW_TRAVELLED 30u
+// In scenes with media: the solids that the path is in (kernels/surface.h), two words.
+#define ROW_MEDIA 31u
+#define PLAIN_PATH_ROWS 30u
+#define TRANSPARENT_PATH_ROWS 31u
+#define MEDIA_PATH_ROWS 33u
+#if defined(NEED_MEDIA)
+#define PATH_ROWS MEDIA_PATH_ROWS
+#elif defined(TRANSPARENT_SHADOWS)
+#define PATH_ROWS TRANSPARENT_PATH_ROWS
+#else
+#define PATH_ROWS PLAIN_PATH_ROWS
+#endif
 
 // ROW_COVER: 0: the path has met nothing but mirrors and glass. Above 0: it left the diffuse layer of its first other
 // surface, at this cosine; the diffuse layer that it meets next is a virtual point light. Below: paths alone find what
@@ -21,26 +42,31 @@
 #define COVER_FREE -1.0f
 #define COVER_CLAMPED -2.0f  // as COVER_FREE, of what clamping the geometry term took
 
-// Rows of a block of 16 shadow rays: RTCRay16, then what arrives if nothing is in the way. Where a scene has both alpha
-// and lights that no scattering finds, its shadow rays go through what is not opaque: they ask for the closest hit.
+// Rows of a block of 16 shadow rays: RTCRay16, then what arrives if nothing is in the way. Where a scene has surfaces
+// that light passes straight, its shadow rays pass them too, weakened: they ask for the closest hit.
+#define PLAIN_SHADOW_ROWS 16u
 #define TRANSPARENT_SHADOW_ROWS 24u
-#if defined(NEED_ALPHA) && defined(NEED_PUNCTUAL_LIGHTS)
-#define TRANSPARENT_SHADOWS
+#define MEDIA_SHADOW_ROWS 26u
+#ifdef TRANSPARENT_SHADOWS
 #define ROW_CONTRIBUTION 20u
 #define ROW_SHADOW_SLOT 23u
+#ifdef NEED_MEDIA
+#define ROW_SHADOW_MEDIA 24u  // as ROW_MEDIA
+#define SHADOW_ROWS MEDIA_SHADOW_ROWS
+#else
 #define SHADOW_ROWS TRANSPARENT_SHADOW_ROWS
+#endif
 #else
 #define ROW_CONTRIBUTION 12u
 #define ROW_SHADOW_SLOT 15u  // the slot and the bits below; the slot count: no ray
-#define SHADOW_ROWS 16u
+#define SHADOW_ROWS PLAIN_SHADOW_ROWS
 #endif
 // How far shadow rays go, the light being at 1.
 #define SHADOW_FAR 0.9999999f
 #define SHADOW_INDIRECT 0x80000000u
-#define SHADOW_PASSES 0x40000000u    // goes through what is not opaque
 #define SHADOW_INFINITE 0x20000000u  // its light is not at `far` 1
 #define SHADOW_CLAMPED 0x10000000u   // counts as given back of what was clamped
-#define SHADOW_BITS (SHADOW_INDIRECT | SHADOW_PASSES | SHADOW_INFINITE | SHADOW_CLAMPED)
+#define SHADOW_BITS (SHADOW_INDIRECT | SHADOW_INFINITE | SHADOW_CLAMPED)
 // Of rays between points and virtual point lights.
 #define VISIBILITY_ROWS 16u
 

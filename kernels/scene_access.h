@@ -125,6 +125,15 @@ FN v3 texture_lookup(const Scene* scene, vu texture, vf u, vf v, vi active, vf* 
 
 #endif
 
+#ifdef NEED_ALPHA
+// What of a material of opacity `alpha` is in light's way.
+FN vf opacity_of(const Scene* scene, vu material, vu flags, vf alpha) {
+  vf masked = pick(zero_f(), one_f(), alpha >= material_f(scene, material, MATERIAL_ALPHA_CUTOFF));
+  alpha = pick(alpha, masked, (flags & GLEANER_MATERIAL_ALPHA_MASK) != 0u);
+  return pick(one_f(), alpha, (flags & (GLEANER_MATERIAL_ALPHA_MASK | GLEANER_MATERIAL_ALPHA_BLEND)) != 0u);
+}
+#endif
+
 #ifdef NEED_ENVIRONMENT
 
 // Lat-long coordinates of a unit direction: d = (sin t sin p, cos t, -sin t cos p), p = 2 pi u, t = pi v.

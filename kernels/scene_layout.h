@@ -59,6 +59,8 @@
 #define MATERIAL_TRANSMISSION_TEXTURE 24u
 #define MATERIAL_SPECULAR_TEXTURE 25u
 #define MATERIAL_SPECULAR_COLOR_TEXTURE 26u
+#define MATERIAL_MEDIUM 27u     // rank of the solid that it bounds (scene/model/media.h), from 1; 0: none
+#define MATERIAL_OF_MEDIUM 28u  // in row r: the material of the solid of rank r + 1
 
 // Textures: the words of gleaner::scene::Texture.
 #define TEXTURE_WORDS 16u
@@ -78,10 +80,11 @@
 #define EMITTER_E1 3u
 #define EMITTER_E2 6u
 #define EMITTER_RADIANCE 9u
-#define EMITTER_CDF 12u       // upper end of its share in its cluster
-#define EMITTER_PMF 13u       // its share in its cluster
-#define EMITTER_TRIANGLE 14u  // GLEANER_NONE for lights without one
-#define EMITTER_CLUSTER 15u
+#define EMITTER_CDF 12u                // upper end of its share in its cluster
+#define EMITTER_PMF 13u                // its share in its cluster
+#define EMITTER_TRIANGLE 14u           // GLEANER_NONE for lights without one
+#define EMITTER_CLUSTER 15u            // and EMITTER_TWO_SIDED
+#define EMITTER_TWO_SIDED 0x80000000u  // a triangle that shines from both faces
 #define EMITTER_POSITION 0u
 #define EMITTER_DIRECTION 3u  // the way the light travels
 #define EMITTER_COS_INNER 6u
@@ -99,6 +102,7 @@
 #define CLUSTER_FIRST 10u
 #define CLUSTER_COUNT 11u
 #define CLUSTER_KIND 12u
+#define CLUSTER_TWO_SIDED 13u  // 1: its triangles shine from both faces, the cone of normals is one of two
 #define CLUSTER_TRIANGLES 0u
 #define CLUSTER_POSITIONAL 1u
 #define CLUSTER_DIRECTIONAL 2u
@@ -109,7 +113,8 @@
 // rows.
 #define ENVIRONMENT_HEADER 4u  // width, height, row-search steps, column-search steps
 
-// The lights as light paths choose them: this header, then each one's cumulated share of the scene's light.
+// The lights as light paths choose them: this header, then each one's cumulated share of the scene's light, then, in
+// scenes with media, the solids that each stands in (kernels/surface.h: Media, two words).
 #define EMISSION_HEADER 8u
 #define EMISSION_COUNT 0u
 #define EMISSION_STEP 1u  // of the search: the largest power of two not above the count

@@ -8,6 +8,7 @@
 typedef struct {
   v3 p, error;   // the point, and the bound of its rounding (surface_point)
   v3 geometric;  // of the triangle's winding
+  v3 outward;    // the same, turned to the side that the vertices' normals say is the front
   v3 normal;     // for shading: interpolated and mapped, its side as modelled
   v3 e1, e2;     // edges
   vf b1, b2;     // weights of the second and third corner
@@ -108,6 +109,10 @@ FN Hit load_hit(const Scene* scene, vu primitive, vf b1, vf b2, vi active) {
     h.normal = pick3(h.geometric, scale3(n, one_f() / sqrt(l2)), l2 > (vf)1e-12f);
   }
 #endif
+  h.outward = h.geometric;
+#ifdef NEED_SMOOTH_NORMALS
+  h.outward = pick3(h.outward, negate3(h.outward), dot3(h.outward, h.normal) < zero_f());
+#endif
 #ifdef NEED_NORMAL_MAPS
   {
     vu texture = material_u(scene, h.material, MATERIAL_NORMAL_TEXTURE);
@@ -149,14 +154,16 @@ FN Hit load_hit(const Scene* scene, vu primitive, vf b1, vf b2, vi active) {
   return h;
 }
 
-#ifdef NEED_ALPHA
-// What of a material of opacity `alpha` is in light's way.
-FN vf opacity_of(const Scene* scene, vu material, vu flags, vf alpha) {
-  vf masked = pick(zero_f(), one_f(), alpha >= material_f(scene, material, MATERIAL_ALPHA_CUTOFF));
-  alpha = pick(alpha, masked, (flags & GLEANER_MATERIAL_ALPHA_MASK) != 0u);
-  return pick(one_f(), alpha, (flags & (GLEANER_MATERIAL_ALPHA_MASK | GLEANER_MATERIAL_ALPHA_BLEND)) != 0u);
-}
+// Whether light that the triangle emits leaves it against `direction`.
+FN vi shines_towards(const Hit* h, v3 direction) {
+  vf facing = dot3(h->geometric, direction);
+#ifdef NEED_TWO_SIDED_EMITTERS
+  return (facing < zero_f()) |
+         ((facing > zero_f()) & ((as_vu(h->words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_DOUBLE_SIDED) != 0u));
+#else
+  return facing < zero_f();
 #endif
+}
 
 // Colour and opacity: all that emission and alpha tests ask of a material.
 FN void load_color(const Scene* scene, const Hit* h, Surface* m, vi active) {
@@ -250,6 +257,30 @@ FN void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active) {
 #ifdef NEED_LOBE
   m->alpha2 = m->alpha * m->alpha;
 #endif
+#if defined(NEED_TRANSMISSIVE) && defined(NEED_LOBE)
+  // Only what is not metal transmits; `metallic` becomes its share of what glass leaves.
+  m->transmission *= one_f() - m->metallic;
+  vf left = one_f() - m->transmission;
+  m->metallic = pick(zero_f(), m->metallic / left, left > zero_f());
+#endif
+#ifdef NEED_TRANSMISSIVE
+  m->hidden = no_lanes();
+#endif
+#endif
+}
+
+#ifdef NEED_TRANSMISSIVE
+FN void set_eta(Surface* m, vf eta) {
+  m->eta = eta;
+  // A rough boundary between equals neither bends light nor blurs it.
+  m->blurs = (m->alpha >= (vf)GLEANER_SMOOTH_GLASS_ALPHA) & none(m->solid & (fabs(eta - one_f()) < (vf)1e-3f));
+}
+#endif
+
+// After load_lobes(): the index of refraction on the other side over that on the ray's, around a solid nothing but air.
+FN void set_side(Surface* m, vi from_back) {
+#ifdef NEED_TRANSMISSIVE
+  set_eta(m, pick(m->ior, one_f() / m->ior, from_back & m->solid));
 #endif
 }
 
@@ -265,21 +296,45 @@ FN vi stochastic_alpha(const Surface* m, vi active, vf* u) {
 #endif
 }
 
-// The frame in which scattering is reckoned: interpolated and mapped normals decide the side and the cosine.
+// The frame in which scattering is computed. Geometry decides the side; normals for shading decide the cosines.
 typedef struct {
-  v3 normal;  // on the side that the ray came from
+  v3 normal;     // for shading, on the side that the ray came from
+  v3 geometric;  // of the triangle, on that side
   v3 tangent, bitangent;
   v3 view;       // where the ray came from, in this frame
-  vi from_back;  // of the normal as modelled
+  vf facing;     // cosine between it and the normal: view.z, or less where the normal faces away
+  vi from_back;  // of the surface as modelled
 } ShadingFrame;
 
-FN ShadingFrame shading_frame(v3 normal, v3 direction) {
+// Least cosine of the view to a normal for shading, and of such a normal to the triangle's own: a bent normal that
+// faces away from the viewer is seen as if at grazing incidence.
+#define LEAST_COSINE 1e-3f
+
+FN ShadingFrame shading_frame(const Hit* h, v3 direction) {
   ShadingFrame f;
-  vf facing = dot3(normal, direction);
-  f.from_back = facing > zero_f();
-  f.normal = pick3(normal, negate3(normal), f.from_back);
+#ifdef NEED_BENT_NORMALS
+  f.from_back = dot3(h->outward, direction) > zero_f();
+  f.geometric = pick3(h->outward, negate3(h->outward), f.from_back);
+  f.normal = pick3(h->normal, negate3(h->normal), f.from_back);
+  vf above = dot3(f.normal, f.geometric);
+  f.normal =
+      pick3(f.normal, normalize3(mad3(f.geometric, (vf)LEAST_COSINE - above, f.normal)), above < (vf)LEAST_COSINE);
   basis3(f.normal, &f.tangent, &f.bitangent);
-  f.view = make3(-dot3(f.tangent, direction), -dot3(f.bitangent, direction), fabs(facing));
+  f.facing = -dot3(f.normal, direction);
+  v3 along = make3(-dot3(f.tangent, direction), -dot3(f.bitangent, direction), zero_f());
+  vf z = max_f(f.facing, (vf)LEAST_COSINE);
+  vf stretch = sqrt((one_f() - z * z) / max_f(dot3(along, along), (vf)1e-12f));
+  stretch = pick(one_f(), stretch, f.facing < (vf)LEAST_COSINE);
+  f.view = make3(along.x * stretch, along.y * stretch, z);
+#else
+  vf facing = dot3(h->normal, direction);
+  f.from_back = facing > zero_f();
+  f.normal = pick3(h->normal, negate3(h->normal), f.from_back);
+  f.geometric = f.normal;
+  basis3(f.normal, &f.tangent, &f.bitangent);
+  f.facing = fabs(facing);
+  f.view = make3(-dot3(f.tangent, direction), -dot3(f.bitangent, direction), f.facing);
+#endif
   return f;
 }
 
@@ -287,19 +342,175 @@ FN v3 from_frame(const ShadingFrame* f, v3 d) {
   return normalize3(add3(add3(scale3(f->tangent, d.x), scale3(f->bitangent, d.y)), scale3(f->normal, d.z)));
 }
 
-// What a solid absorbs of a segment that ended on its back face.
-FN v3 absorbed(const Scene* scene, const Hit* h, v3 origin, v3 direction, v3 throughput, vi active) {
-#ifdef NEED_ATTENUATION
-  vi within = active & none(dot3(h->geometric, direction) < zero_f()) &
-              ((as_vu(h->words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_ATTENUATES) != 0u);
-  if (any_lane(within)) {
-    vf distance = length3(sub3(h->p, origin));
-    v3 k = material_3(scene, h->material, MATERIAL_ATTENUATION);
-    v3 left = make3(exp(-k.x * distance), exp(-k.y * distance), exp(-k.z * distance));
-    throughput = pick3(throughput, mul3(throughput, left), within);
+#ifdef NEED_BENT_NORMALS
+// What geometry leaves of light from unit `l` that is scattered above the surface (nl > 0, the cosine to the normal for
+// shading) or goes through it: nothing where geometry says the other side.
+FN vf geometric_share(const ShadingFrame* f, v3 l, vf nl) {
+  vf gl = dot3(f->geometric, l);
+  vf above = terminator(gl, nl, dot3(f->normal, f->geometric));
+  vf through = pick(zero_f(), one_f(), gl < zero_f());
+  return pick(through, above, nl > zero_f());
+}
+#endif
+
+// A scattered direction. What mirrors and smooth glass send to the wrong side of the geometry is turned to its horizon;
+// what rough lobes send there is lost (geometric_share).
+FN v3 scattered_direction(const ShadingFrame* f, v3 scattered, vi smooth) {
+  v3 out = from_frame(f, scattered);
+#ifdef NEED_BENT_NORMALS
+  vf side = pick((vf)-1.0f, one_f(), scattered.z > zero_f());
+  vf height = dot3(f->geometric, out) * side;
+  v3 level = normalize3(mad3(f->geometric, side * ((vf)LEAST_COSINE - height), out));
+  out = pick3(out, level, smooth & (height < (vf)LEAST_COSINE));
+#endif
+  return out;
+}
+
+#if defined(NEED_PANES) || defined(NEED_MEDIA)
+#define PASSES_GLASS
+// May light go straight on through the surface's glass? After set_side() and set_boundary().
+FN vi is_passable(const Surface* m) {
+  vi passable = none(m->solid) & none(m->blurs);
+#ifdef NEED_MEDIA
+  passable = passable | bends_nothing(m);
+#endif
+  return passable & (m->transmission > zero_f());
+}
+#endif
+
+// What a surface lets go straight on of light that meets it at cosine nv, RGB: what is not opaque, and what glass
+// passes. The same on both sides, and in the mean what a path lets through.
+FN v3 straight_share(const Surface* m, vf nv) {
+  v3 share = splat3(zero_f());
+#ifdef PASSES_GLASS
+  vi passable = is_passable(m);
+  if (any_lane(passable)) {
+    vf unused;
+    vf fresnel = glass_fresnel(m, nv, &unused);
+    v3 tint = m->base;
+#ifdef NEED_MEDIA
+    fresnel = pick(fresnel, zero_f(), bends_nothing(m));
+    tint = pick3(tint, splat3(one_f()), m->hidden);
+#endif
+    share = pick3(share, scale3(tint, m->transmission * (one_f() - fresnel)), passable);
   }
 #endif
-  return throughput;
+#ifdef NEED_ALPHA
+  share = mad3(share, m->opacity, splat3(one_f() - m->opacity));
+#endif
+  return share;
 }
+
+// --- Segments: what the media along a ray absorb ---
+
+#ifdef NEED_MEDIA
+
+// The solids that a path is in: ranks (scene/model/media.h), the highest first, two to a word; 0 where there is none. A
+// fifth solid about a point is forgotten.
+typedef struct {
+  vu high, low;
+} Media;
+
+FN Media media_of(uint high, uint low) {
+  Media m;
+  m.high = (vu)high;
+  m.low = (vu)low;
+  return m;
+}
+FN void unpack_media(Media m, vu* rank) {
+  rank[0] = m.high >> 16;
+  rank[1] = m.high & 0xffffu;
+  rank[2] = m.low >> 16;
+  rank[3] = m.low & 0xffffu;
+}
+FN Media pack_media(const vu* rank) {
+  Media m;
+  m.high = (rank[0] << 16) | rank[1];
+  m.low = (rank[2] << 16) | rank[3];
+  return m;
+}
+// Rank of the solid that fills the space; 0: air.
+FN vu filling(Media m) { return m.high >> 16; }
+
+FN Media enter_medium(Media m, vu entered, vi active) {
+  vu rank[4];
+  unpack_media(m, rank);
+  for (uint k = 0; k < 4u; ++k) {
+    vu lesser = min(rank[k], entered);
+    rank[k] = pick_u(rank[k], max(rank[k], entered), active);
+    entered = lesser;
+  }
+  return pack_media(rank);
+}
+FN Media leave_medium(Media m, vu left, vi active) {
+  vu rank[5];
+  unpack_media(m, rank);
+  rank[4] = (vu)0u;
+  vi found = no_lanes();
+  for (uint k = 0; k < 4u; ++k) {
+    found = found | (active & (rank[k] == left));
+    rank[k] = pick_u(rank[k], rank[k + 1u], found);
+  }
+  return pack_media(rank);
+}
+FN vi is_in_medium(Media m, vu rank) {
+  vu held[4];
+  unpack_media(m, held);
+  return (held[0] == rank) | (held[1] == rank) | (held[2] == rank) | (held[3] == rank);
+}
+
+FN vu material_of_medium(const Scene* scene, vu rank) {
+  return material_u(scene, pick_u((vu)0u, rank - 1u, rank != 0u), MATERIAL_OF_MEDIUM);
+}
+FN vf ior_of_medium(const Scene* scene, vu rank) {
+  return pick(one_f(), material_f(scene, material_of_medium(scene, rank), MATERIAL_IOR), rank != 0u);
+}
+
+// What is left of light after `distance` in what fills the space there.
+FN v3 absorption(const Scene* scene, Media media, vf distance, vi active) {
+  v3 left = splat3(one_f());
+#ifdef NEED_ATTENUATION
+  vu rank = filling(media);
+  vi within = active & (rank != 0u);
+  if (any_lane(within)) {
+    v3 k = material_3(scene, material_of_medium(scene, pick_u((vu)0u, rank, within)), MATERIAL_ATTENUATION);
+    // Only what absorbs may meet an infinite distance: 0 * infinity is no number.
+    v3 depth = make3(pick(zero_f(), k.x * distance, k.x > zero_f()), pick(zero_f(), k.y * distance, k.y > zero_f()),
+                     pick(zero_f(), k.z * distance, k.z > zero_f()));
+    left = pick3(left, make3(exp(-depth.x), exp(-depth.y), exp(-depth.z)), within);
+  }
+#endif
+  return left;
+}
+
+// Does a ray meet the surface from behind, as modelled?
+FN vi meets_back(const Hit* h, v3 direction) { return dot3(h->outward, direction) > zero_f(); }
+
+// The media of a segment that ended at `h`, on the surface's back or not. Who leaves a solid has been in it, even where
+// its entering was not seen (the path began there, or the surface is open).
+FN Media media_at_end(Media media, const Hit* h, const Scene* scene, vi from_back, vi active) {
+  vu rank = material_u(scene, h->material, MATERIAL_MEDIUM);
+  return enter_medium(media, rank, active & from_back & (rank != 0u) & none(is_in_medium(media, rank)));
+}
+
+// Those beyond the surface.
+FN Media media_beyond(Media media, const Hit* h, const Scene* scene, vi from_back, vi active) {
+  vu rank = material_u(scene, h->material, MATERIAL_MEDIUM);
+  active = active & (rank != 0u);
+  media = leave_medium(media, rank, active & from_back);
+  return enter_medium(media, rank, active & none(from_back));
+}
+
+// After load_lobes(): the boundary between two media. It is hidden where one solid fills the space on both sides.
+FN void set_boundary(const Scene* scene, Surface* m, Media before, Media beyond, vi active) {
+  vu inner = filling(before), outer = filling(beyond);
+  vi solid = active & m->solid;
+  if (!any_lane(solid)) return;
+  vf eta = ior_of_medium(scene, pick_u((vu)0u, outer, solid)) / ior_of_medium(scene, pick_u((vu)0u, inner, solid));
+  m->hidden = solid & (inner == outer);
+  set_eta(m, pick(m->eta, eta, solid));
+}
+
+#endif
 
 #endif

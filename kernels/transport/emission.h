@@ -2,7 +2,8 @@
 //
 //   light     <- by its share of the scene's power (cumulated shares, kernels/scene_layout.h: EMISSION_...)
 //   point     <- uniform on the triangle | the light's place | a disc across the scene's bounding sphere
-//   direction <- cosine-weighted over the triangle's front | uniform in the spot's cone | the distant light's own
+//   direction <- cosine-weighted over the triangle's front, or both faces | uniform in the spot's cone | the distant
+//                light's own
 //   flux      <- what the light emits there / the density of these choices
 //
 // The mean of `flux` over all paths is the scene's emitted power. Include it where light is followed from its source;
@@ -17,6 +18,10 @@ typedef struct {
   v3 flux;   // W, RGB
   vf range;  // of the punctual light's window (KHR_lights_punctual), which weighs the first segment; 0: none
   vi valid;
+  vi punctual;  // of a point, spot or directional light
+#ifdef NEED_MEDIA
+  vu media_high, media_low;  // the solids that the light stands in (kernels/surface.h: Media)
+#endif
 } EmittedRay;
 
 #ifdef NEED_EMISSIVE_TRIANGLES
@@ -29,13 +34,20 @@ FN void emit_from_triangle(const Scene* scene, const vf* e, vf u0, vf u1, vf d0,
   v3 n = cross3(e1, e2);
   vf doubled = length3(n);
   n = normalize3(n);
+#ifdef NEED_TWO_SIDED_EMITTERS
+  // The direction's second number says which face, and what is left of it aims.
+  vi two_sided = is_two_sided(e), back = two_sided & (d1 >= (vf)0.5f);
+  n = pick3(n, negate3(n), back);
+  doubled = pick(doubled, 2.0f * doubled, two_sided);
+  d1 = pick(d1, 2.0f * d1 - pick(zero_f(), one_f(), back), two_sided);
+#endif
   v3 s, t;
   basis3(n, &s, &t);
   v3 lobe = sample_cosine(d0, d1);
   v3 w = normalize3(add3(add3(scale3(s, lobe.x), scale3(t, lobe.y)), scale3(n, lobe.z)));
   ray->origin = pick3(ray->origin, offset_ray_origin(q, error, n, w), here);
   ray->direction = pick3(ray->direction, w, here);
-  // Cosine-weighted over the front: pi times the area.
+  // Cosine-weighted over a face: pi times the area of each that shines.
   ray->flux =
       pick3(ray->flux, scale3(emitter_radiance(scene, e, b1, b2, here), doubled * (vf)1.5707963267948966f), here);
 }
@@ -119,12 +131,18 @@ FN EmittedRay emit_light(const Scene* scene, global const float* emission, vf u_
   vi environment = (entry == header[EMISSION_COUNT] - 1u) & ((vu)header[EMISSION_ENVIRONMENT] != 0u);
   vf e[16];
   load_words(scene->emitters, pick_u(entry, (vu)0u, environment) * EMITTER_WORDS, e);
-  vu kind = gather_u((global const uint*)scene->clusters + CLUSTER_KIND, as_vu(e[EMITTER_CLUSTER]) * CLUSTER_WORDS);
+  vu kind = gather_u((global const uint*)scene->clusters + CLUSTER_KIND, emitter_cluster(e) * CLUSTER_WORDS);
   EmittedRay ray;
   ray.origin = center;
   ray.direction = uniform3(0.0f, 0.0f, 1.0f);
   ray.flux = splat3(zero_f());
   ray.range = zero_f();
+  ray.punctual = none(environment) & (kind != CLUSTER_TRIANGLES);
+#ifdef NEED_MEDIA
+  vu media = entry * 2u + header[EMISSION_COUNT] + EMISSION_HEADER;
+  ray.media_high = gather_u(header, media);
+  ray.media_low = gather_u(header + 1u, media);
+#endif
 #ifdef NEED_EMISSIVE_TRIANGLES
   emit_from_triangle(scene, e, u0, u1, d0, d1, none(environment) & (kind == CLUSTER_TRIANGLES), &ray);
 #endif

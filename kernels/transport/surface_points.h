@@ -43,7 +43,7 @@ FN SurfacePoint step_to_surface_point(const Scene* scene, global float* paths, u
   vu bounce = (meta >> META_BOUNCE) & META_BOUNCE_MASK;
   vu sample = (meta >> META_SAMPLE) & META_SAMPLE_MASK;
   Vertex v = meet_surface(scene, paths, PATH_ROWS, block, active);
-  throughput = absorbed(scene, &v.hit, origin, direction, throughput, active);
+  throughput = through_media(scene, &v, paths, block, origin, direction, throughput);
   vu pair_key = hash_combine(key, bounce * 4u + 1u);
   vf u_lobe, u_glass, d0, d1, u_roulette, u_spare;
   sample_pair(pair_key, sample, samples, 0u, &u_roulette, &u_spare);
@@ -79,17 +79,27 @@ FN SurfacePoint step_to_surface_point(const Scene* scene, global float* paths, u
   vi continues = here & (bare | glass);
   point.found = here & none(continues) & ((max_component(point.albedo) > zero_f()) | point.rough);
   if (max_depth) point.found = point.found & (depth + needed <= (vu)max_depth);
+#ifdef NEED_MEDIA
+  // Within a solid paths find all light: other lights would have to be weakened by it.
+  point.found = point.found & (filling(v.media) == 0u);
+#endif
 
-  BsdfSample scattered = sample_bsdf(scene, m, v.frame.view, v.frame.from_back, u_lobe, u_glass, d0, d1);
+  BsdfSample scattered = sample_bsdf(scene, m, v.frame.view, u_lobe, u_glass, d0, d1);
+  vi smooth = scattered.pdf <= zero_f();
   NextRay next;
-  next.direction = from_frame(&v.frame, scattered.direction);
+  next.direction = scattered_direction(&v.frame, scattered.direction, smooth);
   next.throughput = mul3(throughput, scattered.weight);
+#ifdef NEED_BENT_NORMALS
+  next.throughput =
+      scale3(next.throughput, pick(geometric_share(&v.frame, next.direction, scattered.direction.z), one_f(), smooth));
+#endif
   next.alive =
       continues & (max_component(next.throughput) > zero_f()) & finite3(next.throughput) & finite3(next.direction);
   next.depth = min(depth + 1u, (vu)META_DEPTH_MASK);
   // Two mirrors may face each other.
   russian_roulette(&next, next.depth >= 8u, min_f(max_component(next.throughput), (vf)ROULETTE_MOST), u_roulette);
-  leave_vertex(&v, direction, throughput, depth, &next);
+  v3 passed = pass_glass(&v, &scattered, throughput, &next);
+  leave_vertex(&v, direction, passed, depth, &next);
   next.alive = next.alive & (bounce < (vu)META_BOUNCE_MASK);
   uint kept;
   rank_lanes(next.alive, &kept);

@@ -96,8 +96,8 @@ FN v3 lobes_bring(const Scene* scene, global const float* light, v3 flux, v3 p, 
 // What an unshadowed light would bring to a point: to the diffuse layer, and to `glossy` what the point's rough lobe
 // makes of it. The geometry term is bounded (eq. 4), together with the lobes' gain at both ends; lobes take their part
 // from the layers below them.
-FN v3 light_brings(const Scene* scene, global const float* light, v3 p, v3 n, const PointLobe* lobe, vf clamp_to,
-                   vf* inverse_out, v3* glossy) {
+FN v3 plain_light_brings(const Scene* scene, global const float* light, v3 p, v3 n, const PointLobe* lobe, vf clamp_to,
+                         vf* inverse_out, v3* glossy) {
   v3 flux = uniform3(light[VPL_FLUX], light[VPL_FLUX + 1], light[VPL_FLUX + 2]);
   *glossy = splat3(zero_f());
   vf at_point, side;
@@ -114,6 +114,19 @@ FN v3 light_brings(const Scene* scene, global const float* light, v3 p, v3 n, co
   vf g = geometry_of(light, p, n, clamp_to, &at_point, &side, inverse_out);
   return scale3(flux, g);
 #endif
+}
+
+// The same, less what geometry takes of it.
+FN v3 light_brings(const Scene* scene, global const float* light, v3 p, v3 n, const PointLobe* lobe, vf clamp_to,
+                   vf* inverse_out, v3* glossy) {
+  v3 brought = plain_light_brings(scene, light, p, n, lobe, clamp_to, inverse_out, glossy);
+#ifdef NEED_BENT_NORMALS
+  v3 q = uniform3(light[VPL_POSITION], light[VPL_POSITION + 1], light[VPL_POSITION + 2]);
+  vf share = lit_at_point(lobe, n, sub3(q, p));
+  *glossy = scale3(*glossy, share);
+  brought = scale3(brought, share);
+#endif
+  return brought;
 }
 
 // A point in deep shadow is as exact as one that gets this much of what the lights its clusters see would bring it.
@@ -144,7 +157,7 @@ kernel WIDE void vpl_gather(global const VplPointParameters* restrict parameters
   vf unshadowed = zero_f();
   if (any_lane(active)) {
     v3 p = words3(w, POINT_POSITION), n = words3(w, POINT_NORMAL);
-    PointLobe lobe = load_point_lobe(w, lobes, point, active);
+    PointLobe lobe = load_point_lobe(scene, w, lobes, point, active);
     uint words = width / 32u;
     uint slice = (leader >> 4) & (slices - 1u);
     vf clamp_to = (vf)parameters->clamp;

@@ -15,8 +15,16 @@ FN vf bounded_geometry(v3 p, v3 n, v3 q, v3 light_normal, v3 light_geometric, vf
   *at_point = dot3(n, d);
   *side = -dot3(light_normal, d);
   *inverse = one_f() / d2;
-  vf g = min_f(*at_point * fabs(dot3(light_geometric, d)) * *inverse * *inverse, clamp_to);
-  return pick(zero_f(), g, (*at_point > zero_f()) & (*side > zero_f()) & (d2 > zero_f()));
+  vf height = dot3(light_geometric, d);
+  vf g = min_f(*at_point * fabs(height) * *inverse * *inverse, clamp_to);
+#ifdef NEED_BENT_NORMALS
+  // Geometry decides the side that a light shines to, as it does for a camera path (kernels/surface.h: shading_frame).
+  vi shines = height < zero_f();
+  *side = max_f(*side, (vf)1e-3f * sqrt(d2));
+#else
+  vi shines = *side > zero_f();
+#endif
+  return pick(zero_f(), g, (*at_point > zero_f()) & shines & (d2 > zero_f()));
 }
 
 // The same with a light that all lanes share.

@@ -3,6 +3,7 @@
 #define GLEANER_KERNELS_VPL_LOBES_H
 
 #include "kernels/bsdf.h"
+#include "kernels/scene_layout.h"
 #include "kernels/vpl/geometry.h"
 
 #ifdef NEED_LOBE
@@ -15,8 +16,11 @@ FN vf left_at(const Scene* scene, vu table, vf table_row, vf cosine) {
 }
 #endif
 
-// What a point has beside its row: lobes.
+// What a point has beside its row: its triangle's normal, and lobes.
 typedef struct {
+#ifdef NEED_BENT_NORMALS
+  v3 geometric;  // not of unit length
+#endif
 #ifdef NEED_LOBE
   vu table;
   vf table_row;
@@ -29,9 +33,25 @@ typedef struct {
 #endif
 } PointLobe;
 
+#ifdef NEED_BENT_NORMALS
+// What geometry at a point leaves of light from `toward`, of any length.
+FN vf lit_at_point(const PointLobe* lobe, v3 n, v3 toward) {
+  return terminator(dot3(lobe->geometric, toward), dot3(n, toward), dot3(lobe->geometric, n));
+}
+#endif
+
 // `row`: of the point in `lobes`.
-FN PointLobe load_point_lobe(const vf* point, global const float* lobes, vu row, vi active) {
+FN PointLobe load_point_lobe(const Scene* scene, const vf* point, global const float* lobes, vu row, vi active) {
   PointLobe lobe;
+#ifdef NEED_BENT_NORMALS
+  vf t[16];
+  load_words(scene->triangles, pick_u((vu)0u, as_vu(point[POINT_TRIANGLE]), active) * TRIANGLE_WORDS, t);
+  v3 p0 = words3(t, TRIANGLE_P0);
+  lobe.geometric = cross3(sub3(words3(t, TRIANGLE_P1), p0), sub3(words3(t, TRIANGLE_P2), p0));
+  // The point's normal is on the viewer's side.
+  lobe.geometric =
+      pick3(lobe.geometric, negate3(lobe.geometric), dot3(lobe.geometric, words3(point, POINT_NORMAL)) < zero_f());
+#endif
 #ifdef NEED_LOBE
   lobe.table = pick_u((vu)GLEANER_NONE, as_vu(point[POINT_TABLE]), active);
   lobe.table_row = pick(zero_f(), point[POINT_ROW], active);

@@ -14,8 +14,8 @@
 // handles at once are neighbours that look at one slice of the lights. by_point: an item is one path, of every
 // stride-th pixel.
 kernel WIDE void vpl_camera_rays(global const VplPointParameters* restrict parameters, uint first_low, uint first_high,
-                                 uint count, uint by_point, global float* restrict paths,
-                                 global float* restrict points) {
+                                 uint count, uint by_point, global float* restrict paths, global float* restrict points,
+                                 uint media_high, uint media_low) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
   if (first_lane >= count) return;
@@ -42,6 +42,9 @@ kernel WIDE void vpl_camera_rays(global const VplPointParameters* restrict param
   sample_pair(key, sample, samples, 0u, &jx, &jy);
   camera_ray(&parameters->camera, parameters->width, parameters->height, pixel, jx, jy, &ray.origin, &ray.direction);
   ray.throughput = splat3(one_f());
+#ifdef NEED_MEDIA
+  ray.media = media_of(media_high, media_low);
+#endif
   set_path(paths, block, &ray, lane, sample << META_SAMPLE, key);
   for (uint k = 0; k < POINT_WORDS; ++k)
     store_f(points + POINT_WORDS * first_lane + k * LANES, 0, as_vf((vu)GLEANER_NONE));

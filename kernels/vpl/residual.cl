@@ -223,15 +223,20 @@ kernel WIDE void vpl_residual_rays(global const VplPointParameters* restrict par
                   pick(one_f(), (vf)(float)SUBSAMPLING, (sample & RESIDUAL_SUBSAMPLED) != 0u),
                   (sample & RESIDUAL_CERTAIN) != 0u);
   v3 glossy = splat3(zero_f());
-#ifdef NEED_LOBE
+#if defined(NEED_LOBE) || defined(NEED_BENT_NORMALS)
   // Of all lanes: those behind the last sample write its term as well.
-  PointLobe lobe = load_point_lobe(w, lobes, point, all_lanes());
+  PointLobe lobe = load_point_lobe(scene, w, lobes, point, all_lanes());
+#endif
+#ifdef NEED_LOBE
   vf r = sqrt(inverse), gain;
   v3 own;
   flux = lobe_flux(scene, l, second, &lobe, n, scale3(sub3(q, p), r), side * r, &own, &gain);
   g = bounded_geometry(p, n, q, light_normal, words3(l, VPL_GEOMETRIC), clamp_to / gain, &at_point, &side, &inverse);
   glossy = mul3(mul3(flux, own), lobe.throughput);
   flux = scale3(flux, left_at(scene, lobe.table, lobe.table_row, at_point * r));
+#endif
+#ifdef NEED_BENT_NORMALS
+  g *= lit_at_point(&lobe, n, sub3(q, p));
 #endif
   v3 term = scale3(add3(mul3(flux, words3(w, POINT_ALBEDO)), glossy), g * times);
   // Lanes behind the last sample write its own term once more.

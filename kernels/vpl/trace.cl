@@ -26,6 +26,9 @@
 #define LIGHT_COUNT 16u      // slots taken
 #define LIGHT_DOUBLINGS 20u  // of the spacing
 #define MAX_DOUBLINGS 20u
+// Of a punctual light, and not yet scattered: where a mirror or smooth glass turned it aside, no shadow ray of a camera
+// path could find it, so that it ends there; methods' means agree.
+#define LIGHT_STRAIGHT (1u << 25)
 
 #define VPL_SEQUENCE 65536u
 
@@ -60,7 +63,11 @@ kernel WIDE void vpl_emit(global const VplTraceParameters* restrict parameters, 
   start.direction = ray.direction;
   start.throughput = ray.flux;
   start.alive = (lane < count) & ray.valid;
-  set_path(paths, block, &start, lane, (vu)0u, key);
+#ifdef NEED_MEDIA
+  start.media.high = ray.media_high;
+  start.media.low = ray.media_low;
+#endif
+  set_path(paths, block, &start, lane, pick_u((vu)0u, (vu)LIGHT_STRAIGHT, ray.punctual), key);
   set_row_f(paths, PATH_ROWS, block, ROW_RANGE, ray.range);
   set_row_u(paths, PATH_ROWS, block, ROW_TOTAL, sample);
   set_row_f(paths, PATH_ROWS, block, ROW_SENT, zero_f());
@@ -207,7 +214,7 @@ kernel WIDE void vpl_trace_step(global const VplTraceParameters* restrict parame
   vf ratio = length3(sub3(v.hit.p, origin)) / range;
   vf window = clamp_f(one_f() - ratio * ratio * ratio * ratio, zero_f(), one_f());
   flux = scale3(flux, pick(one_f(), window, range > zero_f()));
-  flux = absorbed(scene, &v.hit, origin, direction, flux, active);
+  flux = through_media(scene, &v, paths, block, origin, direction, flux);
   vu pair_key = hash_combine(key, bounce * 4u + 16u);
   ScatterNumbers u;
   vf u_spare;
@@ -216,6 +223,8 @@ kernel WIDE void vpl_trace_step(global const VplTraceParameters* restrict parame
   sample_pair(pair_key, sample, VPL_SEQUENCE, 3u, &u.d0, &u.d1);
   choose_alpha(&v, &u.u_glass);
   prepare_scattering(scene, &v, direction);
+  // A camera path sees no light from behind the normal for shading.
+  v.active = v.active & ((v.frame.facing > (vf)1e-6f) | v.passes);
   v3 geometric = pick3(v.hit.geometric, negate3(v.hit.geometric), dot3(v.hit.geometric, direction) > zero_f());
   vf correction = shading_normal_correction(&v, geometric, direction);
 
@@ -224,20 +233,23 @@ kernel WIDE void vpl_trace_step(global const VplTraceParameters* restrict parame
   // What glass does with the path is not the diffuse layer's.
   layered = layered & (u.u_glass >= v.surface.transmission);
 #endif
-  Reflection r = reflect_flux(&v, flux, correction);
+  vf reflected = correction * lit_share(&v, direction);
+  Reflection r = reflect_flux(&v, flux, reflected);
   layered = layered & (max_component(r.flux) > zero_f()) & finite3(r.flux);
   if (any_lane(layered))
-    leave_vpls(records, count, slot, key, sample, &v, &r, geometric, direction, flux, correction, depth, layered,
+    leave_vpls(records, count, slot, key, sample, &v, &r, geometric, direction, flux, reflected, depth, layered,
                &thresholds);
 
-  NextRay next = scatter_flux(scene, &v, geometric, correction, direction, flux, depth, parameters->depth, &u);
+  vi straight = (meta & LIGHT_STRAIGHT) != 0u;
+  NextRay next =
+      scatter_flux(scene, &v, geometric, correction, direction, flux, depth, parameters->depth, &u, &straight);
   next.alive = next.alive & (bounce < (vu)LIGHT_BOUNCE_MASK);
   uint kept;
   rank_lanes(next.alive, &kept);
   if (kept == 0u) return;
   atomic_add(counters, kept);
   vu next_meta = ((bounce + 1u) & LIGHT_BOUNCE_MASK) | (next.depth << LIGHT_DEPTH) | (thresholds.made << LIGHT_COUNT) |
-                 (thresholds.doublings << LIGHT_DOUBLINGS);
+                 (thresholds.doublings << LIGHT_DOUBLINGS) | pick_u((vu)0u, (vu)LIGHT_STRAIGHT, straight);
   set_row_f(paths, PATH_ROWS, block, ROW_SENT, thresholds.sent);
   set_path(paths, block, &next, slot, next_meta, key);
   set_row_f(paths, PATH_ROWS, block, ROW_RANGE, zero_f());

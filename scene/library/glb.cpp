@@ -255,8 +255,8 @@ class GlbWriter {
       if (strength > 1) extensions["KHR_materials_emissive_strength"]["emissiveStrength"] = strength;
     }
     set_texture(json, "emissiveTexture", m.emission_texture);
-    // Emitters shine from their front alone, and glTF says so by having one side.
-    json["doubleSided"] = !emits;
+    // An emitter that shines from its front alone has one side.
+    json["doubleSided"] = !emits || (m.flags & GLEANER_MATERIAL_DOUBLE_SIDED);
 
     Json specular = Json::object();
     if (m.specular != 1) specular["specularFactor"] = m.specular;

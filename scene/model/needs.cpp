@@ -2,6 +2,8 @@
 #include <cmath>
 #include <vector>
 
+#include "scene/model/emission.h"
+#include "scene/model/media.h"
 #include "scene/model/scene.h"
 
 namespace gleaner::scene {
@@ -48,22 +50,6 @@ bool has_alpha_mode(const Material& m) {
   return m.flags & (GLEANER_MATERIAL_ALPHA_MASK | GLEANER_MATERIAL_ALPHA_BLEND);
 }
 
-// BLEND or MASK alone says little: exporters set them on surfaces whose alpha is 1 everywhere. `vertex_alpha` is the
-// least of the vertices' colours.
-bool is_see_through(const Scene& scene, const Material& m, float vertex_alpha) {
-  if (!has_alpha_mode(m)) return false;
-  const float opaque_from = m.flags & GLEANER_MATERIAL_ALPHA_MASK ? m.alpha_cutoff : 1;
-  const float alpha = m.alpha * vertex_alpha;
-  if (alpha < opaque_from) return true;
-  if (m.base_color_texture == GLEANER_NONE) return false;
-  const Texture& t = scene.textures[m.base_color_texture];
-  const std::uint32_t* texel = scene.texels.data() + t.first_texel;
-  const std::size_t count = std::size_t(t.width) * t.height;
-  for (std::size_t i = 0; i < count; ++i)
-    if (static_cast<float>(texel[i] >> 24) / 255 * alpha < opaque_from) return true;
-  return false;
-}
-
 void add_textures(const Scene& scene, const Material& m, SceneNeeds& needs) {
   constexpr float plain[6] = {1, 0, 0, 0, 1, 0};
   for (const gl_uint index : {m.base_color_texture, m.metallic_roughness_texture, m.normal_texture, m.emission_texture,
@@ -87,18 +73,23 @@ void add_material(const Scene& scene, const Material& m, float vertex_alpha, Sce
     needs.unlit = true;
     return;
   }
-  const bool rough = m.roughness > 0 || m.metallic_roughness_texture != GLEANER_NONE;
-  const bool opaque_part = m.transmission < 1 || m.transmission_texture != GLEANER_NONE;
+  const bool textured = m.metallic_roughness_texture != GLEANER_NONE;
+  const bool rough = m.roughness > 0 || textured;
+  const bool transmissive = is_transmissive(m);
+  const bool opaque_part =
+      !transmissive || m.transmission < 1 || m.transmission_texture != GLEANER_NONE || m.metallic > 0;
   if (opaque_part && (m.metallic > 0 || m.specular > 0)) (rough ? needs.glossy : needs.specular) = true;
   needs.metallic |= opaque_part && m.metallic > 0;
-  if (m.transmission > 0) {
-    needs.transmissive = true;
-    // A thin sheet lets light through unbent however rough it is.
-    const bool scatters = rough && (m.flags & GLEANER_MATERIAL_SOLID);
-    needs.rough_transmissive |= scatters;
-    (scatters ? needs.glossy : needs.specular) = true;
-    needs.attenuation |= (m.flags & GLEANER_MATERIAL_ATTENUATES) != 0;
-  }
+  if (!transmissive) return;
+  needs.transmissive = true;
+  const bool solid = m.flags & GLEANER_MATERIAL_SOLID;
+  const bool blurs = textured || m.roughness * m.roughness >= GLEANER_SMOOTH_GLASS_ALPHA;
+  const bool smooth = !blurs || textured;
+  needs.rough_transmissive |= blurs;
+  (blurs ? needs.glossy : needs.specular) = true;
+  needs.panes |= smooth && !solid;
+  needs.refractive |= smooth && solid;
+  needs.attenuation |= (m.flags & GLEANER_MATERIAL_ATTENUATES) != 0;
 }
 
 // The least alpha of the vertices' colours, one a material that has an alpha mode.
@@ -123,12 +114,15 @@ SceneNeeds needs_of(const Scene& scene) {
   for (std::size_t t = 0; t < scene.triangle_count(); ++t) {
     const std::uint32_t material = scene.triangle_material[t];
     used[material] = true;
-    const bool emissive = !needs.emissive_triangles && emits(scene.materials[material]) &&
-                          !(scene.materials[material].flags & GLEANER_MATERIAL_UNLIT);
+    const Material& m = scene.materials[material];
+    const bool shines = emits(m) && !(m.flags & GLEANER_MATERIAL_UNLIT);
+    const bool two_sided = shines && (m.flags & GLEANER_MATERIAL_DOUBLE_SIDED);
+    const bool emissive = (shines && !needs.emissive_triangles) || (two_sided && !needs.two_sided_emitters);
     if (!emissive && needs.smooth_normals) continue;
     const Face face = face_of(scene, t);
     if (!face.has_area) continue;
     needs.emissive_triangles |= emissive;
+    needs.two_sided_emitters |= two_sided;
     needs.smooth_normals = needs.smooth_normals || deviates(scene, t, face);
   }
   const std::vector<float> least_alpha = vertex_alphas(scene);
@@ -137,6 +131,10 @@ SceneNeeds needs_of(const Scene& scene) {
   needs.vertex_colors = std::any_of(scene.colors.begin(), scene.colors.end(), [](auto c) { return c != 65535; });
   needs.punctual_lights = !scene.lights.empty();
   needs.environment = !scene.environment.empty();
+  // Of an index of 1, shadow rays pass.
+  for (std::size_t m = 0; m < used.size(); ++m)
+    needs.media |= used[m] && is_solid(scene.materials[m]) && scene.materials[m].ior == 1;
+  needs.media |= needs.attenuation || (needs.transmissive && media_may_overlap(scene, media_by_rank(scene)));
   return needs;
 }
 
@@ -159,7 +157,11 @@ std::uint32_t SceneNeeds::bits() const {
                          deforming,
                          vertex_colors,
                          texture_transforms,
-                         second_uvs};
+                         second_uvs,
+                         two_sided_emitters,
+                         panes,
+                         refractive,
+                         media};
   std::uint32_t bits = 0;
   for (std::size_t i = 0; i < std::size(fields); ++i) bits |= std::uint32_t(fields[i]) << i;
   return bits;
@@ -184,7 +186,11 @@ const std::vector<std::string>& need_names() {
                                                  "deforming",
                                                  "vertex_colors",
                                                  "texture_transforms",
-                                                 "second_uvs"};
+                                                 "second_uvs",
+                                                 "two_sided_emitters",
+                                                 "panes",
+                                                 "refractive",
+                                                 "media"};
   return names;
 }
 

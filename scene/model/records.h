@@ -12,6 +12,9 @@ namespace gleaner::scene {
 
 #define GLEANER_NONE 0xffffffffu
 
+// Glass of a lesser alpha (roughness^2) is taken for smooth: it blurs by less than a tenth of a degree.
+#define GLEANER_SMOOTH_GLASS_ALPHA 1e-3f
+
 // Nodes of a table of directional albedos: mu = (i + 0.5) / GLEANER_ALBEDO_NODES.
 #define GLEANER_ALBEDO_NODES 128
 // Rows of such a table where the roughness comes from a texture: roughness = row / (rows - 1).
@@ -23,13 +26,16 @@ namespace gleaner::scene {
 #define GLEANER_MATERIAL_ALPHA_BLEND 4u  // opacity = alpha; what is not opaque lets light go on unbent
 #define GLEANER_MATERIAL_ALPHA_MASK 8u   // opacity = alpha >= alpha_cutoff
 #define GLEANER_MATERIAL_ATTENUATES 16u  // a solid with a finite attenuation distance
+#define GLEANER_MATERIAL_DOUBLE_SIDED 32u  // emits from both faces
 
 // glTF 2.0 metallic-roughness with KHR_materials_{specular,ior,transmission,volume,emissive_strength,unlit}.
 // Textures are indices into the texture records, or GLEANER_NONE. 144 bytes.
 typedef struct {
   gl_float base_color[3];  // linear, in [0, 1]
   gl_float alpha;          // baseColorFactor[3]
-  gl_float emission[3];    // radiance: emissiveFactor * emissiveStrength; leaves the front face alone
+  // Radiance: emissiveFactor * emissiveStrength, times the opacity where the surface is not opaque. It leaves the
+  // front face, and the back face too where the material is double-sided.
+  gl_float emission[3];
   gl_float alpha_cutoff;
   gl_float specular_color[3];  // specularColorFactor
   gl_float specular;           // specularFactor

@@ -62,13 +62,13 @@ struct Scene {
 
 // What a scene needs of a renderer. What is false never enters a plan, a kernel or a buffer.
 struct SceneNeeds {
-  bool specular = false;      // a perfect mirror lobe
-  bool glossy = false;        // a rough specular lobe
-  bool metallic = false;      // any metallic lobe
-  bool transmissive = false;  // glass, thin or solid
-  bool rough_transmissive = false;
-  bool attenuation = false;  // absorption inside solids
-  bool alpha = false;        // surfaces that are not opaque
+  bool specular = false;            // a perfect mirror lobe
+  bool glossy = false;              // a rough specular lobe
+  bool metallic = false;            // any metallic lobe
+  bool transmissive = false;        // glass, thin or solid
+  bool rough_transmissive = false;  // glass that blurs
+  bool attenuation = false;         // absorption inside solids
+  bool alpha = false;               // surfaces that are not opaque
   bool unlit = false;
   bool textures = false;           // any texture
   bool material_textures = false;  // any texture but base colour's
@@ -81,6 +81,10 @@ struct SceneNeeds {
   bool vertex_colors = false;       // any vertex colour but opaque white
   bool texture_transforms = false;  // a texture with coordinates of its own: Texture::transform
   bool second_uvs = false;          // a texture that reads the second coordinates
+  bool two_sided_emitters = false;  // emissive triangles that shine from both faces
+  bool panes = false;               // thin glass that light passes straight, shadow rays included
+  bool refractive = false;          // smooth solid glass: no shadow ray finds its way through
+  bool media = false;               // solids that absorb or may lie in one another: paths keep what they are in
 
   std::uint32_t bits() const;  // one bit a field, in the order above
 };

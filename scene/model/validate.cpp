@@ -141,7 +141,7 @@ class Checker {
     not_negative(m.ior, named("ior"));
     if (m.transmission > 0 && !(m.ior >= 1)) fail(item("materials", i, "ior"), "at least 1 for glass", number(m.ior));
     constexpr gl_uint known = GLEANER_MATERIAL_SOLID | GLEANER_MATERIAL_UNLIT | GLEANER_MATERIAL_ALPHA_BLEND |
-                              GLEANER_MATERIAL_ALPHA_MASK | GLEANER_MATERIAL_ATTENUATES;
+                              GLEANER_MATERIAL_ALPHA_MASK | GLEANER_MATERIAL_ATTENUATES | GLEANER_MATERIAL_DOUBLE_SIDED;
     if (m.flags & ~known) fail(item("materials", i, "flags"), "known bits alone", std::to_string(m.flags));
     texture_of(m.base_color_texture, i, "base_color_texture");
     texture_of(m.metallic_roughness_texture, i, "metallic_roughness_texture");

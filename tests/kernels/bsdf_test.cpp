@@ -37,7 +37,7 @@ kernel void visible_normals(uint seed, float vx, float vy, float vz, float alpha
 }
 
 #ifdef NEED_LOBE
-FN Surface surface_of(const Scene* scene, uint material, float nv) {
+FN Surface surface_of(const Scene* scene, uint material, uint from_back, float nv) {
   vf w[16];
   load_words(scene->materials, (vu)(material * MATERIAL_WORDS), w);
   Surface m;
@@ -50,19 +50,42 @@ FN Surface surface_of(const Scene* scene, uint material, float nv) {
   m.f0 = words3(w, MATERIAL_F0);
   m.table = as_vu(w[MATERIAL_ALBEDO_TABLE]);
   m.table_row = zero_f();
+#ifdef NEED_TRANSMISSIVE
+  m.transmission = w[MATERIAL_TRANSMISSION];
+  m.ior = w[MATERIAL_IOR];
+  m.solid = (as_vu(w[MATERIAL_FLAGS]) & GLEANER_MATERIAL_SOLID) != 0u;
+  m.eta = pick(m.ior, one_f() / m.ior, m.solid & ((vu)from_back != 0u));
+  m.blurs = m.alpha > zero_f();
+  m.hidden = no_lanes();
+#endif
   prepare_lobe(scene, &m, (vf)nv);
   return m;
 }
 
-kernel void draw(SCENE_PARAMETERS, uint material, uint seed, float vx, float vy, float vz, global float* x,
+// BSDF times |n.l| in either hemisphere, and its density.
+FN v3 eval_all(const Scene* scene, const Surface* m, v3 v, v3 l, vf* pdf) {
+  vi above = l.z > zero_f();
+  v3 f = eval_bsdf(scene, m, v, make3(l.x, l.y, fabs(l.z)), pdf);
+  f = pick3(splat3(zero_f()), f, above);
+  *pdf = pick(zero_f(), *pdf, above);
+#ifdef NEED_ROUGH_TRANSMISSIVE
+  vf glass_pdf;
+  v3 glass = eval_glass(m, v, l, &glass_pdf);
+  *pdf = mix(*pdf, glass_pdf, m->transmission);
+  f = mad3(glass, m->transmission, scale3(f, one_f() - m->transmission));
+#endif
+  return f;
+}
+
+kernel void draw(SCENE_PARAMETERS, uint material, uint from_back, uint seed, float vx, float vy, float vz, global float* x,
                  global float* y, global float* z, global float* pdf, global float* weight) {
   Scene scene_value = SCENE_FROM_PARAMETERS;
-  Surface m = surface_of(&scene_value, material, vz);
+  Surface m = surface_of(&scene_value, material, from_back, vz);
   vu i = lane_id();
   vf u_lobe, u_glass, u0, u1;
   numbers(seed, i, 1u, &u_lobe, &u_glass);
   numbers(seed, i, 2u, &u0, &u1);
-  BsdfSample s = sample_bsdf(&scene_value, &m, uniform3(vx, vy, vz), no_lanes(), u_lobe, u_glass, u0, u1);
+  BsdfSample s = sample_bsdf(&scene_value, &m, uniform3(vx, vy, vz), u_lobe, u_glass, u0, u1);
   scatter_f(x, i, s.direction.x);
   scatter_f(y, i, s.direction.y);
   scatter_f(z, i, s.direction.z);
@@ -70,13 +93,13 @@ kernel void draw(SCENE_PARAMETERS, uint material, uint seed, float vx, float vy,
   scatter_f(weight, i, s.weight.x);
 }
 
-kernel void evaluate(SCENE_PARAMETERS, uint material, float vx, float vy, float vz, global const float* x,
+kernel void evaluate(SCENE_PARAMETERS, uint material, uint from_back, float vx, float vy, float vz, global const float* x,
                      global const float* y, global const float* z, global float* pdf, global float* value) {
   Scene scene_value = SCENE_FROM_PARAMETERS;
-  Surface m = surface_of(&scene_value, material, vz);
+  Surface m = surface_of(&scene_value, material, from_back, vz);
   vu i = lane_id();
   vf p;
-  v3 f = eval_bsdf(&scene_value, &m, uniform3(vx, vy, vz), make3(gather_f(x, i), gather_f(y, i), gather_f(z, i)), &p);
+  v3 f = eval_all(&scene_value, &m, uniform3(vx, vy, vz), make3(gather_f(x, i), gather_f(y, i), gather_f(z, i)), &p);
   scatter_f(pdf, i, p);
   scatter_f(value, i, f.x);
 }
@@ -142,6 +165,7 @@ std::vector<std::pair<double, double>> gauss(int n) {
   return nodes;
 }
 
+struct Board;
 class Bsdf : public ::testing::TestWithParam<unsigned> {
  protected:
   Bsdf() : bench_(GetParam()) {}
@@ -155,6 +179,8 @@ class Bsdf : public ::testing::TestWithParam<unsigned> {
     for (const auto& b : buffers) all.push_back(bench_.read<float>(b, count));
     return all;
   }
+  void check_samples(const Board& board, double lowest);
+  void check_reciprocity(const Board& board, bool across);
   KernelBench bench_;
 };
 
@@ -207,7 +233,32 @@ TEST_P(Bsdf, VisibleNormals) {
 struct Board {
   std::vector<std::string> names;
   std::shared_ptr<const scene::Scene> scene;
+  // Of solids: light meets them from within.
+  bool from_back = false;
 };
+// Rough glass, thin and solid: both hemispheres.
+Board glass(bool from_back) {
+  using namespace scene;
+  Board board;
+  board.from_back = from_back;
+  SceneBuilder b("glass");
+  const auto add = [&](const std::string& name, Material m) {
+    board.names.push_back(name);
+    m.transmission = 1;
+    const std::uint32_t at = b.material(name, m);
+    b.mesh(name);
+    b.quad({0, 0, 1}, {1, 0, 1}, {1, 0, 0}, {0, 0, 0}, at);
+  };
+  add("sheet, roughness 0.3", dielectric(grey(0.8), 0.3));
+  add("sheet, roughness 0.7", dielectric(grey(1), 0.7, 1.8));
+  add("solid, roughness 0.4", solid_glass(1.5, 0.4));
+  add("solid, roughness 0.8", solid_glass(2.2, 0.8));
+  add("solid, ior 1.33", solid_glass(1.33, 0.6));
+  b.camera("camera", {0, 5, 5}, {}, 40, 16, 16);
+  b.point_light({0, 3, 0}, grey(1));
+  board.scene = std::make_shared<const Scene>(b.finish());
+  return board;
+}
 Board materials() {
   using namespace scene;
   Board board;
@@ -233,11 +284,12 @@ Board materials() {
   return board;
 }
 
-TEST_P(Bsdf, SamplesFollowTheirDensity) {
-  const Board board = materials();
+// Directions with cosines from `lowest` to 1.
+void Bsdf::check_samples(const Board& board, double lowest) {
   worker::DeviceScene held = bench_.hold(board.scene);
   cl::Program program = bench_.build(kText, held.kernel_options());
-  constexpr std::size_t nz = 31, nphi = 45;
+  constexpr std::size_t nz = 62, nphi = 45;
+  const cl_uint from_back = board.from_back;
   const auto nodes = gauss(14);
   std::vector<float> lx, ly, lz;
   std::vector<double> solid;  // of each node
@@ -245,12 +297,12 @@ TEST_P(Bsdf, SamplesFollowTheirDensity) {
     for (std::size_t j = 0; j < nphi; ++j)
       for (const auto& [x, wx] : nodes)
         for (const auto& [y, wy] : nodes) {
-          const Direction l =
-              direction((static_cast<double>(i) + x) / nz, 2 * M_PI * (static_cast<double>(j) + y) / nphi);
+          const Direction l = direction(lowest + (1 - lowest) * (static_cast<double>(i) + x) / nz,
+                                        2 * M_PI * (static_cast<double>(j) + y) / nphi);
           lx.push_back(l[0]);
           ly.push_back(l[1]);
           lz.push_back(l[2]);
-          solid.push_back(wx * wy * 2 * M_PI / (nz * nphi));
+          solid.push_back(wx * wy * 2 * M_PI * (1 - lowest) / (nz * nphi));
         }
   while (lx.size() % 16) lx.push_back(0), ly.push_back(0), lz.push_back(1);
   const cl::Buffer bx = bench_.buffer(lx), by = bench_.buffer(ly), bz = bench_.buffer(lz);
@@ -261,13 +313,17 @@ TEST_P(Bsdf, SamplesFollowTheirDensity) {
       cl::Kernel evaluate(program, "evaluate"), draw(program, "draw");
       auto told = spaces(2, lx.size());
       unsigned at = held.set_arguments(evaluate, 0);
-      set_arguments(evaluate, at, material, v[0], v[1], v[2], bx, by, bz, told[0], told[1]);
+      set_arguments(evaluate, at, material, from_back, v[0], v[1], v[2], bx, by, bz, told[0], told[1]);
       bench_.run(evaluate, lx.size());
-      const auto pdf = bench_.read<float>(told[0], lx.size());
+      const auto pdf = bench_.read<float>(told[0], lx.size()), value = bench_.read<float>(told[1], lx.size());
       // The last cell holds what is drawn below the surface, and ends.
       std::vector<double> seen(nz * nphi + 1), expected(nz * nphi + 1);
-      double mass = 0;
+      double mass = 0, energy = 0;
+      const scene::Material& m = board.scene->materials[material];
+      const double eta = m.flags & GLEANER_MATERIAL_SOLID ? (board.from_back ? 1 / m.ior : m.ior) : 1;
       for (std::size_t k = 0; k < solid.size(); ++k) {
+        // Refracted radiance is squeezed; its power is not.
+        energy += value[k] * solid[k] * (lz[k] < 0 ? eta * eta : 1);
         expected[k / (nodes.size() * nodes.size())] += pdf[k] * solid[k];
         mass += pdf[k] * solid[k];
       }
@@ -275,8 +331,8 @@ TEST_P(Bsdf, SamplesFollowTheirDensity) {
 
       auto out = spaces(5, kDraws);
       at = held.set_arguments(draw, 0);
-      set_arguments(draw, at, material, cl_uint{41} + material, v[0], v[1], v[2], out[0], out[1], out[2], out[3],
-                    out[4]);
+      set_arguments(draw, at, material, from_back, cl_uint{41} + material, v[0], v[1], v[2], out[0], out[1], out[2],
+                    out[3], out[4]);
       bench_.run(draw, kDraws);
       const auto drawn = read(out, kDraws);
       for (std::size_t i = 0; i < kDraws; ++i) {
@@ -285,15 +341,16 @@ TEST_P(Bsdf, SamplesFollowTheirDensity) {
           ++seen.back();
           continue;
         }
-        ++seen[cell(drawn[2][i], nz) * nphi + cell(unit_turn(drawn[1][i], drawn[0][i]), nphi)];
+        ++seen[cell((drawn[2][i] - lowest) / (1 - lowest), nz) * nphi +
+               cell(unit_turn(drawn[1][i], drawn[0][i]), nphi)];
       }
       // What sample_bsdf says of its sample is what eval_bsdf says of that direction.
-      evaluate.setArg(at + 4, out[0]);
-      evaluate.setArg(at + 5, out[1]);
-      evaluate.setArg(at + 6, out[2]);
+      evaluate.setArg(at + 5, out[0]);
+      evaluate.setArg(at + 6, out[1]);
+      evaluate.setArg(at + 7, out[2]);
       auto again = spaces(2, kDraws);
-      evaluate.setArg(at + 7, again[0]);
-      evaluate.setArg(at + 8, again[1]);
+      evaluate.setArg(at + 8, again[0]);
+      evaluate.setArg(at + 9, again[1]);
       bench_.run(evaluate, kDraws);
       const auto same = read(again, kDraws);
       double worst = 0;
@@ -305,15 +362,22 @@ TEST_P(Bsdf, SamplesFollowTheirDensity) {
       std::printf("  %-28s cosine %.2f: above the surface %.4f, drawn %.4f, chi-square %.1f of %zu, p = %.3f\n",
                   name.c_str(), mu, mass, 1 - seen.back() / kDraws, chi.statistic, chi.degrees, chi.p);
       EXPECT_GE(chi.p, sidak(kFamily, 3 * board.names.size())) << name << ", cosine " << mu;
-      EXPECT_LT(worst, 1e-5) << name << ": a sample's density or weight is not its direction's";
+      // Glass is evaluated by the half-vector that the two directions, rounded, have between them.
+      EXPECT_LT(worst, lowest < 0 ? 1e-4 : 1e-5) << name << ": a sample's density or weight is not its direction's";
       EXPECT_LT(mass, 1 + 1e-3) << name;
+      EXPECT_LT(energy, 1 + 1e-3) << name << ", cosine " << mu << ": more light leaves than comes";
     }
     ++material;
   }
 }
 
-TEST_P(Bsdf, Reciprocal) {
-  const Board board = materials();
+TEST_P(Bsdf, SamplesFollowTheirDensity) { check_samples(materials(), 0); }
+TEST_P(Bsdf, SamplesOfGlassFollowTheirDensity) { check_samples(glass(false), -1); }
+TEST_P(Bsdf, SamplesOfGlassFromWithinFollowTheirDensity) { check_samples(glass(true), -1); }
+
+// f(v, l) / n_l^2 = f(l, v) / n_v^2, the indices those of the sides of v and l: 1 for both but across a solid's
+// surface.
+void Bsdf::check_reciprocity(const Board& board, bool across) {
   worker::DeviceScene held = bench_.hold(board.scene);
   cl::Program program = bench_.build(kText, held.kernel_options());
   std::mt19937 random(3);
@@ -322,20 +386,29 @@ TEST_P(Bsdf, Reciprocal) {
     for (int k = 0; k < 8; ++k) {
       const double a = 0.02 + 0.97 * unit(random), b = 0.02 + 0.97 * unit(random);
       const Direction v = direction(a, 6.28 * unit(random)), l = direction(b, 6.28 * unit(random));
-      const auto value = [&](const Direction& from, const Direction& to) {
+      // From unit `from`, in its own frame, to `to`; across the surface: to -to, seen from the front or from the back.
+      const auto value = [&](const Direction& from, const Direction& to, bool from_back) {
+        const float sign = across ? -1 : 1;
         cl::Kernel kernel(program, "evaluate");
-        const cl::Buffer x = bench_.buffer(std::vector<float>(16, to[0])),
-                         y = bench_.buffer(std::vector<float>(16, to[1])),
-                         z = bench_.buffer(std::vector<float>(16, to[2]));
+        const cl::Buffer x = bench_.buffer(std::vector<float>(16, sign * to[0])),
+                         y = bench_.buffer(std::vector<float>(16, sign * to[1])),
+                         z = bench_.buffer(std::vector<float>(16, sign * to[2]));
         auto told = spaces(2, 16);
         const unsigned at = held.set_arguments(kernel, 0);
-        set_arguments(kernel, at, material, from[0], from[1], from[2], x, y, z, told[0], told[1]);
+        set_arguments(kernel, at, material, cl_uint{from_back}, from[0], from[1], from[2], x, y, z, told[0], told[1]);
         bench_.run(kernel, 16);
         return bench_.read<float>(told[1], 16)[0] / double{to[2]};
       };
-      const double there = value(v, l), back = value(l, v);
-      EXPECT_NEAR(there, back, 2e-5 * there) << board.names[material] << ", cosines " << a << " and " << b;
+      const scene::Material& m = board.scene->materials[material];
+      const double eta = across && (m.flags & GLEANER_MATERIAL_SOLID) ? m.ior : 1;
+      const double there = value(v, l, board.from_back) * eta * eta, back = value(l, v, across != board.from_back);
+      EXPECT_NEAR(there, back, 5e-5 * there) << board.names[material] << ", cosines " << a << " and " << b;
     }
+}
+TEST_P(Bsdf, Reciprocal) { check_reciprocity(materials(), false); }
+TEST_P(Bsdf, GlassIsReciprocal) {
+  check_reciprocity(glass(false), false);
+  check_reciprocity(glass(false), true);
 }
 
 TEST_P(Bsdf, EnvironmentSamples) {

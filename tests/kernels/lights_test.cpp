@@ -55,7 +55,7 @@ kernel void draw_at(SCENE_PARAMETERS, global const float* p, global const float*
 FN vf chance_of(const Scene* scene, vu emitter, v3 p, vf total) {
   vf e[16];
   load_words(scene->emitters, emitter * EMITTER_WORDS, e);
-  return e[EMITTER_PMF] * cluster_importance_at(scene, as_vu(e[EMITTER_CLUSTER]), p) / total;
+  return e[EMITTER_PMF] * cluster_importance_at(scene, emitter_cluster(e), p) / total;
 }
 
 // The chances of all emitters at one point; at many points their sum, the environment's included.
@@ -117,12 +117,16 @@ struct Held {
   std::uint32_t kind(std::uint32_t e) const {
     std::uint32_t cluster, k;
     std::memcpy(&cluster, row(e) + EMITTER_CLUSTER, 4);
+    cluster &= ~EMITTER_TWO_SIDED;
     std::memcpy(&k, &tables.clusters[cluster * CLUSTER_WORDS + CLUSTER_KIND], 4);
     return k;
   }
   // Of a triangle: does it shine on p?
   bool faces(std::uint32_t e, Vec p) const {
-    return scene::dot(scene::cross(vec(e, EMITTER_E1), vec(e, EMITTER_E2)), p - vec(e, EMITTER_P0)) > 0;
+    std::uint32_t cluster;
+    std::memcpy(&cluster, row(e) + EMITTER_CLUSTER, 4);
+    const double side = scene::dot(scene::cross(vec(e, EMITTER_E1), vec(e, EMITTER_E2)), p - vec(e, EMITTER_P0));
+    return side > 0 || (side < 0 && (cluster & EMITTER_TWO_SIDED) != 0);
   }
 };
 
@@ -149,9 +153,26 @@ scene::Scene everything() {
   return made;
 }
 
-const std::vector<std::string> kScenes = {"many-lights", "punctual-lights", "environment-objects", "everything"};
+// Lamps of which every second shines from both faces, hanging at all heights.
+scene::Scene two_sided_lights() {
+  scene::Scene made = scene::make_scene("many-lights", {{"lights", "60"}});
+  const auto materials = made.materials.size();
+  for (std::size_t m = 0; m < materials; ++m) {
+    if (!(made.materials[m].emission[0] > 0)) continue;
+    made.materials.push_back(made.materials[m]);
+    made.material_names.push_back(made.material_names[m] + ", two-sided");
+    made.materials.back().flags |= GLEANER_MATERIAL_DOUBLE_SIDED;
+    for (std::size_t t = 0; t < made.triangle_count(); ++t)
+      if (made.triangle_material[t] == m && t / 2 % 2) made.triangle_material[t] = gl_uint(made.materials.size() - 1);
+  }
+  return made;
+}
+
+const std::vector<std::string> kScenes = {"many-lights", "two-sided-lights", "punctual-lights", "environment-objects",
+                                          "everything"};
 Held make(const std::string& name) {
   if (name == "everything") return Held(everything());
+  if (name == "two-sided-lights") return Held(two_sided_lights());
   if (name == "many-lights") return Held(scene::make_scene(name, {{"lights", "150"}}));
   if (name == "environment-objects") return Held(scene::make_scene(name, {{"width", "64"}}));
   return Held(scene::make_scene(name));
@@ -276,7 +297,8 @@ INSTANTIATE_TEST_SUITE_P(Scenes, Lights, ::testing::Combine(::testing::Values(1u
                          name_of);
 class AreaLights : public Lights {};
 INSTANTIATE_TEST_SUITE_P(Scenes, AreaLights,
-                         ::testing::Combine(::testing::Values(1u, 16u), ::testing::Values("many-lights", "everything")),
+                         ::testing::Combine(::testing::Values(1u, 16u),
+                                            ::testing::Values("many-lights", "two-sided-lights", "everything")),
                          name_of);
 
 TEST_P(Lights, ChancesSumToOne) {
@@ -377,7 +399,7 @@ TEST_P(AreaLights, AskedAgainTheDensityIsTheSame) {
 // Irradiance at a point, nothing in the way: light samples alone against closed forms and quadrature.
 TEST_P(Lights, IrradianceIsTheSumOfAll) {
   constexpr std::size_t count = 1 << 18;
-  const bool hall = std::get<1>(GetParam()) == "many-lights";
+  const bool hall = std::get<1>(GetParam()).ends_with("-lights") && std::get<1>(GetParam()) != "punctual-lights";
   // In the hall every lamp hangs above; elsewhere triangles are few or none.
   const Vec p = hall ? Vec{1.5, 0.5, -0.7} : Vec{0.3, 0.05, 0.9}, n{0, 1, 0};
   double expected = 0;

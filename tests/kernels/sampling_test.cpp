@@ -278,7 +278,7 @@ TEST_P(Sampling, TheTracerUsesTheseKeys) {
   cl::Buffer paths = bench_.space(count * PATH_ROWS), slots = bench_.space((count + 1) * SLOT_WORDS);
   cl::Buffer nothing = bench_.space(4);
   set_arguments(generate, 0, parameters, nothing, cl_uint{0}, cl_uint{0}, cl_uint{0}, cl_uint{0}, cl_uint{0},
-                cl_uint{count}, paths, slots, nothing);
+                cl_uint{count}, paths, slots, nothing, cl_uint{0}, cl_uint{0});
   bench_.run(generate, count);
   const auto rows = bench_.read<std::uint32_t>(paths, count * PATH_ROWS);
   const auto floats = bench_.read<float>(paths, count * PATH_ROWS);

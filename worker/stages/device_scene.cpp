@@ -1,11 +1,15 @@
 #include "worker/stages/device_scene.h"
 
+#include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <cstddef>
 #include <cstring>
 
+#include "kernels/path_layout.h"
 #include "kernels/scene_layout.h"
+#include "scene/model/emission.h"
 #include "scene/model/error.h"
 #include "worker/stages/light_clusters.h"
 
@@ -35,7 +39,8 @@ std::array<float, 512> decode_table() {
   return table;
 }
 
-std::vector<float> material_rows(const scene::Scene& scene) {
+// `media`: as media_by_rank() gives them, where the scene has media.
+std::vector<float> material_rows(const scene::Scene& scene, const std::vector<std::uint32_t>& media) {
   std::vector<float> rows(scene.materials.size() * MATERIAL_WORDS, 0.0f);
   for (std::size_t i = 0; i < scene.materials.size(); ++i) {
     const scene::Material& m = scene.materials[i];
@@ -62,6 +67,11 @@ std::vector<float> material_rows(const scene::Scene& scene) {
     word(MATERIAL_TRANSMISSION_TEXTURE, m.transmission_texture);
     word(MATERIAL_SPECULAR_TEXTURE, m.specular_texture);
     word(MATERIAL_SPECULAR_COLOR_TEXTURE, m.specular_color_texture);
+  }
+  for (std::uint32_t r = 0; r < media.size(); ++r) {
+    const std::uint32_t rank = r + 1;
+    std::memcpy(&rows[media[r] * MATERIAL_WORDS + MATERIAL_MEDIUM], &rank, sizeof rank);
+    std::memcpy(&rows[r * MATERIAL_WORDS + MATERIAL_OF_MEDIUM], &media[r], sizeof media[r]);
   }
   return rows;
 }
@@ -93,7 +103,63 @@ void write_triangles(const scene::Scene& scene, const std::vector<std::uint32_t>
   }
 }
 
+// Ranks take 16 bits.
+constexpr std::size_t kMostMedia = 65535;
+
+std::array<cl_uint, 2> pack_media(const std::vector<std::uint32_t>& ranks) {
+  std::array<cl_uint, 4> rank{};
+  std::copy_n(ranks.begin(), std::min<std::size_t>(ranks.size(), 4), rank.begin());
+  return {rank[0] << 16 | rank[1], rank[2] << 16 | rank[3]};
+}
+
+// Behind the shares of the lights: what each stands in (kernels/scene_layout.h: EMISSION_HEADER). A lamp is where its
+// triangle's middle is. Lights beyond a budget of triangles to be looked at stand in nothing: their paths find out when
+// they leave the solid.
+void add_media_of_lights(const scene::MediumFinder& media, LightTables& lights) {
+  if (lights.emission.empty()) return;
+  const std::size_t rows = lights.emitters.size() / EMITTER_WORDS;
+  const std::size_t entries = lights.emission.size() - EMISSION_HEADER;
+  constexpr double kBudget = 2e8;
+  const bool affordable = static_cast<double>(rows) * static_cast<double>(media.triangles()) <= kBudget;
+  for (std::size_t i = 0; i < entries; ++i) {
+    std::array<cl_uint, 2> words{};
+    if (i < rows && affordable) {
+      const float* row = &lights.emitters[i * EMITTER_WORDS];
+      std::uint32_t triangle = 0, cluster = 0, kind = 0;
+      std::memcpy(&triangle, row + EMITTER_TRIANGLE, 4);
+      std::memcpy(&cluster, row + EMITTER_CLUSTER, 4);
+      cluster &= ~EMITTER_TWO_SIDED;
+      std::memcpy(&kind, &lights.clusters[cluster * CLUSTER_WORDS + CLUSTER_KIND], 4);
+      std::array<double, 3> at{};
+      for (std::size_t k = 0; k < 3; ++k)
+        at[k] = triangle == GLEANER_NONE
+                    ? double{row[EMITTER_POSITION + k]}
+                    : row[EMITTER_P0 + k] + (double{row[EMITTER_E1 + k]} + row[EMITTER_E2 + k]) / 3;
+      if (kind != CLUSTER_DIRECTIONAL) words = pack_media(media.at(at));
+    }
+    for (const cl_uint word : words) lights.emission.push_back(std::bit_cast<float>(word));
+  }
+}
+
 }  // namespace
+
+std::array<cl_uint, 2> DeviceScene::media_of(const scene::Camera& camera) const {
+  if (!media_) return {};
+  const auto at = [&](double x, double y) {
+    std::array<double, 3> p;
+    for (int k = 0; k < 3; ++k)
+      p[k] = camera.origin[k] + x * camera.half_width * camera.right[k] + y * camera.half_height * camera.up[k];
+    return media_->at(p);
+  };
+  std::vector<std::uint32_t> ranks = at(0, 0);
+  // The rays of an orthographic camera begin all over its film: in a solid only where that holds all of it.
+  if (camera.type == GLEANER_CAMERA_ORTHOGRAPHIC)
+    for (const auto& [x, y] : {std::pair{-1, -1}, {-1, 1}, {1, -1}, {1, 1}}) {
+      const std::vector<std::uint32_t> others = at(x, y);
+      std::erase_if(ranks, [&](const std::uint32_t& r) { return std::ranges::find(others, r) == others.end(); });
+    }
+  return pack_media(ranks);
+}
 
 cl::Buffer DeviceScene::upload(const Device& device, cl::CommandQueue& queue, const void* data, std::size_t bytes) {
   // Lanes with nothing to look up read row 0: no table is smaller than a row of the largest, which is of albedos.
@@ -125,7 +191,15 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
   bytes_ += triangle_bytes;
 
   const auto bytes_of = [](const auto& v) { return v.size() * sizeof(v[0]); };
-  const std::vector<float> materials = material_rows(*scene);
+  const std::vector<std::uint32_t> media = needs.media ? scene::media_by_rank(*scene) : std::vector<std::uint32_t>{};
+  if (media.size() > kMostMedia)
+    throw Error::bad_input(scene->name, "solids", "at most " + std::to_string(kMostMedia) + " transmitting materials",
+                           std::to_string(media.size()));
+  if (needs.media) {
+    media_.emplace(scene, media);
+    add_media_of_lights(*media_, lights);
+  }
+  const std::vector<float> materials = material_rows(*scene, media);
   materials_ = upload(device, queue, materials.data(), bytes_of(materials));
   textures_ = upload(device, queue, scene->textures.data(), bytes_of(scene->textures));
   texels_ = upload(device, queue, scene->texels.data(), bytes_of(scene->texels));
@@ -150,15 +224,22 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
     tracer_ = make_opencl_tracer(device, *bvh, triangles_, triangle_words(needs));
   }
 
-  bool emission_textures = false;
-  for (const auto& material : scene->materials)
+  bool emission_textures = false, alpha_emitters = false;
+  for (const auto& material : scene->materials) {
     emission_textures = emission_textures || (material.emission_texture != GLEANER_NONE && needs.emissive_triangles);
+    const bool emits = material.emission[0] > 0 || material.emission[1] > 0 || material.emission[2] > 0;
+    const bool may_fade = material.flags & (GLEANER_MATERIAL_ALPHA_MASK | GLEANER_MATERIAL_ALPHA_BLEND);
+    alpha_emitters = alpha_emitters || (needs.alpha && emits && may_fade &&
+                                        (needs.vertex_colors || scene::is_see_through(*scene, material)));
+  }
   const std::pair<bool, const char*> words[] = {
       {needs.specular, "SPECULAR"},
       {needs.glossy, "GLOSSY"},
       {needs.metallic, "METALLIC"},
       {needs.transmissive, "TRANSMISSIVE"},
       {needs.rough_transmissive, "ROUGH_TRANSMISSIVE"},
+      {needs.panes, "PANES"},
+      {needs.media, "MEDIA"},
       {needs.attenuation, "ATTENUATION"},
       {needs.alpha, "ALPHA"},
       {needs.unlit, "UNLIT"},
@@ -172,6 +253,8 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
       {needs.second_uvs, "SECOND_UVS"},
       {needs.punctual_lights, "PUNCTUAL_LIGHTS"},
       {needs.emissive_triangles, "EMISSIVE_TRIANGLES"},
+      {needs.two_sided_emitters, "TWO_SIDED_EMITTERS"},
+      {alpha_emitters, "ALPHA_EMITTERS"},
       {needs.environment, "ENVIRONMENT"},
   };
   options_ = "-D LANES=" + std::to_string(device.lanes());
@@ -180,7 +263,9 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
     if (need && (lights.cluster_slots || (std::strcmp(word, "PUNCTUAL_LIGHTS") &&
                                           std::strcmp(word, "EMISSIVE_TRIANGLES") && std::strcmp(word, "ENVIRONMENT"))))
       options_ += std::string(" -D NEED_") + word;
-  transparent_ = needs.alpha && needs.punctual_lights && lights.cluster_slots;
+  transparent_shadows_ = (needs.alpha || needs.panes || needs.media) && lights.cluster_slots;
+  path_rows_ = needs.media ? MEDIA_PATH_ROWS : transparent_shadows_ ? TRANSPARENT_PATH_ROWS : PLAIN_PATH_ROWS;
+  shadow_rows_ = !transparent_shadows_ ? PLAIN_SHADOW_ROWS : needs.media ? MEDIA_SHADOW_ROWS : TRANSPARENT_SHADOW_ROWS;
   if (lights.cluster_slots) options_ += " -D CLUSTERS=" + std::to_string(lights.cluster_slots);
 }
 

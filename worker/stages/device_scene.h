@@ -1,11 +1,14 @@
 #pragma once
 // A scene on a device: the tables that kernels read, the tracer, and which kernel variant the scene needs.
 
+#include <array>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "scene/model/blob.h"
+#include "scene/model/media.h"
 #include "worker/device/kernel.h"
 #include "worker/trace/tracer.h"
 
@@ -19,8 +22,13 @@ class DeviceScene {
   // Compiler options that select the variant: one NEED_... a need, and how many light clusters there are.
   const std::string& kernel_options() const { return options_; }
   Tracer& tracer() { return *tracer_; }
-  // Shadow rays to punctual lights may meet surfaces that are not opaque (kernels/path_layout.h: TRANSPARENT_SHADOWS).
-  bool transparent_shadows() const { return transparent_; }
+  // Shadow rays may meet surfaces that light passes straight (kernels/path_layout.h: TRANSPARENT_SHADOWS).
+  bool transparent_shadows() const { return transparent_shadows_; }
+  // Rows of a block of 16 paths, and of 16 shadow rays (kernels/path_layout.h).
+  unsigned path_rows() const { return path_rows_; }
+  unsigned shadow_rows() const { return shadow_rows_; }
+  // The solids that all of a camera's rays begin in, as kernels keep them (kernels/surface.h: Media).
+  std::array<cl_uint, 2> media_of(const scene::Camera& camera) const;
   // Sets the parameters that SCENE_PARAMETERS stands for.
   void set_arguments(Kernel& kernel) const;
   // The same of a kernel whose source is not the product's: from index `first` on; returns the next one.
@@ -42,7 +50,9 @@ class DeviceScene {
   cl::Buffer triangles_, materials_, textures_, texels_, srgb_, albedo_tables_, emitters_, clusters_, environment_,
       emission_;
   bool shines_ = false;
-  bool transparent_ = false;
+  bool transparent_shadows_ = false;
+  unsigned path_rows_ = 0, shadow_rows_ = 0;
+  std::optional<scene::MediumFinder> media_;  // where the scene has media
   std::uint64_t triangle_count_ = 0;
   std::map<std::uint32_t, std::uint32_t> albedo_rows_;  // by table
   std::size_t bytes_ = 0;

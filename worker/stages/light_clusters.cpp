@@ -9,6 +9,7 @@
 #include <numeric>
 
 #include "kernels/scene_layout.h"
+#include "scene/model/emission.h"
 
 namespace gleaner::worker {
 namespace {
@@ -30,6 +31,7 @@ struct Emitter {
   std::uint32_t triangle = GLEANER_NONE, light = GLEANER_NONE;
   std::array<Vec, 3> corners{};  // positional lights: all three the same
   Vec normal{};                  // zero: shines all around
+  bool two_sided = false;        // shines from both faces
   Vec center{};
   double power = 0;  // irradiance at 1 m facing it (anywhere: directional)
 };
@@ -39,13 +41,20 @@ struct Group {
   std::uint32_t kind = 0;
   Vec center{};
   double radius = 0, power = 0;
+  bool two_sided = false;  // its cone of normals is one of two, the other opposite
   Vec axis{0, 0, 1};
   double cosine = -1;
 };
 
+// A normal as a group of axis `axis` takes it: of emitters with two faces, the one on the axis's side.
+Vec aligned(const Emitter& e, const Vec& axis) {
+  return e.two_sided && dot(e.normal, axis) < 0 ? e.normal * -1 : e.normal;
+}
+
 Group bound(std::vector<std::uint32_t> members, const std::vector<Emitter>& emitters) {
   Group group;
   group.kind = emitters[members[0]].kind;
+  group.two_sided = emitters[members[0]].two_sided;
   Vec lower{1e300, 1e300, 1e300}, upper{-1e300, -1e300, -1e300}, sum{};
   bool around = false;
   for (auto m : members) {
@@ -57,7 +66,7 @@ Group bound(std::vector<std::uint32_t> members, const std::vector<Emitter>& emit
         upper[k] = std::max(upper[k], c[k]);
       }
     around = around || dot(e.normal, e.normal) == 0;
-    sum = sum + e.normal * e.power;
+    sum = sum + aligned(e, sum) * e.power;
   }
   group.center = (lower + upper) * 0.5;
   for (auto m : members)
@@ -65,7 +74,7 @@ Group bound(std::vector<std::uint32_t> members, const std::vector<Emitter>& emit
   if (!around && length(sum) > 0) {
     group.axis = sum * (1 / length(sum));
     group.cosine = 1;
-    for (auto m : members) group.cosine = std::min(group.cosine, dot(group.axis, emitters[m].normal));
+    for (auto m : members) group.cosine = std::min(group.cosine, dot(group.axis, aligned(emitters[m], group.axis)));
     group.cosine = std::max(group.cosine, -1.0);
   }
   group.members = std::move(members);
@@ -101,14 +110,15 @@ std::pair<std::vector<std::uint32_t>, std::vector<std::uint32_t>> halve(const Gr
     for (int k = 0; k < 3; ++k) {
       lower[k] = std::min(lower[k], emitters[m].center[k]);
       upper[k] = std::max(upper[k], emitters[m].center[k]);
-      normal_lower[k] = std::min(normal_lower[k], emitters[m].normal[k]);
-      normal_upper[k] = std::max(normal_upper[k], emitters[m].normal[k]);
+      const double normal = aligned(emitters[m], group.axis)[k];
+      normal_lower[k] = std::min(normal_lower[k], normal);
+      normal_upper[k] = std::max(normal_upper[k], normal);
     }
   const bool by_normal = group.cosine < 0.7 && length(normal_upper - normal_lower) > 0.5;
   const Vec extent = by_normal ? normal_upper - normal_lower : upper - lower;
   const int axis = static_cast<int>(std::max_element(extent.begin(), extent.end()) - extent.begin());
   std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) {
-    return by_normal ? emitters[a].normal[axis] < emitters[b].normal[axis]
+    return by_normal ? aligned(emitters[a], group.axis)[axis] < aligned(emitters[b], group.axis)[axis]
                      : emitters[a].center[axis] < emitters[b].center[axis];
   });
   double half = group.power / 2, sum = 0;
@@ -126,20 +136,6 @@ void set_word(std::vector<float>& table, std::size_t at, std::uint32_t value) {
 Vec corner(const scene::Scene& scene, std::uint32_t triangle, int k) {
   const float* p = &scene.positions[3 * std::size_t{scene.indices[3 * std::size_t{triangle} + k]}];
   return {p[0], p[1], p[2]};
-}
-
-// Mean of a texture's decoded colour, for the power of a textured emitter.
-std::array<float, 3> mean_color(const scene::Scene& scene, std::uint32_t index) {
-  const scene::Texture& texture = scene.textures[index];
-  std::array<double, 3> sum{};
-  const std::size_t count = std::size_t{texture.width} * texture.height;
-  for (std::size_t i = 0; i < count; ++i)
-    for (int k = 0; k < 3; ++k) {
-      double c = ((scene.texels[texture.first_texel + i] >> (8 * k)) & 255) / 255.0;
-      if (texture.flags & GLEANER_TEXTURE_SRGB) c = c <= 0.04045 ? c / 12.92 : std::pow((c + 0.055) / 1.055, 2.4);
-      sum[k] += c;
-    }
-  return {static_cast<float>(sum[0] / count), static_cast<float>(sum[1] / count), static_cast<float>(sum[2] / count)};
 }
 
 void add_environment(const scene::Environment& environment, LightTables& tables, double& power) {
@@ -198,20 +194,13 @@ LightTables make_light_tables(const scene::Scene& scene) {
   LightTables tables;
   tables.triangle_emitter.assign(scene.triangle_count(), GLEANER_NONE);
   std::vector<Emitter> emitters;
-  std::vector<std::array<float, 3>> mean_emission(scene.materials.size());
-  for (std::size_t m = 0; m < scene.materials.size(); ++m) {
-    const scene::Material& material = scene.materials[m];
-    std::copy(material.emission, material.emission + 3, mean_emission[m].begin());
-    if (luminance(material.emission) > 0 && material.emission_texture != GLEANER_NONE) {
-      auto color = mean_color(scene, material.emission_texture);
-      for (int k = 0; k < 3; ++k) mean_emission[m][k] *= color[k];
-    }
-  }
+  const std::vector<std::array<float, 3>> means = scene::mean_emission(scene);
   for (std::uint32_t t = 0; t < scene.triangle_count(); ++t) {
-    const auto& radiance = mean_emission[scene.triangle_material[t]];
+    const auto& radiance = means[scene.triangle_material[t]];
     if (!(radiance[0] + radiance[1] + radiance[2] > 0)) continue;
     Emitter e;
     e.triangle = t;
+    e.two_sided = scene.materials[scene.triangle_material[t]].flags & GLEANER_MATERIAL_DOUBLE_SIDED;
     for (int k = 0; k < 3; ++k) e.corners[k] = corner(scene, t, k);
     const Vec n = cross(e.corners[1] - e.corners[0], e.corners[2] - e.corners[0]);
     const double area = length(n) / 2;
@@ -237,10 +226,13 @@ LightTables make_light_tables(const scene::Scene& scene) {
   }
   const bool environment = !scene.environment.empty();
   std::vector<Group> groups;
-  for (std::uint32_t kind : {CLUSTER_TRIANGLES, CLUSTER_POSITIONAL, CLUSTER_DIRECTIONAL}) {
+  for (const auto& [kind, two_sided] : {std::pair{CLUSTER_TRIANGLES, false},
+                                        {CLUSTER_TRIANGLES, true},
+                                        {CLUSTER_POSITIONAL, false},
+                                        {CLUSTER_DIRECTIONAL, false}}) {
     std::vector<std::uint32_t> members;
     for (std::uint32_t i = 0; i < emitters.size(); ++i)
-      if (emitters[i].kind == kind) members.push_back(i);
+      if (emitters[i].kind == kind && emitters[i].two_sided == two_sided) members.push_back(i);
     if (!members.empty()) groups.push_back(bound(std::move(members), emitters));
   }
   const scene::Bounds bounds = scene::bounds_of(scene);
@@ -284,6 +276,7 @@ LightTables make_light_tables(const scene::Scene& scene) {
     set_word(tables.clusters, base + CLUSTER_FIRST, static_cast<std::uint32_t>(tables.emitters.size() / EMITTER_WORDS));
     set_word(tables.clusters, base + CLUSTER_COUNT, static_cast<std::uint32_t>(group.members.size()));
     set_word(tables.clusters, base + CLUSTER_KIND, group.kind);
+    set_word(tables.clusters, base + CLUSTER_TWO_SIDED, group.two_sided);
     largest = std::max(largest, group.members.size());
     double sum = 0;
     for (std::size_t i = 0; i < group.members.size(); ++i) {
@@ -295,7 +288,8 @@ LightTables make_light_tables(const scene::Scene& scene) {
       out[EMITTER_CDF] = i + 1 == group.members.size() ? 1.0f : static_cast<float>(std::min(sum, 1.0));
       out[EMITTER_PMF] = out[EMITTER_CDF] - (i ? tables.emitters[at - EMITTER_WORDS + EMITTER_CDF] : 0.0f);
       set_word(tables.emitters, at + EMITTER_TRIANGLE, e.triangle);
-      set_word(tables.emitters, at + EMITTER_CLUSTER, static_cast<std::uint32_t>(g));
+      set_word(tables.emitters, at + EMITTER_CLUSTER,
+               static_cast<std::uint32_t>(g) | (e.two_sided ? EMITTER_TWO_SIDED : 0));
       if (e.triangle != GLEANER_NONE) {
         tables.triangle_emitter[e.triangle] = static_cast<std::uint32_t>(at / EMITTER_WORDS);
         const Vec e1 = e.corners[1] - e.corners[0], e2 = e.corners[2] - e.corners[0];
@@ -338,7 +332,7 @@ LightTables make_light_tables(const scene::Scene& scene) {
   for (const Group& group : groups)
     for (auto m : group.members) {
       const Emitter& e = emitters[m];
-      double solid = std::numbers::pi;  // triangles: cosine-weighted over one side
+      double solid = e.two_sided ? 2 * std::numbers::pi : std::numbers::pi;  // triangles: cosine-weighted over a side
       if (e.kind == CLUSTER_DIRECTIONAL) solid = std::numbers::pi * radius * radius;
       if (e.kind == CLUSTER_POSITIONAL) {
         const scene::Light& light = scene.lights[e.light];

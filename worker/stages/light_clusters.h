@@ -15,12 +15,13 @@ struct LightTables {
   unsigned cluster_slots = 0;  // 1, 4, 8, 16, 32 or 64 (few kernel variants); unused ones have power 0; 0 = no light
   std::vector<float> environment;  // header, texels, cumulated densities (kernels/scene_layout.h)
   // From which light paths choose their light: EMISSION_HEADER words, then the cumulated share of each row of
-  // `emitters` in the scene's light (W), and, last, the environment's. Empty where nothing shines.
+  // `emitters` in the scene's light (W), and, last, the environment's. Empty where nothing shines. DeviceScene adds
+  // what the lights stand in.
   std::vector<float> emission;
 };
 
-// Groups emitters of one kind into at most MAX_CLUSTERS clusters, splitting where power times extent is largest.
-// Emitters without power are left out: light sampling never asks for them.
+// Groups emitters of one kind and as many sides into at most MAX_CLUSTERS clusters, splitting where power times extent
+// is largest. Emitters without power are left out: light sampling never asks for them.
 LightTables make_light_tables(const scene::Scene& scene);
 
 }  // namespace gleaner::worker

@@ -77,6 +77,7 @@ struct Part {
   const Device& device;
   DeviceScene& scene;
   Program program;
+  std::array<cl_uint, 2> media{};  // that camera rays begin in
   cl::Buffer parameters{}, items{}, slots{}, features{};
   bool listed = false;
   std::uint64_t first_item = 0;
@@ -88,11 +89,11 @@ class PathThread : public HostThread {
  public:
   PathThread(const Part& part, Workspace& workspace, WorkQueue& work, unsigned index)
       : HostThread(part.device, workspace, part.scene.tracer(), work, index),
-        shadow_rows_(part.scene.transparent_shadows() ? TRANSPARENT_SHADOW_ROWS : SHADOW_ROWS),
+        shadow_rows_(part.scene.shadow_rows()),
         transparent_(part.scene.transparent_shadows()),
-        wave_(take("paths", PathWave::bytes(wave_size(part.device), PATH_ROWS)),
-              take("next_paths", PathWave::bytes(wave_size(part.device), PATH_ROWS)), wave_size(part.device),
-              PATH_ROWS),
+        wave_(take("paths", PathWave::bytes(wave_size(part.device), part.scene.path_rows())),
+              take("next_paths", PathWave::bytes(wave_size(part.device), part.scene.path_rows())),
+              wave_size(part.device), part.scene.path_rows()),
         shadows_(take("shadows", PathWave::bytes(wave_.capacity(), shadow_rows_))),
         generate_(part.device, part.program, "path_generate"),
         shade_(part.device, part.program, "path_shade"),
@@ -102,7 +103,9 @@ class PathThread : public HostThread {
         .set("listed", static_cast<cl_uint>(part.listed))
         .set_words("first_item", part.first_item)
         .set("slots", part.slots)
-        .set("features", part.features);
+        .set("features", part.features)
+        .set("media_high", part.media[0])
+        .set("media_low", part.media[1]);
     part.scene.set_arguments(shade_);
     shade_.set("parameters", part.parameters)
         .set("shadows", shadows_)
@@ -173,8 +176,8 @@ class PathThread : public HostThread {
     queue_.finish();
   }
 
-  // Shadow rays through what is not opaque, one surface a turn. Rays that went on stand beside others that ended:
-  // traced as single rays, so that an answer does not depend on its neighbours.
+  // Shadow rays through what light passes straight, one surface a turn. Rays that went on stand beside others that
+  // ended: traced as single rays, so that an answer does not depend on its neighbours.
   void pass(std::uint32_t rays) {
     cl_uint left = rays;
     // As many surfaces as a path may meet.
@@ -234,6 +237,7 @@ BatchResult run_path_stage(const StageRun& run) {
   cl::CommandQueue queue = run.device.make_queue();
   Part part{.device = run.device, .scene = run.scene, .program = run.build("path.cl", p.covered ? " -D COVERED" : "")};
   part.parameters = run.parameter_buffer(queue);
+  part.media = run.scene.media_of(p.camera);
   part.listed = list.has_value();
 
   const std::uint64_t part_items = std::max<std::uint64_t>(1, kMostPaths / p.samples_per_item);

@@ -104,6 +104,7 @@ void Materials::add(const Element& element) {
     // It emits its base colour whatever else the file says.
     m.flags |= GLEANER_MATERIAL_UNLIT;
     m.metallic = m.specular = m.transmission = 0;
+    m.flags &= ~GLEANER_MATERIAL_DOUBLE_SIDED;
     std::fill(m.emission, m.emission + 3, 0.0f);
     std::erase_if(pending_, [](const PendingTexture& t) { return t.slot != &Material::base_color_texture; });
   }
@@ -118,6 +119,10 @@ void Materials::add_emission(const Element& element, Material& m) {
   if (std::any_of(m.emission, m.emission + 3, [](float e) { return e > 1; }))
     warnings_.add(element.name() + ".emissiveFactor",
                   "above 1, taken as it stands (glTF has KHR_materials_emissive_strength for it)");
+  // Other surfaces scatter on both sides whatever the file says.
+  const auto sides = element.find("doubleSided");
+  if (sides && sides->boolean() && std::any_of(m.emission, m.emission + 3, [](float e) { return e > 0; }))
+    m.flags |= GLEANER_MATERIAL_DOUBLE_SIDED;
   const auto strength = element.extension("KHR_materials_emissive_strength");
   if (!strength) return;
   for (float& e : m.emission) {

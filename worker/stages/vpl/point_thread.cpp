@@ -29,15 +29,19 @@ PointThread::PointThread(const StageRun& run, const cl::Buffer& parameters, Work
     : HostThread(run.device, run.workspace, run.scene.tracer(), work, index),
       first_item_(run.first),
       capacity_(path_capacity(run.device)),
-      paths_(take("paths", PathWave::bytes(capacity_, PATH_ROWS))),
+      path_rows_(run.scene.path_rows()),
+      paths_(take("paths", PathWave::bytes(capacity_, run.scene.path_rows()))),
       points_(take("points", std::size_t{capacity_ + RAY_BLOCK} * POINT_WORDS * 4)),
       lobes_(take("lobes", std::size_t{by_point ? 1 : capacity_ + RAY_BLOCK} * LOBE_WORDS * 4)),
       camera_rays_(run.device, run.build("points.cl"), "vpl_camera_rays"),
       step_(run.device, run.build("points.cl"), "vpl_point_step") {
+  const auto media = run.scene.media_of(run.parameters<VplPointParameters>().camera);
   camera_rays_.set("parameters", parameters)
       .set("by_point", static_cast<cl_uint>(by_point))
       .set("paths", paths_)
-      .set("points", points_);
+      .set("points", points_)
+      .set("media_high", media[0])
+      .set("media_low", media[1]);
   run.scene.set_arguments(step_);
   step_.set("parameters", parameters)
       .set("paths", paths_)
@@ -59,7 +63,7 @@ void PointThread::find_points(std::uint64_t first, std::uint32_t count) {
   camera_rays_.set_words("first", first_item_ + first).set("count", count);
   launch(camera_rays_, count, capacity_);
   counters.camera += count;
-  step_in_place(step_, paths_, PATH_ROWS, count, capacity_);
+  step_in_place(step_, paths_, path_rows_, count, capacity_);
 }
 
 // Stage kind "vpl_points".

@@ -25,6 +25,7 @@ class PointThread : public HostThread {
 
   std::uint64_t first_item_;
   std::uint32_t capacity_;
+  unsigned path_rows_;
   cl::Buffer paths_, points_, lobes_;
 
  private:

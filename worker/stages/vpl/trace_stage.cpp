@@ -19,9 +19,10 @@ class LightPathThread : public HostThread {
       : HostThread(run.device, run.workspace, run.scene.tracer(), work, index),
         first_item_(run.first),
         capacity_(path_capacity(run.device)),
+        path_rows_(run.scene.path_rows()),
         emit_(run.device, program, "vpl_emit"),
         step_(run.device, program, "vpl_trace_step"),
-        paths_(take("paths", PathWave::bytes(capacity_, PATH_ROWS))),
+        paths_(take("paths", PathWave::bytes(capacity_, run.scene.path_rows()))),
         // A path's slots more: lanes with nothing to write do so behind the records.
         record_words_(std::size_t{capacity_ + 1} * VPL_PATH_SLOTS * VPL_WORDS),
         records_(take("records", record_words_ * 4)) {
@@ -42,7 +43,7 @@ class LightPathThread : public HostThread {
       emit_.set_words("first", first_item_ + block.first).set("count", count);
       launch(emit_, count, capacity_);
       counters.scatter += count;
-      step_in_place(step_, paths_, PATH_ROWS, count, capacity_);
+      step_in_place(step_, paths_, path_rows_, count, capacity_);
       queue_.enqueueReadBuffer(records_, CL_TRUE, 0, count * stride, result.records.data() + block.first * stride);
     }
   }
@@ -50,6 +51,7 @@ class LightPathThread : public HostThread {
  private:
   std::uint64_t first_item_;
   std::uint32_t capacity_;
+  unsigned path_rows_;
   Kernel emit_, step_;
   cl::Buffer paths_;
   std::size_t record_words_;
