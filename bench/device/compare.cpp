@@ -15,8 +15,8 @@ namespace {
 struct Layout {
   unsigned row_words = 0;
   std::vector<unsigned> reals{}, words{};
-  bool bits = false;           // all words are bits: a row is a bit
-  std::uint64_t rows = 0;      // 0: all
+  bool bits = false;             // all words are bits: a row is a bit
+  std::uint64_t rows = 0;        // 0: all
   std::vector<unsigned> sums{};  // reals whose sums are compared
   Bound bound{};
 };
@@ -43,14 +43,18 @@ Layout layout_of(const RecordedBatch& batch) {
     return {.row_words = words, .reals = range(0, words), .sums = range(0, 6), .bound = {0.01, 0.03, 0.01}};
   }
   if (kind == "vpl_trace")
-    return {.row_words = VPL_WORDS, .reals = range(VPL_POSITION, 12), .sums = range(VPL_FLUX, 3), .bound = {0.01, 0.02, 0.01}};
+    return {.row_words = VPL_WORDS,
+            .reals = range(VPL_POSITION, 12),
+            .sums = range(VPL_FLUX, 3),
+            .bound = {0.01, 0.02, 0.01}};
   if (kind == "vpl_points")
     return {.row_words = POINT_WORDS,
             .reals = range(POINT_POSITION, 6),
             .words = {POINT_TRIANGLE},
             .bound = {0.001, 0.01, 0.01}};
   if (kind == "vpl_visibility") return {.row_words = 1, .bits = true, .bound = {0, 0.002, 0}};
-  if (kind == "vpl_shade") return {.row_words = 3, .reals = range(0, 3), .sums = range(0, 3), .bound = {0.01, 0.05, 0.01}};
+  if (kind == "vpl_shade")
+    return {.row_words = 3, .reals = range(0, 3), .sums = range(0, 3), .bound = {0.01, 0.05, 0.01}};
   // A datum that is as near to two centroids changes both, and these their neighbours in each iteration.
   if (kind == "vpl_cluster")
     return {.row_words = VPL_WORDS,

@@ -16,9 +16,9 @@ constexpr char kMagic[8] = {'G', 'L', 'B', 'A', 'T', 'C', 'H', '1'};
 class Writer {
  public:
   void number(std::uint64_t n) { append(&n, sizeof n); }
-  void run(const void* data, std::size_t bytes) {
-    number(bytes);
-    append(data, bytes);
+  void run(const void* data, std::size_t size) {
+    number(size);
+    append(data, size);
   }
   scene::Bytes bytes;
 
@@ -43,8 +43,8 @@ class Reader {
     return {data, data + size};
   }
   std::string text() {
-    const scene::Bytes bytes = run();
-    return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
+    const scene::Bytes letters = run();
+    return {reinterpret_cast<const char*>(letters.data()), letters.size()};
   }
 
  private:

@@ -20,9 +20,9 @@ namespace {
 
 constexpr const char* kPoclPlatform = "Portable Computing Language";
 
-// PoCL's "basic" driver runs a kernel in the thread that asks for it. Our lanes are threads already, so its other
-// driver, with a pool of its own, only adds a hand-over per kernel (measured: 60 us against 0.7 us) and a barrier
-// between the lanes. Must come before the first OpenCL call; who sets POCL_DEVICES decides.
+// PoCL's "basic" driver runs a kernel in the thread that asks for it. A batch has host threads of its own, so
+// that PoCL's other driver, with its pool, only adds a hand-over per kernel (measured: 60 us against 0.7 us) and a
+// barrier between the threads. Must come before the first OpenCL call; who sets POCL_DEVICES decides.
 void prefer_basic_pocl() {
   static std::once_flag once;
   std::call_once(once, [] { setenv("POCL_DEVICES", "basic", /*overwrite=*/0); });

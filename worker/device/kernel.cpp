@@ -75,7 +75,7 @@ void Kernel::launch(cl::CommandQueue& queue, const Grid& grid) {
                         parameters_[static_cast<std::size_t>(missing)].name);
   }
   const bool cpu = device_.info().cpu;
-  const std::size_t items = ((cpu ? grid.capacity : grid.work) + grid.lanes - 1) / grid.lanes;
+  const std::size_t items = ((cpu ? grid.capacity : grid.work) + grid.per_item - 1) / grid.per_item;
   const std::size_t group = grid.group ? grid.group : cpu ? 8 : 64;
   const bool timed = device_.profile().on();
   cl::Event event;

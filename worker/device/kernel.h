@@ -9,11 +9,11 @@
 
 namespace gleaner::worker {
 
-// How much a launch has to do, and the most that a launch of this kernel ever has to do. A work-item does `lanes` of
+// How much a launch has to do, and the most that a launch of this kernel ever has to do. A work-item does `per_item` of
 // it; `group` work-items run together (0: the device's usual number).
 struct Grid {
   std::size_t work = 0, capacity = 0;
-  unsigned lanes = 1;
+  unsigned per_item = 1;
   std::size_t group = 0;
 };
 

@@ -119,7 +119,7 @@ class KMeans {
     for (std::size_t base = 0; base < count_; base += kAssignItems) {
       kernel_.set("base", static_cast<cl_uint>(base))
           .set("count", static_cast<cl_uint>(std::min<std::size_t>(kAssignItems, count_ - base)));
-      kernel_.launch(queue_, {.work = kAssignItems, .capacity = kAssignItems, .lanes = device_.lanes()});
+      kernel_.launch(queue_, {.work = kAssignItems, .capacity = kAssignItems, .per_item = device_.lanes()});
     }
     queue_.enqueueReadBuffer(assigned_buffer_, CL_TRUE, 0, count_ * 4, assigned_.data());
   }

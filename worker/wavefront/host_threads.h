@@ -38,12 +38,12 @@ class HostThread {
   // A buffer of this thread's own, with room for the last row's load of a whole line.
   cl::Buffer take(const std::string& name, std::size_t bytes);
 
-  // A work-item does as many things as the device has lanes, or `lanes`.
+  // A work-item does as many things as the device has lanes, or `per_item`.
   void launch(Kernel& kernel, std::size_t work, std::size_t capacity) {
-    kernel.launch(queue_, {.work = work, .capacity = capacity, .lanes = device_.lanes()});
+    kernel.launch(queue_, {.work = work, .capacity = capacity, .per_item = device_.lanes()});
   }
-  void launch(Kernel& kernel, std::size_t work, std::size_t capacity, unsigned lanes) {
-    kernel.launch(queue_, {.work = work, .capacity = capacity, .lanes = lanes});
+  void launch(Kernel& kernel, std::size_t work, std::size_t capacity, unsigned per_item) {
+    kernel.launch(queue_, {.work = work, .capacity = capacity, .per_item = per_item});
   }
 
   // Moves paths in place, all of them at each step, until none is left: closest hits, then `step`, which adds the paths

@@ -73,7 +73,7 @@ void ResidualSamples::set_arguments(const ShadeBatch& batch, const ShadedPoints&
 
 std::uint64_t ResidualSamples::correct(std::uint32_t paths) {
   select_.set("count", paths);
-  select_.launch(queue_, {.work = paths, .capacity = capacity_, .lanes = device_.lanes()});
+  select_.launch(queue_, {.work = paths, .capacity = capacity_, .per_item = device_.lanes()});
   std::vector<std::uint32_t> counts(paths), firsts(paths), places;
   queue_.enqueueReadBuffer(counts_, CL_TRUE, 0, std::size_t{paths} * 4, counts.data());
   for (std::uint32_t i = 0; i < paths; ++i) {
@@ -87,7 +87,7 @@ std::uint64_t ResidualSamples::correct(std::uint32_t paths) {
   for (std::size_t base = 0; base < places.size(); base += capacity) {
     const auto count = static_cast<std::uint32_t>(std::min<std::size_t>(capacity, places.size() - base));
     make_rays_.set("base", static_cast<cl_uint>(base)).set("count", count);
-    make_rays_.launch(queue_, {.work = count, .capacity = capacity, .lanes = device_.lanes()});
+    make_rays_.launch(queue_, {.work = count, .capacity = capacity, .per_item = device_.lanes()});
     // One by one: which rays stand beside each other depends on the batch.
     answers_.answer(single_rays(VISIBILITY_ROWS, count), count, base, bits_);
   }

@@ -22,7 +22,7 @@ void VisibilityAnswers::answer(const RayRange& range, std::uint32_t count, std::
                                const cl::Buffer& bits) {
   queries_.any(rays_, range);
   pack_.set("words", (count + 31) / 32).set("first", static_cast<cl_uint>(first / 32)).set("bits", bits);
-  pack_.launch(queue_, {.work = count, .capacity = ray_capacity(device_), .lanes = 32});
+  pack_.launch(queue_, {.work = count, .capacity = ray_capacity(device_), .per_item = 32});
 }
 
 VisibilityQueries::VisibilityQueries(const StageRun& run, cl::CommandQueue& queue, RayQueries& queries, cl::Buffer rays,
@@ -57,7 +57,7 @@ std::uint64_t VisibilityQueries::ask(const Query& query) {
   for (std::uint64_t base = 0; base < all; base += capacity) {
     const auto count = static_cast<std::uint32_t>(std::min<std::uint64_t>(capacity, all - base));
     make_rays_.set("ray_base", static_cast<cl_uint>(base)).set("count", count);
-    make_rays_.launch(queue_, {.work = count, .capacity = capacity, .lanes = device_.lanes()});
+    make_rays_.launch(queue_, {.work = count, .capacity = capacity, .per_item = device_.lanes()});
     // Sixteen lights as one point sees them, always the same sixteen.
     answers_.answer(ray_packets(VISIBILITY_ROWS, count), count, base, query.bits);
   }
