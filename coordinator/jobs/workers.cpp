@@ -80,6 +80,7 @@ void Farm::Impl::watch_clock() {
 void Farm::Impl::tick() {
   Seconds time = now();
   for (const Lease& lease : scheduler.expire(time)) {
+    ++totals.batches_expired;
     if (auto worker = workers.find(lease.worker); worker != workers.end()) worker->second.session->revoke(lease);
     forget_lease(lease.epoch);
   }

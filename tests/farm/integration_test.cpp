@@ -353,6 +353,42 @@ TEST_F(Farm, StatusesAndWordsOfErrors) {
   EXPECT_EQ(lonely.wait(), 4) << lonely.err();
 }
 
+TEST_F(Farm, OtherMachinesAreLetInOnlyWhereTheUserSaysSo) {
+  const std::string coordinator = (programs / "gleaner-coordinator").string(), data = folder("data").string();
+  struct {
+    std::vector<std::string> words;
+    const char* said;
+  } const refused[] = {
+      {{"--listen", "0.0.0.0:0"}, "--listen 0.0.0.0:0 is open to other machines"},
+      {{"--listen", ":0"}, "--insecure"},
+      {{"--listen", "[::]:0"}, "--insecure"},
+      {{"--listen", "127.0.0.1:0", "--http", "0.0.0.0:0"}, "--http 0.0.0.0:0 is open to other machines"},
+      {{"--listen", "nonsense"}, "expected HOST:PORT"},
+      {{"--listen", "127.0.0.1:0", "--http", "http://127.0.0.1:0"}, "--http: expected HOST:PORT"},
+  };
+  for (const auto& row : refused) {
+    std::vector<std::string> words = {coordinator, "--data", data};
+    words.insert(words.end(), row.words.begin(), row.words.end());
+    Process process(words, folder("refused"));
+    ASSERT_TRUE(eventually([&] { return !process.running(); })) << row.words[1] << " was listened on";
+    EXPECT_EQ(process.wait(), 2) << row.words[1];
+    EXPECT_THAT(process.err(), HasSubstr(row.said));
+    EXPECT_EQ(process.out(), "");
+  }
+  EXPECT_FALSE(fs::exists(data)) << "it refused too late";
+
+  Process open({coordinator, "--data", data, "--insecure", "--listen", "0.0.0.0:0", "--http", "0.0.0.0:0"},
+               folder("open"));
+  ASSERT_TRUE(eventually([&] { return open.out().find('\n') != std::string::npos; })) << open.err();
+  const std::string port = open.out().substr(open.out().rfind(':') + 1);
+  const std::string address = "127.0.0.1:" + port.substr(0, port.find('\n'));
+  EXPECT_EQ(Process({coordinator, "--check", address}, folder("check")).wait(), 0);
+  open.signal(SIGTERM);
+  EXPECT_EQ(open.wait(), 0);
+  EXPECT_EQ(Process({coordinator, "--check", address}, folder("check")).wait(), 4);
+  EXPECT_EQ(Process({coordinator}, folder("no-data")).wait(), 2);
+}
+
 TEST_F(Farm, ATimeLimitIsKeptAndSaid) {
   std::vector<std::string> words = frame(1000000);
   std::string out = folder("limited.exr").string(), report_file = folder("limited.json").string();
