@@ -9,13 +9,17 @@
 #include <filesystem>
 #include <future>
 #include <iostream>
+#include <optional>
 #include <random>
 
+#include "cli/client.h"
 #include "cli/data_lock.h"
 #include "cli/machine_memory.h"
 #include "cli/program.h"
 #include "cli/signals.h"
 #include "coordinator/blobs/store.h"
+#include "coordinator/gateway/address.h"
+#include "coordinator/gateway/http.h"
 #include "coordinator/gateway/server.h"
 #include "coordinator/jobs/farm.h"
 #include "gleaner/version.h"
@@ -33,6 +37,9 @@ constexpr Seconds grace = 5;  // for a plan that computes when the coordinator i
 
 struct CoordinatorOptions {
   std::string listen = "127.0.0.1:8780";
+  std::string http;  // empty: none
+  bool insecure = false;
+  std::string check;  // HOST:PORT; empty: be a coordinator
   std::string data;
   unsigned active_jobs = 2;
   double upload_gib = 64;
@@ -40,7 +47,26 @@ struct CoordinatorOptions {
   std::uint64_t batch_items = 0;
 };
 
+// Who reaches a listener can do everything: in the clear it is for this machine's own, unless the user says otherwise.
+void refuse_strangers(const std::string& option, const std::string& listen) {
+  if (!gateway::is_loopback(gateway::parse_listen_address(option, listen)))
+    throw Error::usage(option + " " + listen +
+                       " is open to other machines, and the connection is neither encrypted nor authenticated: "
+                       "listen on 127.0.0.1, or say --insecure on a network that you trust");
+}
+
+// For health checks: cheaper to start than `gleaner`. The farm itself must answer, not its sockets alone.
+int check(const std::string& address) {
+  Client(address).workers();
+  return 0;
+}
+
 int coordinate(const CoordinatorOptions& options) {
+  if (options.data.empty()) throw Error::usage("--data is required: a folder of blobs and pictures");
+  if (!options.insecure) {
+    refuse_strangers("--listen", options.listen);
+    if (!options.http.empty()) refuse_strangers("--http", options.http);
+  }
   Signals signals;
   auto log = std::make_shared<spdlog::logger>("gleaner-coordinator", std::make_shared<spdlog::sinks::stderr_sink_mt>());
   log->set_pattern("%Y-%m-%dT%H:%M:%S.%e %v");
@@ -68,9 +94,12 @@ int coordinate(const CoordinatorOptions& options) {
   server_settings.listen = options.listen;
   server_settings.upload_bytes = static_cast<std::uint64_t>(options.upload_gib * gib);
   gateway::Server server(farm, blobs, server_settings);
+  std::optional<gateway::HttpServer> http;
+  if (!options.http.empty()) http.emplace(farm, options.http);
   // Alone on standard output, so that scripts that ask for port 0 learn what they got.
   std::cout << server.address() << std::endl;
-  log->info("listening on " + server.address() + ", data in " + data.string());
+  log->info("listening on " + server.address() + (http ? ", HTTP on " + http->address() : "") + ", data in " +
+            data.string());
 
   std::promise<void> asked_to_end;
   signals.watch([&] { asked_to_end.set_value(); });
@@ -97,7 +126,12 @@ int main(int argc, char** argv) {
   CoordinatorOptions options;
   app.add_option("--listen", options.listen, "HOST:PORT; port 0 takes a free one. Prints HOST:PORT on standard output")
       ->capture_default_str();
-  app.add_option("--data", options.data, "folder of blobs and pictures; made where it is not there")->required();
+  app.add_option("--http", options.http, "HOST:PORT of /healthz and /metrics (default: none)");
+  app.add_flag("--insecure", options.insecure,
+               "other machines may reach the listeners, without encryption or authentication");
+  app.add_option("--data", options.data, "folder of blobs and pictures; made where it is not there; required");
+  app.add_option("--check", options.check,
+                 "HOST:PORT: do nothing but ask the coordinator there for a sign of life; 4 where it gives none");
   app.add_option("--active-jobs", options.active_jobs, "jobs that run at the same time")
       ->capture_default_str()
       ->check(CLI::Range(1u, 64u));
@@ -109,5 +143,6 @@ int main(int argc, char** argv) {
                  "(default: three quarters of the machine's)")
       ->check(CLI::PositiveNumber);
   app.add_option("--batch-items", options.batch_items, "every batch of this size")->group("");
-  return run_program(app, argc, argv, [&] { return coordinate(options); });
+  return run_program(app, argc, argv,
+                     [&] { return options.check.empty() ? coordinate(options) : check(options.check); });
 }

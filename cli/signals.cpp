@@ -43,7 +43,8 @@ void Signals::wait() {
     int signal = 0;
     sigwait(&set, &signal);
     if (ending_) return;
-    if (raised_) ::_exit(128 + signal);
+    if (raised_ && signal == SIGINT) ::_exit(128 + signal);
+    if (raised_) continue;
     std::lock_guard lock(mutex_);
     raised_ = true;
     if (on_signal_) on_signal_();

@@ -8,8 +8,9 @@
 
 namespace gleaner::cli {
 
-// Made before any other thread, so that all threads leave the signals to this one. A second signal ends the process at
-// once.
+// Made before any other thread, so that all threads leave the signals to this one. A second Ctrl-C ends the process at
+// once; a second SIGTERM does not: batch systems send it to all of a job's processes, and the job's script passes it
+// on.
 class Signals {
  public:
   Signals();

@@ -137,6 +137,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   Scheduler scheduler;
   std::map<WorkerId, Worker> workers;
   WorkerId last_worker = 0;
+  FarmTotals totals;
   std::map<Epoch, Lease> leases;  // handed out and not yet answered
   std::map<StageId, std::shared_ptr<RunningStage>> active_stages;
   KeptRecords kept{settings.kept_bytes};

@@ -87,6 +87,7 @@ class Farm {
   void drain(WorkerId worker);
   void heard(WorkerId worker);  // it lives
   std::vector<WorkerStatus> workers() const;
+  FarmTotals totals() const;
 
   // How many bytes the result of this lease has; none where the lease is not (or no longer) this worker's.
   std::optional<std::uint64_t> expected_bytes(WorkerId worker, LeaseId lease, Epoch epoch) const;

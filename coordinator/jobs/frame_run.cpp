@@ -77,6 +77,7 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
     begun = now();
     std::lock_guard lock(mutex);
     ++job->frames_done;
+    ++totals.frames_written;
     changed(*job);
   }
 }

@@ -64,4 +64,10 @@ struct WorkerStatus {
   std::map<std::string, double> items_per_second;  // by stage kind
 };
 
+// Since the farm was made.
+struct FarmTotals {
+  std::uint64_t batches_accepted = 0, batches_failed = 0, batches_expired = 0;
+  std::uint64_t items_accepted = 0, frames_written = 0;
+};
+
 }  // namespace gleaner::coordinator

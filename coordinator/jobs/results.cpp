@@ -88,6 +88,8 @@ void Farm::Impl::account(RunningStage& stage, const Worker& worker, const Lease&
                          std::size_t bytes) {
   Seconds time = now();
   stage.items_done += lease.count;
+  totals.items_accepted += lease.count;
+  ++totals.batches_accepted;
   stage.last_result = time;
   remember_progress(stage, time);
   ++stage.report.batches;
@@ -120,6 +122,7 @@ void Farm::Impl::failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::s
     if (auto found = active_stages.find(known->second.stage); found != active_stages.end()) stage = found->second;
   FailureOutcome outcome = scheduler.failed(id, lease_id, epoch, now());
   if (outcome.known && stage) {
+    ++totals.batches_failed;
     const Lease& lease = known->second;
     stage->last_failure = "stage " + stage->spec.name + ", items " + std::to_string(lease.first) + " to " +
                           std::to_string(lease.first + lease.count - 1) + ", worker " + worker->second.name + ": " +
@@ -133,6 +136,11 @@ void Farm::Impl::failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::s
   }
   offer(worker->second);
   offer_to_unserved_soon();
+}
+
+FarmTotals Farm::totals() const {
+  std::lock_guard lock(impl_->mutex);
+  return impl_->totals;
 }
 
 std::optional<std::uint64_t> Farm::expected_bytes(WorkerId worker, LeaseId lease, Epoch epoch) const {

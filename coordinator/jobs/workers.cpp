@@ -109,7 +109,9 @@ void Farm::Impl::watch_clock() {
 
 void Farm::Impl::tick() {
   Seconds time = now();
-  revoke(scheduler.expire(time));
+  const std::vector<Lease> expired = scheduler.expire(time);
+  totals.batches_expired += expired.size();
+  revoke(expired);
   std::vector<WorkerId> silent;
   for (const auto& [id, worker] : workers)
     if (time - worker.heard > settings.silence && worker.waits == 0) silent.push_back(id);

@@ -1,3 +1,6 @@
 find_package(nlohmann_json REQUIRED)
 gleaner_test(NAME farm_wire SOURCES wire_test.cpp LIBRARIES gleaner_gateway)
 gleaner_test(NAME farm_agent SOURCES agent_test.cpp LIBRARIES gleaner_gateway gleaner_agent nlohmann_json::nlohmann_json)
+find_package(PkgConfig REQUIRED)
+pkg_check_modules(httplib REQUIRED IMPORTED_TARGET cpp-httplib)
+gleaner_test(NAME farm_http SOURCES http_test.cpp LIBRARIES gleaner_http gleaner_gateway PkgConfig::httplib)

@@ -66,6 +66,7 @@ case $1 in
 esac
 E2
 stand_in build/bin/gleaner-coordinator <<E2
+echo "\$*" >"$place/coordinator-words"
 echo 127.0.0.1:1
 exec -a "stand-in $place coordinator" sleep 1000
 E2
@@ -123,7 +124,57 @@ status=0
 ((status == 1)) || fail "up: exit status $status where a worker ended"
 expect_text 'up without workers' "$log" 'a process of the farm ended'
 expect_nothing_left 'up without workers'
+
+# up --insecure, GLEANER_HTTP: said to the coordinator, which decides.
+GLEANER_LISTEN=0.0.0.0:8780 GLEANER_HTTP=127.0.0.1:8781 "$farm" up --insecure 1 >"$log" 2>&1 || true
+expect_text 'up --insecure' "$place/coordinator-words" '--listen 0.0.0.0:8780'
+expect_text 'up --insecure' "$place/coordinator-words" '--insecure --http 127.0.0.1:8781'
+for words in '--insecur' '0' '-1' '3 x'; do
+  status=0
+  # shellcheck disable=SC2086 # several words are meant
+  "$farm" up $words >"$log" 2>&1 || status=$?
+  ((status == 1)) || fail "up $words: exit status $status"
+  expect_text "up $words" "$log" 'expected a number of workers, --docker or --insecure'
+done
 mv "$place/worker" "$place/build/bin/gleaner-worker"
+
+# up --docker: what the engine is told, and with what.
+stand_in tools/docker <<E2
+echo "docker \$*; BIND=\${GLEANER_BIND:-} PORT=\${GLEANER_PORT:-} HTTP=\${GLEANER_HTTP_BIND:-}:\${GLEANER_HTTP_PORT:-}" >>"$place/docker"
+case "\$*" in
+  *'exec -T coordinator gleaner workers'*) printf 'one\ntwo\nthree\n' ;;
+  *build) [[ ! -e "$place/no-image" ]] ;;
+esac
+E2
+"$farm" up --docker 3 >"$log" 2>&1 || fail "up --docker: exit status $?"
+expect_text 'up --docker' "$place/docker" 'compose -p gleaner -f deploy/docker-compose.yml build; BIND=127.0.0.1 PORT=8780'
+expect_text 'up --docker' "$place/docker" 'up -d --no-build --scale worker=3;'
+expect_text 'up --docker' "$log" 'export GLEANER_COORDINATOR=127.0.0.1:8780'
+GLEANER_LISTEN=0.0.0.0:9000 GLEANER_HTTP=127.0.0.1:9001 "$farm" up 3 --docker --insecure >"$log" 2>&1 ||
+  fail "up --docker --insecure: exit status $?"
+expect_text 'up --docker' "$place/docker" 'worker=3; BIND=0.0.0.0 PORT=9000 HTTP=127.0.0.1:9001'
+expect_text 'up --docker' "$log" 'export GLEANER_COORDINATOR=127.0.0.1:9000'
+rm "$place/docker"
+for variable in GLEANER_LISTEN GLEANER_HTTP; do
+  status=0
+  env "$variable=0.0.0.0:8780" "$farm" up --docker >"$log" 2>&1 || status=$?
+  ((status == 1)) || fail "up --docker, $variable open to others: exit status $status"
+  expect_text "up --docker, $variable" "$log" 'say --insecure'
+done
+! grep -q 'up -d' "$place/docker" || fail 'up --docker: it started a farm open to others'
+"$farm" down >"$log" 2>&1 || fail "down: exit status $?"
+expect_text down "$place/docker" '-f deploy/docker-compose.yml down'
+touch "$place/no-image"
+status=0
+"$farm" up --docker >"$log" 2>&1 || status=$?
+((status == 1)) || fail "up --docker: exit status $status where the image cannot be built"
+expect_text 'up --docker' "$log" 'building the image failed'
+stand_in tools/docker <<<'echo "Cannot connect to the Docker daemon" >&2; exit 1'
+status=0
+"$farm" up --docker >"$log" 2>&1 || status=$?
+((status == 1)) || fail "up --docker: exit status $status without an engine"
+expect_text 'up --docker' "$log" 'no Docker engine answers: Cannot connect'
+expect_nothing_left 'up --docker'
 
 # test: ctest's last line and its exit status.
 stand_in tools/ctest <<<'echo "the arguments: $*"; echo "100% tests passed"; exit 7'
