@@ -394,92 +394,94 @@ TEST_F(Farm, FramesAreHeldInMemoryOneAtATimeAndWithinItsBound) {
   const std::uint64_t after = memory_of(farm.coordinator(), "VmRSS");
   EXPECT_LT(after, before + queued * (std::uint64_t{1} << 20)) << "a job that waits takes more than a mebibyte";
   for (const std::string& job : jobs) farm.gleaner({"cancel", job.substr(0, job.find('\n'))});
-  TEST_F(Farm, OtherMachinesAreLetInOnlyWhereTheUserSaysSo) {
-    const std::string coordinator = (programs / "gleaner-coordinator").string(), data = folder("data").string();
-    struct {
-      std::vector<std::string> words;
-      const char* said;
-    } const refused[] = {
-        {{"--listen", "0.0.0.0:0"}, "--listen 0.0.0.0:0 is open to other machines"},
-        {{"--listen", ":0"}, "--insecure"},
-        {{"--listen", "[::]:0"}, "--insecure"},
-        {{"--listen", "127.0.0.1:0", "--http", "0.0.0.0:0"}, "--http 0.0.0.0:0 is open to other machines"},
-        {{"--listen", "nonsense"}, "expected HOST:PORT"},
-        {{"--listen", "127.0.0.1:0", "--http", "http://127.0.0.1:0"}, "--http: expected HOST:PORT"},
-    };
-    for (const auto& row : refused) {
-      std::vector<std::string> words = {coordinator, "--data", data};
-      words.insert(words.end(), row.words.begin(), row.words.end());
-      Process process(words, folder("refused"));
-      ASSERT_TRUE(eventually([&] { return !process.running(); })) << row.words[1] << " was listened on";
-      EXPECT_EQ(process.wait(), 2) << row.words[1];
-      EXPECT_THAT(process.err(), HasSubstr(row.said));
-      EXPECT_EQ(process.out(), "");
-    }
-    EXPECT_FALSE(fs::exists(data)) << "it refused too late";
+}
 
-    Process open({coordinator, "--data", data, "--insecure", "--listen", "0.0.0.0:0", "--http", "0.0.0.0:0"},
-                 folder("open"));
-    ASSERT_TRUE(eventually([&] { return open.out().find('\n') != std::string::npos; })) << open.err();
-    const std::string port = open.out().substr(open.out().rfind(':') + 1);
-    const std::string address = "127.0.0.1:" + port.substr(0, port.find('\n'));
-    EXPECT_EQ(Process({coordinator, "--check", address}, folder("check")).wait(), 0);
-    open.signal(SIGTERM);
-    EXPECT_EQ(open.wait(), 0);
-    EXPECT_EQ(Process({coordinator, "--check", address}, folder("check")).wait(), 4);
-    EXPECT_EQ(Process({coordinator}, folder("no-data")).wait(), 2);
+TEST_F(Farm, OtherMachinesAreLetInOnlyWhereTheUserSaysSo) {
+  const std::string coordinator = (programs / "gleaner-coordinator").string(), data = folder("data").string();
+  struct {
+    std::vector<std::string> words;
+    const char* said;
+  } const refused[] = {
+      {{"--listen", "0.0.0.0:0"}, "--listen 0.0.0.0:0 is open to other machines"},
+      {{"--listen", ":0"}, "--insecure"},
+      {{"--listen", "[::]:0"}, "--insecure"},
+      {{"--listen", "127.0.0.1:0", "--http", "0.0.0.0:0"}, "--http 0.0.0.0:0 is open to other machines"},
+      {{"--listen", "nonsense"}, "expected HOST:PORT"},
+      {{"--listen", "127.0.0.1:0", "--http", "http://127.0.0.1:0"}, "--http: expected HOST:PORT"},
+  };
+  for (const auto& row : refused) {
+    std::vector<std::string> words = {coordinator, "--data", data};
+    words.insert(words.end(), row.words.begin(), row.words.end());
+    Process process(words, folder("refused"));
+    ASSERT_TRUE(eventually([&] { return !process.running(); })) << row.words[1] << " was listened on";
+    EXPECT_EQ(process.wait(), 2) << row.words[1];
+    EXPECT_THAT(process.err(), HasSubstr(row.said));
+    EXPECT_EQ(process.out(), "");
   }
+  EXPECT_FALSE(fs::exists(data)) << "it refused too late";
 
-  TEST_F(Farm, ATimeLimitIsKeptAndSaid) {
-    std::vector<std::string> words = frame(1000000);
-    std::string out = folder("limited.exr").string(), report_file = folder("limited.json").string();
-    words.insert(words.begin(), "render");
-    for (const std::string& word :
-         {std::string("-o"), out, std::string("--report"), report_file, std::string("--time-limit"), std::string("2")})
-      words.push_back(word);
-    Ran ran = run(words);
-    ASSERT_EQ(ran.status, 0) << ran.err;
-    EXPECT_TRUE(fs::exists(out));
-    json report = json::parse(read_text(report_file));
-    EXPECT_EQ(report["time_limit"]["reached"], true);
-    EXPECT_LT(report["parameters"]["samples"], 80ll * 60 * 1000000);
-    bool said = false;
-    for (const auto& skip : report["skips"]) said = said || (skip["what"] == "samples" && skip["count"] > 0);
-    EXPECT_TRUE(said);
-  }
+  Process open({coordinator, "--data", data, "--insecure", "--listen", "0.0.0.0:0", "--http", "0.0.0.0:0"},
+               folder("open"));
+  ASSERT_TRUE(eventually([&] { return open.out().find('\n') != std::string::npos; })) << open.err();
+  const std::string port = open.out().substr(open.out().rfind(':') + 1);
+  const std::string address = "127.0.0.1:" + port.substr(0, port.find('\n'));
+  EXPECT_EQ(Process({coordinator, "--check", address}, folder("check")).wait(), 0);
+  open.signal(SIGTERM);
+  EXPECT_EQ(open.wait(), 0);
+  EXPECT_EQ(Process({coordinator, "--check", address}, folder("check")).wait(), 4);
+  EXPECT_EQ(Process({coordinator}, folder("no-data")).wait(), 2);
+}
 
-  // What a frame of a way makes of its own, and what it shares with the others.
-  TEST_F(Farm, ReplayKnowsTheFramesOfAWay) {
-    const auto record = [](const std::string& stage, const std::vector<std::string>& more) {
-      std::vector<std::string> words = {"replay",    scene().string(),
-                                        "--size",    "32x32",
-                                        "--spp",     "4",
-                                        "--method",  "vpl",
-                                        "--frames",  "5-7",
-                                        "--look-at", "0,1,3.5,0,1,0,40",
-                                        "--look-at", "0.5,1,3.5,0,1,0,40",
-                                        "--set",     "vpl.count=300",
-                                        "--quiet",   "--item",
-                                        "500",       "--stage",
-                                        stage};
-      if (stage.ends_with("cluster")) *(words.end() - 3) = "7";
-      words.insert(words.end(), more.begin(), more.end());
-      const Ran ran = run(words);
-      EXPECT_EQ(ran.status, 0) << ran.err;
-      return ran.out;
-    };
-    const std::string first = record("vpl.shade.0", {});
-    EXPECT_EQ(record("vpl.shade.0", {"--frame", "5"}), first);
-    EXPECT_NE(record("vpl.shade.0", {"--frame", "7"}), first);
-    for (const char* shared : {"vpl.points.2", "vpl.point_cluster"})
-      EXPECT_EQ(record(shared, {"--frame", "7"}), record(shared, {})) << shared;
-  }
+TEST_F(Farm, ATimeLimitIsKeptAndSaid) {
+  std::vector<std::string> words = frame(1000000);
+  std::string out = folder("limited.exr").string(), report_file = folder("limited.json").string();
+  words.insert(words.begin(), "render");
+  for (const std::string& word :
+       {std::string("-o"), out, std::string("--report"), report_file, std::string("--time-limit"), std::string("2")})
+    words.push_back(word);
+  Ran ran = run(words);
+  ASSERT_EQ(ran.status, 0) << ran.err;
+  EXPECT_TRUE(fs::exists(out));
+  json report = json::parse(read_text(report_file));
+  EXPECT_EQ(report["time_limit"]["reached"], true);
+  EXPECT_LT(report["parameters"]["samples"], 80ll * 60 * 1000000);
+  bool said = false;
+  for (const auto& skip : report["skips"]) said = said || (skip["what"] == "samples" && skip["count"] > 0);
+  EXPECT_TRUE(said);
+}
 
-  TEST_F(Farm, HelpIsNoError) {
-    EXPECT_EQ(run({"--help"}).status, 0);
-    EXPECT_EQ(run({"render", "--help"}).status, 0);
-    EXPECT_THAT(run({"render", "--help"}).out, HasSubstr("--target-error"));
-  }
+// What a frame of a way makes of its own, and what it shares with the others.
+TEST_F(Farm, ReplayKnowsTheFramesOfAWay) {
+  const auto record = [](const std::string& stage, const std::vector<std::string>& more) {
+    std::vector<std::string> words = {"replay",    scene().string(),
+                                      "--size",    "32x32",
+                                      "--spp",     "4",
+                                      "--method",  "vpl",
+                                      "--frames",  "5-7",
+                                      "--look-at", "0,1,3.5,0,1,0,40",
+                                      "--look-at", "0.5,1,3.5,0,1,0,40",
+                                      "--set",     "vpl.count=300",
+                                      "--quiet",   "--item",
+                                      "500",       "--stage",
+                                      stage};
+    if (stage.ends_with("cluster")) *(words.end() - 3) = "7";
+    words.insert(words.end(), more.begin(), more.end());
+    const Ran ran = run(words);
+    EXPECT_EQ(ran.status, 0) << ran.err;
+    return ran.out;
+  };
+  const std::string first = record("vpl.shade.0", {});
+  EXPECT_EQ(record("vpl.shade.0", {"--frame", "5"}), first);
+  EXPECT_NE(record("vpl.shade.0", {"--frame", "7"}), first);
+  for (const char* shared : {"vpl.points.2", "vpl.point_cluster"})
+    EXPECT_EQ(record(shared, {"--frame", "7"}), record(shared, {})) << shared;
+}
+
+TEST_F(Farm, HelpIsNoError) {
+  EXPECT_EQ(run({"--help"}).status, 0);
+  EXPECT_EQ(run({"render", "--help"}).status, 0);
+  EXPECT_THAT(run({"render", "--help"}).out, HasSubstr("--target-error"));
+}
 
 }  // namespace
 }  // namespace gleaner::test

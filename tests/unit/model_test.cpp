@@ -237,7 +237,9 @@ TEST(Needs, FollowTheMaterialsThatTrianglesUse) {
   };
   for (const Case& c : cases) {
     Scene used = square();
-    used.textures = {{0, 1, 1, 0, 0, 0, {}}};
+    used.textures.resize(1);
+    used.textures[0].width = used.textures[0].height = 1;
+    used.textures[0].transform[0] = used.textures[0].transform[4] = 1;
     used.texels = {0xffffffff};
     used.uvs.resize(8);
     c.change(used, used.materials[0]);
