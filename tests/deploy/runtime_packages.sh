@@ -14,7 +14,7 @@ linked() {
     path=$(ldconfig -p | awk -v name="$library" '$1 == name { print $NF; exit }')
     path=$(readlink -f "$path")
     # Where /lib is a link to /usr/lib, packages may still list the old place.
-    dpkg-query --search "$path" "${path#/usr}" 2>/dev/null | cut -d : -f 1
+    { dpkg-query --search "$path" "${path#/usr}" 2>/dev/null || true; } | cut -d : -f 1
   done | sort -u | grep -vxE 'libc6|libgcc-s1' # in every image
 }
 
