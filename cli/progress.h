@@ -18,7 +18,7 @@ class ProgressDisplay {
  private:
   bool quiet_, terminal_, drawn_ = false;
   std::chrono::steady_clock::time_point last_{};
-  std::string last_stage_;
+  coordinator::JobState last_state_ = coordinator::JobState::queued;
   int last_tenth_ = -1;
 };
 

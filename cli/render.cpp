@@ -104,6 +104,7 @@ int render(const RenderOptions& options) {
   signals.watch({});
   if (status.state == JobState::cancelled) throw Error::failed("cancelled; nothing was written");
   if (status.state == JobState::failed) throw Error::failed(status.message);
+  if (!status.message.empty()) std::cerr << "gleaner: warning: " << status.message << "\n";
   if (!options.frame.quiet) {
     for (const fs::path& file : farm.files(job)) std::cerr << "gleaner: wrote " << file.string() << "\n";
     std::fprintf(stderr, "gleaner: %.2f s\n", status.seconds);

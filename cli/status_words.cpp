@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <cmath>
+
 #include "cli/progress.h"
 #include "scene/model/error.h"
 
@@ -31,9 +33,13 @@ json job_json(const JobStatus& status) {
               {"frames", status.frames},
               {"frames_done", status.frames_done},
               {"stages", std::move(stages)},
+              {"progress", status.progress},
+              {"frame_progress", status.frame_progress},
               {"seconds", status.seconds},
               {"submitted_unix_seconds", status.submitted_unix_seconds},
               {"preview_available", status.preview_available}};
+  if (status.seconds_left >= 0) out["seconds_left"] = status.seconds_left;
+  if (status.frame_seconds_left >= 0) out["frame_seconds_left"] = status.frame_seconds_left;
   if (!status.message.empty()) out["message"] = status.message;
   return out;
 }
@@ -57,13 +63,8 @@ json worker_json(const WorkerStatus& status) {
 std::string dump(const json& value) { return value.dump(-1, ' ', false, json::error_handler_t::replace); }
 
 std::string job_line(const JobStatus& status) {
-  std::uint64_t items = 0, done = 0;
-  for (const auto& stage : status.stages) {
-    items += stage.items;
-    done += stage.items_done;
-  }
   std::string state = job_state_name(status.state);
-  if (status.state == JobState::running && items > 0) state += fmt::format(" {} %", 100 * done / items);
+  if (status.state == JobState::running) state += fmt::format(" {:.0f} %", std::floor(100 * status.progress));
   std::string line = fmt::format("{}  {}  {}  {}  {}x{}  {}", status.id, state, status.scene_name, status.method,
                                  status.width, status.height, format_duration(status.seconds));
   if (!status.message.empty()) line += fmt::format("  {}", status.message);

@@ -99,8 +99,10 @@ int watch(const WatchOptions& options) {
   progress.clear();
   if (preview) preview->finish();
   require_done(last);
-  if (!options.quiet && !options.json)
+  if (!options.quiet && !options.json) {
+    if (!last.message.empty()) std::cerr << "gleaner: warning: " << last.message << "\n";
     std::cerr << "gleaner: job " << last.id << " done, " << format_duration(last.seconds) << "\n";
+  }
   return 0;
 }
 

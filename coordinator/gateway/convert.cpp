@@ -161,6 +161,10 @@ pb::Job to_proto(const JobStatus& status) {
   out.set_message(printable(status.message));
   out.set_preview_available(status.preview_available);
   out.set_submitted_unix_seconds(status.submitted_unix_seconds);
+  out.set_frame_progress(status.frame_progress);
+  out.set_progress(status.progress);
+  out.set_frame_seconds_left(status.frame_seconds_left);
+  out.set_seconds_left(status.seconds_left);
   return out;
 }
 
@@ -181,6 +185,10 @@ JobStatus from_proto(const pb::Job& job) {
   out.message = job.message();
   out.preview_available = job.preview_available();
   out.submitted_unix_seconds = job.submitted_unix_seconds();
+  out.frame_progress = job.frame_progress();
+  out.progress = job.progress();
+  out.frame_seconds_left = job.frame_seconds_left();
+  out.seconds_left = job.seconds_left();
   return out;
 }
 

@@ -33,6 +33,8 @@ Bytes read_file(const fs::path& path) {
   return bytes;
 }
 
+std::string text_of(const Bytes& bytes) { return {reinterpret_cast<const char*>(bytes.data()), bytes.size()}; }
+
 }  // namespace
 
 Status FarmService::MissingBlobs(grpc::ServerContext*, const pb::MissingBlobsRequest* request,
@@ -173,18 +175,32 @@ Status FarmService::GetPreview(grpc::ServerContext*, const pb::GetPreviewRequest
   return guarded([&]() -> Status {
     auto status = farm_.status(request->job());
     if (!status) return no_job(request->job());
-    Bytes png;
+    std::string png;
     if (status->state == JobState::done) {
       for (const fs::path& path : farm_.files(request->job()))
-        if (path.extension() == ".png") png = read_file(path);
+        if (path.extension() == ".png") png = text_of(read_file(path));
       reply->set_complete(true);
     } else if (auto film = farm_.preview(request->job())) {
-      png = encode_png(*film, status->exposure_stops);
+      png = text_of(encode_png(*film, status->exposure_stops));
     }
+    png = remember_preview(request->job(), std::move(png));
     if (png.empty()) return {StatusCode::FAILED_PRECONDITION, "job " + request->job() + ": nothing to show yet"};
-    reply->set_png(png.data(), png.size());
+    reply->set_png(std::move(png));
     return Status::OK;
   });
+}
+
+std::string FarmService::remember_preview(const std::string& job, std::string png) {
+  const auto runs = [&](const std::string& id) {
+    const auto status = farm_.status(id);
+    return status && status->state == JobState::running;
+  };
+  std::lock_guard lock(previews_mutex_);
+  std::erase_if(previews_, [&](const auto& entry) { return !runs(entry.first); });
+  if (!runs(job)) return png;
+  std::string& last = previews_[job];
+  if (!png.empty()) last = std::move(png);
+  return last;
 }
 
 Status FarmService::Why(grpc::ServerContext*, const pb::WhyRequest* request, pb::WhyReply* reply) {

@@ -34,6 +34,8 @@ class FarmService final : public pb::Farm::Service {
   grpc::Status ListWorkers(grpc::ServerContext*, const pb::ListWorkersRequest*, pb::ListWorkersReply*) override;
 
  private:
+  // The last preview that was shown of a job that runs: what is shown while its plan computes.
+  std::string remember_preview(const std::string& job, std::string png);
   coordinator::SceneSummary summary_of(const std::string& scene_blob, const std::string& scene_name);
 
   coordinator::Farm& farm_;
@@ -41,6 +43,8 @@ class FarmService final : public pb::Farm::Service {
   std::uint64_t upload_bytes_;  // largest blob
   std::mutex summaries_mutex_;
   std::map<std::string, coordinator::SceneSummary> summaries_;  // by scene blob
+  std::mutex previews_mutex_;
+  std::map<std::string, std::string> previews_;  // PNG by job
 };
 
 }  // namespace gleaner::gateway

@@ -1,6 +1,7 @@
 #include "coordinator/gateway/worker_hub.h"
 
 #include <algorithm>
+#include <chrono>
 #include <condition_variable>
 #include <deque>
 #include <functional>
@@ -18,6 +19,8 @@ using grpc::StatusCode;
 using Stream = grpc::ServerReaderWriter<pb::HubMessage, pb::WorkerMessage>;
 
 namespace {
+
+constexpr std::chrono::seconds last_words{2};  // for a write that is under way when a session ends
 
 // A worker's words end up on terminals and in other messages: what is not plain text is left out, and so is what is too
 // long.
@@ -89,14 +92,15 @@ class StreamSession final : public WorkerSession {
     return reason_;
   }
 
-  // Before the stream ends: the farm may still hold the session, but nothing touches the stream any more.
+  // Before the stream ends: the farm may still hold the session, but nothing touches the stream any more. A worker that
+  // does not read what was written to it is not waited for.
   void stop() {
-    {
-      std::lock_guard lock(mutex_);
-      stopped_ = true;
-      queue_.clear();
-    }
+    std::unique_lock lock(mutex_);
+    stopped_ = true;
+    queue_.clear();
     queued_.notify_all();
+    if (!writer_ended_.wait_for(lock, last_words, [&] { return ended_; })) context_.TryCancel();
+    lock.unlock();
     if (writer_.joinable()) writer_.join();
   }
 
@@ -114,18 +118,19 @@ class StreamSession final : public WorkerSession {
 
   void write() {
     std::unique_lock lock(mutex_);
-    for (;;) {
+    for (bool written = true; written;) {
       queued_.wait(lock, [&] { return stopped_ || !queue_.empty(); });
-      if (stopped_) return;
+      if (stopped_) break;
       Fill fill = std::move(queue_.front());
       queue_.pop_front();
       lock.unlock();
       pb::HubMessage message;
       fill(message);
-      bool written = stream_.Write(message);
+      written = stream_.Write(message);
       lock.lock();
-      if (!written) return;
     }
+    ended_ = true;
+    writer_ended_.notify_all();
   }
 
   grpc::ServerContext& context_;
@@ -133,8 +138,9 @@ class StreamSession final : public WorkerSession {
   double heartbeat_seconds_;
   mutable std::mutex mutex_;
   std::condition_variable queued_;
+  std::condition_variable writer_ended_;
   std::deque<Fill> queue_;
-  bool stopped_ = false;
+  bool stopped_ = false, ended_ = false;
   std::string reason_;
   std::thread writer_;
 };
@@ -156,7 +162,10 @@ class ResultAssembly {
       auto bytes = std::as_bytes(std::span(piece.records()));
       records_.insert(records_.end(), bytes.begin(), bytes.end());
     }
-    if (!piece.has_cost()) return;
+    if (!piece.has_cost()) {
+      farm_.heard(worker_);  // a result may take a slow line longer than silence is borne
+      return;
+    }
     BatchCost cost = from_proto(piece.cost());
     Bytes records = std::move(records_);
     records_ = {};

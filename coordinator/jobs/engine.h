@@ -104,7 +104,8 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
 
   // Stages (stages.cpp).
   // Hands a step's stages to the scheduler. The memory for their results is taken while the first batches run.
-  void post(const std::shared_ptr<Job>& job, const Step& step);
+  // `work_to_come`: predicted, of stages after these.
+  void post(const std::shared_ptr<Job>& job, const Step& step, double work_to_come);
   // Names what a stage makes by what it makes it of: the same address, the same records.
   static std::string address_of(const StageWork& work, const StageSpec& spec);
   // Mutex held. Null: the stage's records are there already, and were handed to the job.

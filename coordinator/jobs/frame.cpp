@@ -1,5 +1,7 @@
 #include "coordinator/jobs/frame.h"
 
+#include <algorithm>
+
 namespace gleaner::coordinator {
 
 namespace {
@@ -44,6 +46,32 @@ StageStatus status_of(const RunningStage& stage, Seconds now) {
   return status;
 }
 
+namespace {
+
+void add_progress(const Job& job, Seconds now, JobStatus& status) {
+  status.frame_progress = job.progress.part();
+  status.frame_seconds_left = job.progress.seconds_left();
+  if (const double limit = job.request.time_limit; limit > 0) {
+    // What the limit ends sooner is over by then.
+    const Seconds elapsed = now - job.frame_begun, left = std::max(0.0, limit - elapsed);
+    if (status.frame_seconds_left < 0 || status.frame_seconds_left > left) {
+      status.frame_seconds_left = left;
+      status.frame_progress = std::max(status.frame_progress, std::min(1.0, elapsed / limit));
+    }
+  }
+  const double frames = status.frames, done = status.frames_done;
+  status.progress = std::min(1.0, (done + status.frame_progress) / frames);
+  status.seconds_left = status.frame_seconds_left;
+  // Where the camera stands still, one frame serves for all.
+  const double to_come = job.request.cameras.empty() ? 0 : std::max(0.0, frames - done - 1);
+  if (status.seconds_left < 0 || to_come == 0) return;
+  const Seconds of_a_frame =
+      done > 0 ? (job.frame_begun - job.started) / done : now - job.frame_begun + status.frame_seconds_left;
+  status.seconds_left += to_come * of_a_frame;
+}
+
+}  // namespace
+
 JobStatus status_of(const Job& job, Seconds now) {
   JobStatus status;
   status.id = job.id;
@@ -64,6 +92,8 @@ JobStatus status_of(const Job& job, Seconds now) {
   for (const StageStatus& stage : status.stages)
     status.preview_available = status.preview_available || stage.items_done > 0;
   status.version = job.version;
+  if (job.state == JobState::running) add_progress(job, now, status);
+  if (job.state == JobState::done) status.progress = status.frame_progress = 1;
   return status;
 }
 

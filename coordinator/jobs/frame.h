@@ -13,6 +13,7 @@
 
 #include "coordinator/jobs/arrived_records.h"
 #include "coordinator/jobs/job.h"
+#include "coordinator/jobs/progress.h"
 #include "coordinator/jobs/report.h"
 #include "coordinator/plan/plan.h"
 #include "coordinator/schedule/scheduler.h"
@@ -40,6 +41,10 @@ struct RunningStage {
   StageReport report;
   std::deque<std::pair<Seconds, std::uint64_t>> history;  // (when, items done) of the last few seconds
 
+  // Predicted cost of an item, in samples of a path tracer.
+  double work_per_item() const {
+    return spec.work > 0 && spec.items > 0 ? spec.work / static_cast<double>(spec.items) : 1;
+  }
   bool streamed() const { return spec.output.placement == Placement::stream; }
 };
 
@@ -58,7 +63,7 @@ struct Job {
   JobState state = JobState::queued;
   std::string message;
   std::uint64_t version = 1;
-  Seconds accepted = 0, ended = 0;
+  Seconds accepted = 0, started = 0, ended = 0;
   std::uint64_t memory = 0;  // predicted bytes of its plan
   double submitted_unix_seconds = 0;
   std::uint32_t frames_done = 0;
@@ -83,8 +88,12 @@ struct Job {
   };
   std::map<ArtifactId, Artifact> artifacts;
 
-  std::vector<Skip> reused;           // stages of the frame that had been made before
-  Seconds frame_begun = 0;            // when the frame that runs was begun
+  std::vector<Skip> reused;  // stages of the frame that had been made before
+  Seconds frame_begun = 0;   // when the frame that runs was begun
+  double work_asked = 0;     // of the stages of that frame that were posted
+  double work_done = 0;      // of that
+  double work_to_come = 0;   // of stages that its plan will still ask for, as predicted
+  FrameProgress progress;
   std::vector<std::string> warnings;  // of the frames so far
 
   FrameReport report;

@@ -63,6 +63,8 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
     {
       std::lock_guard lock(mutex);
       job->frame_begun = now();
+      job->work_asked = job->work_done = job->work_to_come = 0;
+      job->progress = FrameProgress(job->frame_begun);
     }
     if (done == 0 || !same_camera(*job, frame, rendered)) {
       film = {};  // before the next plan takes its memory
@@ -125,12 +127,21 @@ Film Farm::Impl::render(const std::shared_ptr<Job>& job, std::uint32_t frame) {
       return value;
     });
   };
-  Step step = timed([](Plan& plan) { return plan.next(nullptr); });
+  // What is still to come is predicted anew after each stage.
+  double to_come = 0;
+  const auto next_step = [&](const FinishedStage* finished) {
+    return timed([&](Plan& plan) {
+      Step step = plan.next(finished);
+      to_come = plan.predicted_work();
+      return step;
+    });
+  };
+  Step step = next_step(nullptr);
   while (!step.done) {
-    post(job, step);
+    post(job, step, to_come);
     std::optional<FinishedStage> finished = await_stage(*job);
     if (!finished) break;  // the time limit; the plan has made do with what there is
-    step = timed([&](Plan& plan) { return plan.next(&*finished); });
+    step = next_step(&*finished);
   }
   end_frame(*job);
   Film film = timed([](Plan& plan) { return plan.take_film(); });

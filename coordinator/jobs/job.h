@@ -48,6 +48,9 @@ struct JobStatus {
   std::uint32_t frames = 1, frames_done = 0;
   std::vector<StageStatus> stages;  // of the frame that runs, finished ones too
   double seconds = 0;               // since it was accepted; of an ended job: until it ended
+  // Of a job that runs, by predicted work. They never fall within a frame.
+  double frame_progress = 0, progress = 0;            // 0 to 1: of the frame that runs, of all frames
+  double frame_seconds_left = -1, seconds_left = -1;  // negative = unknown
   double submitted_unix_seconds = 0;
   std::string message;  // why it failed; of one that is done: what must be known of its pictures
   bool preview_available = false;
@@ -68,6 +71,7 @@ struct WorkerStatus {
 struct FarmTotals {
   std::uint64_t batches_accepted = 0, batches_failed = 0, batches_expired = 0;
   std::uint64_t items_accepted = 0, frames_written = 0;
+  double result_lock_seconds = 0;  // for which results held the farm's lock
 };
 
 }  // namespace gleaner::coordinator

@@ -70,6 +70,7 @@ void Farm::Impl::start_queued() {
     ++running;
     memory_taken += job->memory;
     job->state = JobState::running;
+    job->started = now();
     changed(*job);
     threads.emplace(job.get(), std::thread(&Impl::run, shared_from_this(), job));
   }

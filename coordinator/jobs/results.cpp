@@ -1,5 +1,6 @@
 // What workers answer: accepted records, and failures.
 
+#include <chrono>
 #include <cstring>
 #include <utility>
 
@@ -9,13 +10,33 @@ namespace gleaner::coordinator {
 
 namespace {
 
+using Clock = std::chrono::steady_clock;
+
 constexpr std::size_t most_nonfinite_items = 16;                 // in a report
 constexpr std::uint64_t most_arrived = std::uint64_t{64} << 20;  // bytes of a stage that wait for its plan
+
+// Adds the time from here on to a total, until it is stopped.
+class Stopwatch {
+ public:
+  explicit Stopwatch(double& total) : total_(total), begun_(Clock::now()) {}
+  ~Stopwatch() { stop(); }
+  Stopwatch(const Stopwatch&) = delete;
+  Stopwatch& operator=(const Stopwatch&) = delete;
+  void stop() {
+    if (!std::exchange(stopped_, true)) total_ += std::chrono::duration<double>(Clock::now() - begun_).count();
+  }
+
+ private:
+  double& total_;
+  Clock::time_point begun_;
+  bool stopped_ = false;
+};
 
 }  // namespace
 
 Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, Bytes records, const BatchCost& cost) {
   std::unique_lock lock(mutex);
+  Stopwatch held(totals.result_lock_seconds);
   auto worker = workers.find(id);
   if (worker == workers.end()) return Verdict::unknown_lease;
   worker->second.heard = now();
@@ -25,6 +46,7 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, Bytes rec
   std::shared_ptr<RunningStage> stage;
   if (auto found = active_stages.find(lease.stage); own && found != active_stages.end()) stage = found->second;
   if (stage && records.size() != lease.count * stage->spec.output.record_bytes) {
+    held.stop();
     lock.unlock();
     failed(id, lease_id, epoch,
            "sent " + std::to_string(records.size()) + " bytes instead of " +
@@ -39,11 +61,12 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, Bytes rec
   if (outcome.verdict != Verdict::accepted || !stage) return outcome.verdict;
   account(*stage, worker->second, lease, cost, records.size());
   stage->complete = outcome.stage_complete;
+  changed(*stage->job);
+  held.stop();
   if (stage->streamed())
     stream_in(*stage, lease, std::move(records), lock);
   else
     collect(stage, lease, records, lock);
-  changed(*stage->job);
   return outcome.verdict;
 }
 
@@ -56,6 +79,7 @@ void Farm::Impl::collect(const std::shared_ptr<RunningStage>& stage, const Lease
   if (target)
     std::memcpy(target->data() + lease.first * stage->spec.output.record_bytes, records.data(), records.size());
   lock.lock();
+  const Stopwatch held(totals.result_lock_seconds);
   if (target) stage->copied.push_back({lease.first, lease.count});
   --stage->writers;
   deliver_if_complete(stage);
@@ -69,12 +93,14 @@ void Farm::Impl::collect(const std::shared_ptr<RunningStage>& stage, const Lease
 }
 
 void Farm::Impl::stream_in(RunningStage& stage, const Lease& lease, Bytes records, std::unique_lock<std::mutex>& lock) {
+  Stopwatch held(totals.result_lock_seconds);
   stage.arrived.put({lease.first, lease.count, std::move(records)});
   stage.job->events.notify_all();
   // A plan that takes records in more slowly than they arrive holds their workers up; one that waits for a batch that
   // has not arrived does not, or that batch might never come.
   const auto room = [&] { return stage.delivered || !stage.arrived.ready() || stage.arrived.bytes() <= most_arrived; };
   if (room()) return;
+  held.stop();
   const WorkerId id = lease.worker;
   if (auto worker = workers.find(id); worker != workers.end()) ++worker->second.waits;
   records_ready.wait(lock, room);
@@ -92,6 +118,9 @@ void Farm::Impl::account(RunningStage& stage, const Worker& worker, const Lease&
   ++totals.batches_accepted;
   stage.last_result = time;
   remember_progress(stage, time);
+  Job& job = *stage.job;
+  job.work_done += stage.work_per_item() * static_cast<double>(lease.count);
+  job.progress.update(time, job.work_done, job.work_asked - job.work_done + job.work_to_come);
   ++stage.report.batches;
   stage.report.trace_seconds += cost.trace_seconds;
   stage.report.kernel_seconds += cost.kernel_seconds;

@@ -10,7 +10,7 @@
 
 namespace gleaner::coordinator {
 
-void Farm::Impl::post(const std::shared_ptr<Job>& job, const Step& step) {
+void Farm::Impl::post(const std::shared_ptr<Job>& job, const Step& step, double work_to_come) {
   std::map<ArtifactId, Job::Artifact> artifacts, released;  // destroyed where the mutex is not held
   for (const auto& [id, bytes] : step.artifacts) artifacts[id] = {bytes, blobs.lend(bytes)};
   std::vector<std::shared_ptr<RunningStage>> posted;
@@ -22,6 +22,7 @@ void Farm::Impl::post(const std::shared_ptr<Job>& job, const Step& step) {
       if (auto stage = schedule(job, spec)) posted.push_back(stage);
     for (const ArtifactId& id : step.released)
       if (auto artifact = job->artifacts.extract(id)) released.insert(std::move(artifact));
+    job->work_to_come = work_to_come;
     offer_to_all();
     timer_rearm = true;
     timer_wakes.notify_all();
@@ -116,6 +117,7 @@ std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Job>& j
   stage->id = scheduler.add_stage(scheduled, now());
   stage->complete = scheduler.complete(stage->id);
   job->stages.push_back(stage);
+  job->work_asked += stage->work_per_item() * static_cast<double>(spec.items);
   active_stages[stage->id] = stage;
   return stage;
 }

@@ -179,7 +179,9 @@ std::uint64_t PathSampler::wanted_for_target() {
   const double relative = error / (whole * share);
   if (!(relative > settings_.target_error)) return 0;
   // Error falls as one over the root of the samples; the estimate is noisy, so no stage more than trebles them.
-  const double factor = std::clamp(std::pow(relative / settings_.target_error, 2) * 1.05, 1.1, 4.0);
+  const double all = std::pow(relative / settings_.target_error, 2) * 1.05, factor = std::clamp(all, 1.1, 4.0);
+  target_samples_ = static_cast<std::uint64_t>(
+      std::min(static_cast<double>(spent_) * std::max(all, factor), static_cast<double>(budget())));
   return std::max<std::uint64_t>(static_cast<std::uint64_t>(static_cast<double>(spent_) * (factor - 1)),
                                  chunk_samples_);
 }
@@ -220,8 +222,9 @@ bool PathSampler::conclude(const std::vector<CutStage>& cut, std::vector<Skip>& 
 }
 
 double PathSampler::predicted_work() const {
-  if (settings_.target_error > 0 || done_) return 0;
-  return static_cast<double>(budget() - std::min(budget(), spent_));
+  if (done_) return 0;
+  const std::uint64_t all = settings_.target_error > 0 ? target_samples_ : budget();
+  return static_cast<double>(all - std::min(all, spent_));
 }
 
 nlohmann::json PathSampler::parameters() const {

@@ -69,6 +69,7 @@ class PathSampler {
   std::uint64_t spent_ = 0;    // samples asked for so far
   std::vector<Asked> stages_;  // the last one runs
   std::vector<std::string> warnings_;
+  std::uint64_t target_samples_ = 0;  // that the target error is predicted to take in all
   bool done_ = false;
 };
 

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "coordinator/blobs/sha256.h"
+#include "coordinator/jobs/progress.h"
 #include "tests/farm/scripted_farm.h"
 
 namespace gleaner::test {
@@ -599,6 +600,62 @@ TEST_F(FarmEngine, WhatAPlanWarnsOfIsToldToPeople) {
   EXPECT_EQ(status.state, JobState::done);
   EXPECT_EQ(status.message, "the target error was not reached");
   EXPECT_EQ(report(farm, job)["warnings"][0], "the target error was not reached");
+}
+
+TEST_F(FarmEngine, ProgressCountsStagesAndFramesToCome) {
+  std::atomic<double> time{0};
+  FarmSettings farm_settings = settings();
+  farm_settings.clock = [&] { return time.load(); };
+  farm_settings.silence = farm_settings.scheduler.lease_floor = 1e9;
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  JobRequest frames = request();
+  frames.last_frame = 2;
+  frames.cameras = {frames.settings.camera, frames.settings.camera};
+  frames.cameras[1].origin[0] = 1;
+  std::string job = farm.submit(frames);
+  EXPECT_EQ(farm.status(job)->progress, 0);
+  const auto deliver = [&] {
+    auto offer = worker.next();
+    ASSERT_TRUE(offer);
+    time = time + 1;  // a batch a second
+    worker.deliver(*offer, worker.compute(*offer, blobs_));
+  };
+  for (int batch = 0; batch < 5; ++batch) deliver();
+  // Half a frame: 5 of the 8 batches of "scatter" and the 2 of "gather", which its plan has not asked for yet.
+  JobStatus status = *farm.status(job);
+  EXPECT_NEAR(status.frame_progress, 0.5, 1e-9);
+  EXPECT_NEAR(status.progress, 0.25, 1e-9);
+  EXPECT_NEAR(status.frame_seconds_left, 5, 1e-9);
+  EXPECT_NEAR(status.seconds_left, 15, 1e-9);
+  for (int batch = 5; batch < 13; ++batch) deliver();  // 3 of the second frame
+  status = *farm.status(job);
+  EXPECT_EQ(status.frames_done, 1u);
+  EXPECT_NEAR(status.frame_progress, 0.3, 1e-9);
+  EXPECT_NEAR(status.progress, 0.65, 1e-9);
+  EXPECT_NEAR(status.seconds_left, 7, 1e-9);
+  while (!ended(farm.status(job)->state)) {
+    auto offer = worker.next(0.05);
+    if (offer) worker.deliver(*offer, worker.compute(*offer, blobs_));
+  }
+  EXPECT_EQ(end_of(farm, job).progress, 1);
+}
+
+TEST(FrameProgress, NeverRunsBackwards) {
+  FrameProgress progress(100);
+  EXPECT_LT(progress.seconds_left(), 0) << "nothing is known yet";
+  progress.update(101, 10, 10);
+  EXPECT_EQ(progress.part(), 0.5);
+  EXPECT_NEAR(progress.seconds_left(), 1, 1e-9);
+  progress.update(102, 20, 180);  // the plan asks for ten times as much as was thought
+  EXPECT_EQ(progress.part(), 0.5);
+  EXPECT_NEAR(progress.seconds_left(), 18, 1e-9);
+  progress.update(103, 150, 50);
+  EXPECT_EQ(progress.part(), 0.75);
+  // Only the last seconds count.
+  for (int second = 104; second <= 140; ++second) progress.update(second, 150 + 0.1 * (second - 103), 50);
+  EXPECT_NEAR(progress.seconds_left(), 500, 60);
 }
 
 TEST_F(FarmEngine, NamesAreUniqueAmongWhoIsThere) {

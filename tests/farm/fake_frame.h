@@ -95,10 +95,11 @@ class FakePlan final : public coordinator::Plan {
                              .items = pixels * items_a_pixel,
                              .tile = items_a_pixel,
                              .solo = false,
-                             .parameters = bytes_of(std::vector<std::uint64_t>{settings_.seed}),
+                             .parameters = parameters(),
                              .inputs = {},
                              .output = {.record_bytes = 8}});
     } else if (finished->name == "scatter") {
+      asked_for_all_ = true;
       coordinator::ArtifactId id = settings_.set.count("input_unknown") ? "none" : "hashes";
       step.artifacts["hashes"] = finished->records;
       step.stages.push_back({.name = "gather",
@@ -120,6 +121,11 @@ class FakePlan final : public coordinator::Plan {
       step.done = true;
     }
     return step;
+  }
+
+  // "gather", until it is asked for.
+  double predicted_work() const override {
+    return asked_for_all_ ? 0 : static_cast<double>(settings_.width) * settings_.height;
   }
 
   // Of a streamed "gather".
@@ -156,6 +162,14 @@ class FakePlan final : public coordinator::Plan {
   std::vector<std::string> outline() const override { return {"scatter", "gather"}; }
 
  private:
+  // The seed; with --set padding=N, N bytes behind it.
+  Bytes parameters() const {
+    Bytes bytes = bytes_of(std::vector<std::uint64_t>{settings_.seed});
+    if (const auto padding = settings_.set.find("padding"); padding != settings_.set.end())
+      bytes.resize(bytes.size() + std::stoul(padding->second) / 8 * 8);
+    return bytes;
+  }
+
   static Bytes slice(const Bytes& records, const coordinator::ItemRange& range) {
     auto begin = records.begin() + static_cast<long>(range.first * 4);
     return {begin, begin + static_cast<long>(range.count * 4)};
@@ -164,6 +178,7 @@ class FakePlan final : public coordinator::Plan {
   coordinator::FrameSettings settings_;
   Film film_;
   std::uint64_t taken_ = 0;  // items of a streamed "gather"
+  bool asked_for_all_ = false;
 };
 
 inline std::uint64_t check_fake_settings(const coordinator::FrameSettings& settings, const coordinator::SceneSummary&) {

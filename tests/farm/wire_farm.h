@@ -42,9 +42,10 @@ inline scene::Scene small_scene() {
 
 class WireFarm {
  public:
-  explicit WireFarm(std::uint64_t upload_bytes = 64 << 20, unsigned most_workers = 16)
+  explicit WireFarm(std::uint64_t upload_bytes = 64 << 20, unsigned most_workers = 16,
+                    coordinator::Seconds silence = 30)
       : blobs_(folder_.path() / "blobs"),
-        farm_(farm_settings(), blobs_),
+        farm_(farm_settings(silence), blobs_),
         server_(farm_, blobs_, server_settings(upload_bytes, most_workers)) {}
 
   coordinator::Farm& farm() { return farm_; }
@@ -67,8 +68,9 @@ class WireFarm {
   }
 
  private:
-  coordinator::FarmSettings farm_settings() {
+  coordinator::FarmSettings farm_settings(coordinator::Seconds silence) {
     coordinator::FarmSettings settings;
+    settings.silence = silence;
     settings.plan = make_fake_plan;
     settings.check = check_fake_settings;
     settings.scheduler.fixed_batch_items = 256;

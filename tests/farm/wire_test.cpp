@@ -545,5 +545,77 @@ TEST_F(Wire, RandomBytesDoNotHurt) {
   EXPECT_GT(delivered, 100);
 }
 
+// Streams of workers that are slow, each on a farm of its own.
+class SlowWorker : public testing::Test {
+ protected:
+  // Says hello; the stream is open then.
+  auto join(WireFarm& farm, ClientContext& context) {
+    context.set_deadline(std::chrono::system_clock::now() + std::chrono::seconds(60));
+    auto stream = pb::WorkerHub::NewStub(farm.socket_channel())->Work(&context);
+    pb::WorkerMessage hello;
+    hello.mutable_hello()->set_name("slow");
+    hello.mutable_hello()->set_protocol(gateway::protocol_version);
+    EXPECT_TRUE(stream->Write(hello));
+    return stream;
+  }
+
+  static void submit(WireFarm& farm, const coordinator::FrameSettings& settings) {
+    ClientContext context;
+    pb::SubmitJobReply reply;
+    grpc::Status status =
+        pb::Farm::NewStub(farm.socket_channel())->SubmitJob(&context, farm.good_request(settings), &reply);
+    ASSERT_TRUE(status.ok()) << status.error_message();
+  }
+};
+
+TEST_F(SlowWorker, PiecesOfALongResultAreSignsOfLife) {
+  WireFarm farm(64 << 20, 16, 1.0);
+  submit(farm, fake_settings());
+  ClientContext context;
+  auto stream = join(farm, context);
+  pb::HubMessage heard;
+  while (stream->Read(&heard) && !heard.has_lease()) continue;
+  ASSERT_TRUE(heard.has_lease());
+  const auto seed = values_of<std::uint64_t>(
+      bytes_of(std::vector<char>(heard.lease().parameters().begin(), heard.lease().parameters().end())));
+  const Bytes records = fake_scatter(seed.at(0), heard.lease().first(), heard.lease().count());
+  pb::WorkerMessage message;
+  pb::Result& piece = *message.mutable_result();
+  piece.set_lease(heard.lease().lease());
+  piece.set_epoch(heard.lease().epoch());
+  const std::size_t size = records.size() / 16;
+  for (std::size_t offset = 0; offset < records.size(); offset += size) {  // four times as long as silence is borne
+    piece.set_offset(offset);
+    piece.set_records(records.data() + offset, size);
+    if (offset + size == records.size()) piece.mutable_cost()->set_seconds(0.1);
+    ASSERT_TRUE(stream->Write(message)) << "the worker was given up after " << offset << " bytes";
+    std::this_thread::sleep_for(std::chrono::milliseconds(250));
+  }
+  EXPECT_EQ(farm.farm().workers().size(), 1u);
+  EXPECT_EQ(farm.farm().list().at(0).stages.at(0).items_done, heard.lease().count());
+  context.TryCancel();
+}
+
+TEST_F(SlowWorker, OneThatReadsNothingHoldsNobodyUpWhenItLeaves) {
+  WireFarm farm(64 << 20, 1);
+  coordinator::FrameSettings settings = fake_settings();
+  settings.set["padding"] = std::to_string(3 << 20);  // leases that flow control does not let through unread
+  submit(farm, settings);
+  ClientContext stuck_context;
+  auto stuck = join(farm, stuck_context);
+  ASSERT_TRUE(eventually([&] { return farm.farm().workers().size() == 1; }));
+  std::this_thread::sleep_for(std::chrono::milliseconds(300));
+  stuck->WritesDone();  // it has left, as far as it is concerned, and its place is free for another
+  EXPECT_TRUE(eventually(
+      [&] {
+        ClientContext context;
+        auto stream = join(farm, context);
+        pb::HubMessage heard;
+        return stream->Read(&heard) && heard.has_welcome();
+      },
+      15));
+  stuck_context.TryCancel();
+}
+
 }  // namespace
 }  // namespace gleaner::test

@@ -1,0 +1,30 @@
+#pragma once
+// How far a frame is, and how long it will take, over all its stages: those to come included, by the work that the plan
+// predicts for them.
+
+#include <deque>
+#include <utility>
+
+#include "coordinator/schedule/scheduler.h"
+
+namespace gleaner::coordinator {
+
+class FrameProgress {
+ public:
+  FrameProgress() = default;
+  explicit FrameProgress(Seconds begun) : samples_{{begun, 0.0}} {}
+
+  // Work that is done and that is left, in the units of StageSpec::work. A prediction may change what is left.
+  void update(Seconds now, double done, double left);
+
+  // Of all work, 0 to 1. It never falls: where more is left than was predicted, it waits.
+  double part() const { return part_; }
+  // By the rate of the last seconds; negative: nothing is known of it.
+  Seconds seconds_left() const;
+
+ private:
+  double left_ = 0, part_ = 0;
+  std::deque<std::pair<Seconds, double>> samples_;  // (when, work done), the oldest first; the last is the latest
+};
+
+}  // namespace gleaner::coordinator
