@@ -4,6 +4,7 @@
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
+#include <cstdlib>
 #include <filesystem>
 #include <iostream>
 #include <memory>
@@ -24,6 +25,8 @@ using coordinator::JobState;
 using coordinator::JobStatus;
 
 namespace {
+
+constexpr coordinator::Seconds grace = 5;  // for a plan that computes when the frame is cancelled
 
 struct RenderOptions {
   FrameOptions frame;
@@ -102,6 +105,10 @@ int render(const RenderOptions& options) {
   } while (!ended(status.state));
   progress.clear();
   signals.watch({});
+  if (status.state == JobState::cancelled && !farm.end(grace)) {
+    std::cerr << "gleaner: error: cancelled; nothing was written\n";
+    std::_Exit(static_cast<int>(ErrorKind::failed));  // a plan still computes, with what main's end would destroy
+  }
   if (status.state == JobState::cancelled) throw Error::failed("cancelled; nothing was written");
   if (status.state == JobState::failed) throw Error::failed(status.message);
   if (!status.message.empty()) std::cerr << "gleaner: warning: " << status.message << "\n";

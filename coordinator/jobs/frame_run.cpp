@@ -79,6 +79,7 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
     begun = now();
     std::lock_guard lock(mutex);
     ++job->frames_done;
+    job->progress = FrameProgress(begun);  // of the next one
     ++totals.frames_written;
     changed(*job);
   }

@@ -12,7 +12,9 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 // While stages run: how often idle workers are offered work anew (a copy of a slow lease).
-constexpr Seconds idle_look = 0.1;
+constexpr std::chrono::milliseconds idle_look{100};
+// While none do: how often it is asked who lives.
+constexpr std::chrono::milliseconds calm_look{1000};
 constexpr std::chrono::milliseconds offer_interval{2};
 
 }  // namespace
@@ -86,24 +88,29 @@ void Farm::Impl::lose(WorkerId id, const std::string& why) {
 
 void Farm::Impl::watch_clock() {
   std::unique_lock lock(mutex);
-  Clock::time_point offered{};
+  Clock::time_point offered{}, ticked = Clock::now();
+  const auto woken = [&] { return stopping || offers_due || timer_rearm; };
   while (!stopping) {
     if (offers_due) {
       timer_wakes.wait_until(lock, offered + offer_interval, [&] { return stopping; });
       offered = Clock::now();
-      if (!stopping) offer_to_unserved();
-      continue;
+      offer_to_unserved();
     }
-    const auto woken = [&] { return stopping || offers_due || timer_rearm; };
     timer_rearm = false;
     if (active_stages.empty() && workers.empty()) {
       timer_wakes.wait(lock, woken);
       continue;
     }
-    Seconds sleep = active_stages.empty() ? 1.0 : idle_look;
-    if (auto next = scheduler.next_expiry()) sleep = std::clamp(*next - now(), 0.001, sleep);
-    // Not woken by every lease: what is due next is never nearer than `idle_look` unless next_expiry() said so.
-    if (!timer_wakes.wait_for(lock, std::chrono::duration<double>(sleep), woken)) tick();
+    // Not woken by every lease: what is due next is never nearer than `idle_look` unless next_expiry() said so. However
+    // many offers are made, the clock is looked at in time.
+    Clock::time_point due = ticked + (active_stages.empty() ? calm_look : idle_look);
+    if (auto next = scheduler.next_expiry())
+      due = std::min(due, Clock::now() + std::chrono::duration_cast<Clock::duration>(
+                                             std::chrono::duration<double>(std::clamp(*next - now(), 0.001, 1.0))));
+    timer_wakes.wait_until(lock, due, woken);
+    if (stopping || Clock::now() < due) continue;
+    tick();
+    ticked = Clock::now();
   }
 }
 

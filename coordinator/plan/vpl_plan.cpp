@@ -554,6 +554,7 @@ void VplPlan::begin_set(std::uint32_t set, Step& step) const {
 bool VplPlan::take(Step paths, Step& step) {
   for (StageSpec& spec : paths.stages) step.stages.push_back(std::move(spec));
   step.artifacts.merge(paths.artifacts);
+  step.released.insert(step.released.end(), paths.released.begin(), paths.released.end());
   return paths.done;
 }
 
@@ -784,8 +785,8 @@ Film VplPlan::preview_film() const {
   return film;
 }
 
-Film VplPlan::film() const {
-  Film film = paths_->film();
+// Adds what the sets bring to the paths' film.
+Film VplPlan::with_lights(Film film) const {
   if (shaded_sets_ == 0) return film;
   static const char* const kColor[] = {"R", "G", "B"};
   const auto n = static_cast<float>(shaded_sets_);

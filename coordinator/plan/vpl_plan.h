@@ -33,15 +33,20 @@ class VplPlan final : public Plan {
   VplPlan(const FrameSettings& settings, const SceneSummary& scene);
 
   Step next(const FinishedStage* finished) override;
+  void take(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override {
+    if (paths_) paths_->take(stage, first, count, records);
+  }
   bool conclude(const std::vector<CutStage>& cut) override;
   void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override;
   Film preview_film() const override;
-  Film film() const override;
+  Film film() const override { return with_lights(paths_->film()); }
+  Film take_film() override { return with_lights(paths_->take_film()); }
   std::vector<Skip> skips() const override;
   std::string parameters_json() const override;
   std::vector<std::string> outline() const override;
 
  private:
+  Film with_lights(Film film) const;
   // Data that stages read, under the name of its bytes.
   struct Table {
     ArtifactId id;

@@ -381,14 +381,13 @@ TEST_F(Farm, FramesAreHeldInMemoryOneAtATimeAndWithinItsBound) {
   EXPECT_NE(refused.status, 0);
   EXPECT_THAT(refused.err, HasSubstr("16384x16384"));
   EXPECT_THAT(refused.err, HasSubstr("2.00 GiB"));
-  // The first of them runs, as far as it gets without a worker.
+  // The first of them runs, as far as it gets without a worker; none of the others has a plan.
   words[3] = "1920x1080";
   std::vector<std::string> jobs;
   for (int i = 0; i < 2; ++i) jobs.push_back(farm.gleaner(words).out);
   ASSERT_TRUE(eventually([&] { return farm.job(jobs[0].substr(0, jobs[0].find('\n'))).stages_size() > 0; }));
   std::this_thread::sleep_for(std::chrono::seconds(1));
   const std::uint64_t before = memory_of(farm.coordinator(), "VmRSS");
-  EXPECT_GT(before, std::uint64_t{1920} * 1080 * 32) << "the frame that runs is not there";
   const int queued = 20;
   for (int i = 0; i < queued; ++i) jobs.push_back(farm.gleaner(words).out);
   const std::uint64_t after = memory_of(farm.coordinator(), "VmRSS");

@@ -422,6 +422,59 @@ TEST(PathPlan, RefusesRecordsThatAreNotFinite) {
   }
 }
 
+// What is known of a chunk's noise is Welford's sum over the whole chunks' means, and short chunks count as chunks.
+TEST(Accumulator, SumsAreThoseOfTheTextbook) {
+  const std::uint32_t width = 5, height = 3, samples = 8;
+  Accumulator film(width, height);
+  std::vector<std::vector<std::array<double, 3>>> means(width * height);
+  std::vector<std::array<double, 6>> sums(width * height);
+  for (std::uint32_t chunk = 0; chunk < 7; ++chunk)
+    for (std::uint32_t pixel = 0; pixel < width * height; ++pixel) {
+      if (chunk > 2 + pixel % 5) continue;
+      float direct[3], indirect[3];
+      std::array<double, 3> mean{};
+      for (std::uint32_t k = 0; k < 3; ++k) {
+        direct[k] = static_cast<float>(samples * unit(1000 * pixel + 10 * chunk + k));
+        indirect[k] = static_cast<float>(pixel * unit(7777 + 1000 * pixel + 10 * chunk + k));
+        mean[k] = (double{direct[k]} + indirect[k]) / samples;
+        sums[pixel][k] += direct[k];
+        sums[pixel][3 + k] += indirect[k];
+      }
+      film.add(pixel, chunk, direct, indirect, samples, true);
+      means[pixel].push_back(mean);
+    }
+  const float one[3] = {1, 2, 3};
+  film.add(4, 7, one, one, 3, false);
+  EXPECT_THROW(film.add(4, 8, one, one, samples + 1, true), Error) << "a whole chunk of another size";
+  const PixelNoise noise = film.noise();
+  for (std::uint32_t pixel = 0; pixel < width * height; ++pixel) {
+    const std::size_t n = means[pixel].size();
+    EXPECT_EQ(noise.chunks[pixel], n + (pixel == 4 ? 1 : 0));
+    double variance = 0;
+    for (std::size_t k = 0; k < 3; ++k) {
+      double mean = 0, square = 0;
+      for (const auto& chunk : means[pixel]) mean += chunk[k] / static_cast<double>(n);
+      for (const auto& chunk : means[pixel]) square += (chunk[k] - mean) * (chunk[k] - mean);
+      variance += square / (3 * static_cast<double>(n - 1));
+    }
+    EXPECT_NEAR(noise.chunk_variance[pixel], variance, 1e-6 * variance) << "pixel " << pixel;
+  }
+  const Film copy = film.film(), taken = film.take_film();
+  ASSERT_EQ(copy.channels.size(), taken.channels.size());
+  for (std::size_t i = 0; i < copy.channels.size(); ++i) {
+    EXPECT_EQ(copy.channels[i].name, taken.channels[i].name);
+    EXPECT_EQ(copy.channels[i].values, taken.channels[i].values);
+  }
+  for (std::uint32_t pixel = 0; pixel < width * height; ++pixel) {
+    if (pixel == 4) continue;
+    const double count = samples * static_cast<double>(means[pixel].size());
+    EXPECT_EQ(taken.find("direct.G")->values[pixel], static_cast<float>(sums[pixel][1] / count));
+    EXPECT_EQ(taken.find("indirect.B")->values[pixel], static_cast<float>(sums[pixel][5] / count));
+    EXPECT_EQ(taken.find("samples.Y")->values[pixel], count);
+  }
+  EXPECT_EQ(film.film().find("R")->values[0], 0) << "a film that was taken leaves nothing";
+}
+
 TEST(Allocation, RefusesWhatIsNoVariance) {
   for (const float bad : {std::numeric_limits<float>::infinity(), std::nanf(""), -1.0f})
     EXPECT_THROW(allocate_chunks({1, bad, 2}, {2, 2, 2}, 10), Error) << bad;
