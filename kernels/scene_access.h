@@ -148,7 +148,8 @@ FN v3 environment_radiance(const Scene* scene, vf u, vf v) {
   global const uint* header = (global const uint*)scene->environment;
   uint width = header[0], height = header[1];
   vf x = u * (vf)(float)width - 0.5f, y = v * (vf)(float)height - 0.5f;
-  vf x0 = floor(x), y0 = floor(y);
+  // The bounds are those of u and v in [0, 1]. Of a direction that is not a number they keep the look-up in the table.
+  vf x0 = clamp_f(floor(x), (vf)-1.0f, (vf)(float)width), y0 = clamp_f(floor(y), (vf)-1.0f, (vf)(float)height);
   vf fx = x - x0, fy = y - y0;
   int w = (int)width, h = (int)height;
   vi xa = to_i(x0), ya = to_i(y0);
