@@ -105,6 +105,7 @@ int render(const RenderOptions& options) {
   if (status.state == JobState::cancelled) throw Error::failed("cancelled; nothing was written");
   if (status.state == JobState::failed) throw Error::failed(status.message);
   if (!options.frame.quiet) {
+    if (!status.message.empty()) std::cerr << "gleaner: " << status.message << "\n";
     for (const fs::path& file : farm.files(job)) std::cerr << "gleaner: wrote " << file.string() << "\n";
     std::fprintf(stderr, "gleaner: %.2f s\n", status.seconds);
   }
