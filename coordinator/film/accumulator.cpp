@@ -3,9 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <string>
-#include <utility>
-
-#include "scene/model/error.h"
 
 namespace gleaner::coordinator {
 namespace {
@@ -16,150 +13,104 @@ constexpr const char* kAxis[] = {"X", "Y", "Z"};
 // Radiance whose square, and sums of such, are far inside a float's range.
 constexpr double kBrightest = 1e12;
 
-float mean(double sum, std::uint32_t samples) { return samples ? static_cast<float>(sum / samples) : 0.0f; }
-
 template <typename Value>
-void free_memory(std::vector<Value>& values) {
-  std::vector<Value>().swap(values);
-}
-
-template <typename Channels>
-void resize(Channels& channels, std::size_t size) {
-  for (auto& channel : channels) channel.resize(size);
+void fill_layer(Film& film, const std::string& name, Value value) {
+  std::vector<float>& values = film.channel(name).values;
+  for (std::size_t i = 0; i < values.size(); ++i) values[i] = value(i);
 }
 
 }  // namespace
 
 Accumulator::Accumulator(std::uint32_t width, std::uint32_t height) : width_(width), height_(height) {}
 
-Accumulator::Samples Accumulator::sequence_samples(std::size_t pixel) const {
-  if (!sampled() && whole_.empty()) return {};
-  Samples samples = {whole_[pixel][0] * chunk_samples_, whole_[pixel][1] * chunk_samples_};
-  if (short_.empty()) return samples;
-  if (const auto more = short_.find(static_cast<std::uint32_t>(pixel)); more != short_.end())
-    for (std::size_t s = 0; s < 2; ++s) samples[s] += more->second.samples[s];
-  return samples;
-}
-
-std::uint32_t Accumulator::samples(std::size_t pixel) const {
-  const Samples samples = sequence_samples(pixel);
-  return samples[0] + samples[1];
-}
-
-double Accumulator::radiance(std::size_t pixel) const {
-  const std::uint32_t count = samples(pixel);
-  return count ? (direct_[0][pixel] + direct_[1][pixel] + direct_[2][pixel] + indirect_[0][pixel] +
-                  indirect_[1][pixel] + indirect_[2][pixel]) /
-                     (3.0 * count)
-               : 0;
-}
-
-double Accumulator::chunk_variance(std::size_t pixel) const {
-  const std::uint32_t chunks = whole_[pixel][0] + whole_[pixel][1];
-  return chunks > 1 ? square_[pixel] / (3.0 * (chunks - 1)) : 0;
-}
-
 // Were each sequence of n samples off by variance v / n, the difference of their means would have v (1/a + 1/b), and
 // the mean of all samples v / (a + b).
-double Accumulator::variance(std::size_t pixel, int k) const {
-  const Samples samples = sequence_samples(pixel);
-  const double a = samples[0], b = samples[1];
+double Accumulator::Pixel::variance(int k) const {
+  const double a = sequence_samples[0], b = sequence_samples[1];
   if (a == 0 || b == 0) return 0;
-  const double first = first_[k][pixel], second = direct_[k][pixel] + indirect_[k][pixel] - first;
-  const double difference = first / a - second / b;
+  const double difference = sequence[0][k] / a - sequence[1][k] / b;
   return difference * difference * a * b / ((a + b) * (a + b));
 }
 
 void Accumulator::add(std::uint32_t pixel, std::uint32_t chunk, const float direct[3], const float indirect[3],
-                      std::uint32_t samples_of_chunk, bool whole) {
-  if (!sampled()) {
-    for (auto* sums : {&direct_, &indirect_, &first_}) resize(*sums, pixel_count());
-    square_.resize(pixel_count());
-    whole_.resize(pixel_count());
-  }
-  if (whole && chunk_samples_ == 0) chunk_samples_ = samples_of_chunk;
-  if (whole && chunk_samples_ != samples_of_chunk)
-    throw Error::failed("film: a chunk of " + std::to_string(samples_of_chunk) + " samples among such of " +
-                        std::to_string(chunk_samples_));
-  const double before = samples(pixel);
+                      std::uint32_t samples, bool whole) {
+  if (pixels_.empty()) pixels_.resize(pixel_count());
+  Pixel& p = pixels_[pixel];
+  p.samples += samples;
+  p.sequence_samples[chunk % 2] += samples;
+  if (whole) ++p.chunks;
   for (int k = 0; k < 3; ++k) {
-    const double value = static_cast<double>(direct[k]) + indirect[k];
-    if (whole && before > 0) {
-      // Welford (1962), with the means of the sums so far.
-      const double sum = direct_[k][pixel] + indirect_[k][pixel], of_chunk = value / samples_of_chunk;
-      square_[pixel] += (of_chunk - sum / before) * (of_chunk - (sum + value) / (before + samples_of_chunk));
-    }
-    direct_[k][pixel] += direct[k];
-    indirect_[k][pixel] += indirect[k];
-    if (chunk % 2 == 0) first_[k][pixel] += value;
+    p.direct[k] += direct[k];
+    p.indirect[k] += indirect[k];
+    p.sequence[chunk % 2][k] += static_cast<double>(direct[k]) + indirect[k];
+    if (!whole) continue;
+    const double value = (static_cast<double>(direct[k]) + indirect[k]) / samples;
+    const double before = value - p.mean[k];
+    p.mean[k] += before / p.chunks;
+    p.square[k] += before * (value - p.mean[k]);
   }
-  if (whole) {
-    ++whole_[pixel][chunk % 2];
-    return;
-  }
-  ShortChunks& more = short_[pixel];
-  more.samples[chunk % 2] += samples_of_chunk;
-  ++more.chunks;
 }
 
-void Accumulator::add_features(std::uint32_t pixel, const FeatureSums& sums, std::uint32_t samples_of_chunk) {
-  if (depth_.empty()) {
-    for (auto* channels : {&albedo_, &normal_}) resize(*channels, pixel_count());
-    depth_.resize(pixel_count());
-    hits_.resize(pixel_count());
-  }
+void Accumulator::add_features(std::uint32_t pixel, const FeatureSums& sums, std::uint32_t samples) {
+  if (features_.empty()) features_.resize(pixel_count());
+  Features& f = features_[pixel];
   for (int k = 0; k < 3; ++k) {
-    albedo_[k][pixel] += sums.albedo[k];
-    normal_[k][pixel] += sums.normal[k];
+    f.albedo[k] += sums.albedo[k];
+    f.normal[k] += sums.normal[k];
   }
-  depth_[pixel] += sums.depth;
-  hits_[pixel] += sums.hits;
-  feature_samples_ += samples_of_chunk;
+  f.depth += sums.depth;
+  f.hits += sums.hits;
+  f.samples += samples;
 }
 
 void Accumulator::add_clamped(std::uint32_t pixel, const float clamped[3]) {
-  if (clamped_[0].empty()) resize(clamped_, pixel_count());
-  for (int k = 0; k < 3; ++k) clamped_[k][pixel] += clamped[k];
+  if (clamped_.empty()) clamped_.resize(pixel_count() * 3);
+  for (std::size_t k = 0; k < 3; ++k) clamped_[std::size_t{pixel} * 3 + k] += clamped[k];
+}
+
+double Accumulator::Pixel::radiance() const {
+  return samples ? (direct[0] + direct[1] + direct[2] + indirect[0] + indirect[1] + indirect[2]) / (3.0 * samples) : 0;
+}
+
+double Accumulator::Pixel::chunk_variance() const {
+  return chunks > 1 ? (square[0] + square[1] + square[2]) / (3.0 * (chunks - 1)) : 0;
 }
 
 PixelNoise Accumulator::noise() const {
   PixelNoise noise{std::vector<float>(pixel_count()), std::vector<std::uint32_t>(pixel_count()), width_, height_};
   noise.mean.resize(pixel_count());
-  if (!sampled()) return noise;
   double brightest = 0;
-  for (std::size_t i = 0; i < pixel_count(); ++i)
-    brightest = std::max({brightest, std::abs(radiance(i)), std::sqrt(chunk_variance(i))});
+  for (const Pixel& p : pixels_)
+    brightest = std::max({brightest, std::abs(p.radiance()), std::sqrt(p.chunk_variance())});
   // The square of 1e19 is beyond a float. A power of two changes no pixel's share.
   const double scale = brightest > kBrightest ? std::exp2(-std::ceil(std::log2(brightest / kBrightest))) : 1;
-  for (std::size_t i = 0; i < pixel_count(); ++i) {
-    noise.chunks[i] = whole_[i][0] + whole_[i][1];
-    noise.mean[i] = static_cast<float>(scale * radiance(i));
-    noise.chunk_variance[i] = static_cast<float>(scale * scale * chunk_variance(i));
+  for (std::size_t i = 0; i < pixels_.size(); ++i) {
+    const Pixel& p = pixels_[i];
+    noise.chunks[i] = p.chunks;
+    noise.mean[i] = static_cast<float>(scale * p.radiance());
+    noise.chunk_variance[i] = static_cast<float>(scale * scale * p.chunk_variance());
   }
-  for (const auto& [pixel, more] : short_) noise.chunks[pixel] += more.chunks;
   return noise;
 }
 
 // Of a pixel whose mean has variance s^2, the squared error and its estimate (one degree of freedom) are independent,
 // with a variance of 2 s^4 each; the estimate's square is 3 s^4 on average. Channels are taken to err together.
 double Accumulator::squared_error_bound() const {
-  if (!sampled()) return 0;
   double sum = 0, squares = 0;
-  for (std::size_t i = 0; i < pixel_count(); ++i) {
-    const double own = variance(i, 0) + variance(i, 1) + variance(i, 2);
+  for (const Pixel& p : pixels_) {
+    const double own = p.variance(0) + p.variance(1) + p.variance(2);
     sum += own;
     squares += own * own;
   }
-  return (sum + 2 * std::sqrt(squares * 4 / 3)) / (3.0 * static_cast<double>(pixel_count()));
+  return pixels_.empty() ? 0 : (sum + 2 * std::sqrt(squares * 4 / 3)) / (3.0 * static_cast<double>(pixels_.size()));
 }
 
 double Accumulator::mean_radiance() const {
-  if (!sampled()) return 0;
   double sum = 0;
-  for (std::size_t i = 0; i < pixel_count(); ++i)
-    if (const std::uint32_t count = samples(i))
-      for (int k = 0; k < 3; ++k) sum += (direct_[k][i] + indirect_[k][i]) / count;
-  return sum / (3.0 * static_cast<double>(pixel_count()));
+  for (const Pixel& p : pixels_)
+    if (p.samples)
+      for (int k = 0; k < 3; ++k) sum += (p.direct[k] + p.indirect[k]) / p.samples;
+  return pixels_.empty() ? 0 : sum / (3.0 * static_cast<double>(pixels_.size()));
 }
 
 void Accumulator::add_pass(std::span<const float> rgb) {
@@ -172,90 +123,79 @@ void Accumulator::add_pass(std::span<const float> rgb) {
   ++passes_;
 }
 
+void Accumulator::draw_samples(std::uint32_t pixel, const float direct[3], const float indirect[3],
+                               std::uint32_t samples) {
+  preview_.resize(pixel_count());
+  for (int k = 0; k < 3; ++k) preview_[pixel].sum[k] += direct[k] + indirect[k];
+  preview_[pixel].samples += static_cast<float>(samples);
+}
+
 void Accumulator::draw_pass(std::uint64_t first_pixel, std::span<const float> rgb) {
   preview_pass_.resize(pixel_count() * 3);
   std::ranges::copy(rgb, preview_pass_.begin() + static_cast<std::ptrdiff_t>(3 * first_pixel));
 }
 
-template <typename Value>
-std::vector<float> Accumulator::layer(const Value& value) const {
-  std::vector<float> values(pixel_count());
-  for (std::size_t i = 0; i < values.size(); ++i) values[i] = value(i);
-  return values;
-}
-
 Film Accumulator::preview() const {
   Film film{width_, height_, {}};
   for (std::size_t k = 0; k < 3; ++k)
-    film.channels.push_back({kColor[k], layer([&](std::size_t i) {
-                               const float pass = preview_pass_.empty() ? 0.0f : preview_pass_[3 * i + k];
-                               return pass + (sampled() ? mean(direct_[k][i] + indirect_[k][i], samples(i)) : 0.0f);
-                             })});
+    fill_layer(film, kColor[k], [&](std::size_t i) {
+      float value = preview_pass_.empty() ? 0.0f : preview_pass_[3 * i + k];
+      if (!preview_.empty() && preview_[i].samples > 0) value += preview_[i].sum[k] / preview_[i].samples;
+      return value;
+    });
   return film;
 }
 
-Film Accumulator::film() const { return Accumulator(*this).take_film(); }
-
-Film Accumulator::take_film() {
-  if (!sampled()) {
-    for (auto* sums : {&direct_, &indirect_, &first_}) resize(*sums, pixel_count());
-    whole_.resize(pixel_count());
-  }
-  free_memory(square_);
-  free_memory(preview_pass_);
-  Channels<float> all, direct, indirect, spread;
-  for (int k = 0; k < 3; ++k) {
-    spread[k] = layer([&](std::size_t i) { return static_cast<float>(variance(i, k)); });
-    free_memory(first_[k]);
-    direct[k] = layer([&](std::size_t i) { return mean(direct_[k][i], samples(i)); });
-    free_memory(direct_[k]);
-    indirect[k] = layer([&](std::size_t i) { return mean(indirect_[k][i], samples(i)); });
-    free_memory(indirect_[k]);
-    // The sum of the two layers as floats, so that it holds to the bit in the file.
-    all[k] = layer([&](std::size_t i) { return direct[k][i] + indirect[k][i]; });
-  }
+Film Accumulator::film() const {
   Film film{width_, height_, {}};
-  const auto put = [&](const std::string& name, std::vector<float>& values) {
-    film.channels.push_back({name, std::move(values)});
+  const std::vector<Pixel> none(pixels_.empty() ? pixel_count() : 0);
+  const std::vector<Pixel>& pixels = pixels_.empty() ? none : pixels_;
+  const auto mean = [](double sum, std::uint32_t samples) {
+    return samples ? static_cast<float>(sum / samples) : 0.0f;
   };
-  for (int k = 0; k < 3; ++k) put(kColor[k], all[k]);
-  for (int k = 0; k < 3; ++k) put(std::string("direct.") + kColor[k], direct[k]);
-  for (int k = 0; k < 3; ++k) put(std::string("indirect.") + kColor[k], indirect[k]);
-  for (int k = 0; k < 3; ++k) put(std::string("variance.") + kColor[k], spread[k]);
-  std::vector<float> count = layer([&](std::size_t i) { return static_cast<float>(samples(i)); });
-  put("samples.Y", count);
-  for (int k = 0; k < 3 && !clamped_[0].empty(); ++k) {
-    for (std::size_t i = 0; i < pixel_count(); ++i) clamped_[k][i] = mean(clamped_[k][i], samples(i));
-    put(std::string("clamped.") + kColor[k], clamped_[k]);
-  }
-  if (!depth_.empty()) take_features(film);
+  for (int k = 0; k < 3; ++k)
+    // The sum of the two layers as floats, so that it holds to the bit in the file.
+    fill_layer(film, kColor[k], [&](std::size_t i) {
+      return mean(pixels[i].direct[k], pixels[i].samples) + mean(pixels[i].indirect[k], pixels[i].samples);
+    });
+  for (int k = 0; k < 3; ++k)
+    fill_layer(film, std::string("direct.") + kColor[k],
+               [&](std::size_t i) { return mean(pixels[i].direct[k], pixels[i].samples); });
+  for (int k = 0; k < 3; ++k)
+    fill_layer(film, std::string("indirect.") + kColor[k],
+               [&](std::size_t i) { return mean(pixels[i].indirect[k], pixels[i].samples); });
+  for (int k = 0; k < 3; ++k)
+    fill_layer(film, std::string("variance.") + kColor[k],
+               [&](std::size_t i) { return static_cast<float>(pixels[i].variance(k)); });
+  fill_layer(film, "samples.Y", [&](std::size_t i) { return static_cast<float>(pixels[i].samples); });
+  if (!clamped_.empty())
+    for (std::size_t k = 0; k < 3; ++k)
+      fill_layer(film, std::string("clamped.") + kColor[k],
+                 [&](std::size_t i) { return mean(clamped_[3 * i + k], pixels[i].samples); });
+  if (!features_.empty()) add_feature_layers(film);
   if (passes_ > 0) add_passes(film);
-  *this = Accumulator(width_, height_);
   return film;
 }
 
-void Accumulator::take_features(Film& film) {
-  if (feature_samples_ % pixel_count() != 0) throw Error::failed("film: not every pixel has its features");
-  const auto count = static_cast<std::uint32_t>(feature_samples_ / pixel_count());
-  const auto put = [&](const std::string& name, std::vector<float>& values) {
-    film.channels.push_back({name, std::move(values)});
+void Accumulator::add_feature_layers(Film& film) const {
+  const auto mean = [](double sum, std::uint32_t samples) {
+    return samples ? static_cast<float>(sum / samples) : 0.0f;
   };
-  for (int k = 0; k < 3; ++k) {
-    for (float& value : albedo_[k]) value = mean(value, count);
-    put(std::string("albedo.") + kColor[k], albedo_[k]);
-  }
-  for (std::size_t i = 0; i < pixel_count(); ++i) {
-    float* const axes[] = {&normal_[0][i], &normal_[1][i], &normal_[2][i]};
-    const float length = std::sqrt(*axes[0] * *axes[0] + *axes[1] * *axes[1] + *axes[2] * *axes[2]);
-    for (float* axis : axes) *axis = length > 0 ? *axis / length : 0.0f;
-    // Over the samples that hit: half a pixel of sky does not halve a distance.
-    depth_[i] = hits_[i] > 0 ? depth_[i] / hits_[i] : 0.0f;
-  }
-  for (int k = 0; k < 3; ++k) put(std::string("normal.") + kAxis[k], normal_[k]);
-  put("depth.Z", depth_);
+  for (int k = 0; k < 3; ++k)
+    fill_layer(film, std::string("albedo.") + kColor[k],
+               [&](std::size_t i) { return mean(features_[i].albedo[k], features_[i].samples); });
+  for (int k = 0; k < 3; ++k)
+    fill_layer(film, std::string("normal.") + kAxis[k], [&](std::size_t i) {
+      const Features& f = features_[i];
+      const float length = std::sqrt(f.normal[0] * f.normal[0] + f.normal[1] * f.normal[1] + f.normal[2] * f.normal[2]);
+      return length > 0 ? f.normal[k] / length : 0.0f;
+    });
+  // Over the samples that hit: half a pixel of sky does not halve a distance.
+  fill_layer(film, "depth.Z",
+             [&](std::size_t i) { return features_[i].hits > 0 ? features_[i].depth / features_[i].hits : 0.0f; });
 }
 
-void Accumulator::add_passes(Film& film) {
+void Accumulator::add_passes(Film& film) const {
   const auto n = static_cast<float>(passes_);
   for (std::size_t k = 0; k < 3; ++k) {
     std::vector<float>& indirect = film.channel(std::string("indirect.") + kColor[k]).values;

@@ -2,13 +2,8 @@
 // What all methods' records add up to, pixel by pixel: means, the variance of the mean, the live preview, the film's
 // layers. Samples come in independently scrambled chunks; what a method adds in passes (independent pictures of a part
 // of the light) is averaged over the passes.
-//
-// A film may have many millions of pixels. What is held of each is listed below, array by array, and take_film() turns
-// it into the layers in place.
 
-#include <array>
 #include <cstdint>
-#include <map>
 #include <span>
 #include <vector>
 
@@ -17,9 +12,10 @@
 namespace gleaner::coordinator {
 
 // What is known of a pixel: the variance of one chunk of samples (mean over the channels), and how many chunks it has.
+// Radiance is in any one unit, such that squares are finite.
 struct PixelNoise {
-  std::vector<float> chunk_variance;  // width * height, not negative
-  std::vector<std::uint32_t> chunks;  // width * height; short ones included
+  std::vector<float> chunk_variance;  // width * height, finite, not negative
+  std::vector<std::uint32_t> chunks;  // width * height
   std::uint32_t width = 0, height = 0;
   std::vector<float> mean{};  // radiance (mean over the channels), width * height; empty: not known
   float chunk_samples = 1;
@@ -37,10 +33,8 @@ class Accumulator {
   Accumulator(std::uint32_t width, std::uint32_t height);
 
   // One record: sums over `samples` samples of a pixel's chunk; `whole`: a chunk of full size, which noise() may count.
-  // All whole chunks of a film have one size, else Error::failed is thrown.
   void add(std::uint32_t pixel, std::uint32_t chunk, const float direct[3], const float indirect[3],
            std::uint32_t samples, bool whole);
-  // When the film is taken, all pixels must have had as many samples here.
   void add_features(std::uint32_t pixel, const FeatureSums& features, std::uint32_t samples);
   // Of the sums that add() got, the part that compensates the bounded geometry term of virtual point lights.
   void add_clamped(std::uint32_t pixel, const float clamped[3]);
@@ -56,57 +50,52 @@ class Accumulator {
   double squared_error_bound() const;
   double mean_radiance() const;
 
-  // For the preview alone: a pixel's radiance in the pass that is being rendered.
+  // For the preview alone: sums over samples of a pixel; a pixel's radiance in the pass that is being rendered.
+  void draw_samples(std::uint32_t pixel, const float direct[3], const float indirect[3], std::uint32_t samples);
   void draw_pass(std::uint64_t first_pixel, std::span<const float> rgb);
-  Film preview() const;  // R G B of the samples so far, and of that pass
+  Film preview() const;
 
   // Layers R G B, direct.*, indirect.*, variance.*, samples.Y and, where features were added, albedo.*, normal.*,
   // depth.Z; where add_clamped() was called, clamped.* (a part of indirect.*).
   Film film() const;
-  // The same. The layers take the place of what they are made of: afterwards nothing is left here.
-  Film take_film();
 
  private:
-  using Samples = std::array<std::uint32_t, 2>;  // by sequence
-  struct ShortChunks {
-    Samples samples{};
-    std::uint32_t chunks = 0;
+  struct Pixel {
+    double direct[3] = {}, indirect[3] = {};  // sums over samples
+    double sequence[2][3] = {};               // the same sums by sequence
+    double mean[3] = {}, square[3] = {};      // Welford over chunk means
+    std::uint32_t samples = 0, chunks = 0, sequence_samples[2] = {};
+
+    double variance(int k) const;   // of the mean; 0 where a sequence is empty
+    double radiance() const;        // mean over samples and channels
+    double chunk_variance() const;  // of a chunk's mean, mean over the channels
   };
-  template <typename Value>
-  using Channels = std::array<std::vector<Value>, 3>;
+  struct Features {
+    float albedo[3] = {}, normal[3] = {}, depth = 0, hits = 0;
+    std::uint32_t samples = 0;
+  };
+  struct PreviewPixel {
+    float sum[3] = {};
+    float samples = 0;
+  };
+  void add_passes(Film& film) const;
+  void add_feature_layers(Film& film) const;
 
   std::size_t pixel_count() const { return std::size_t{width_} * height_; }
-  bool sampled() const { return !square_.empty(); }
-  Samples sequence_samples(std::size_t pixel) const;
-  std::uint32_t samples(std::size_t pixel) const;
-  double radiance(std::size_t pixel) const;         // mean over the channels
-  double chunk_variance(std::size_t pixel) const;   // of whole chunks' means, mean over the channels
-  double variance(std::size_t pixel, int k) const;  // of the mean; 0 where a sequence is empty
-  template <typename Value>
-  std::vector<float> layer(const Value& value) const;
-  void take_features(Film& film);
-  void add_passes(Film& film);
 
   std::uint32_t width_, height_;
-  std::uint32_t chunk_samples_ = 0;  // of a whole chunk; 0: none has come
-  // From the first samples on:
-  Channels<double> direct_, indirect_;  // sums over samples
-  Channels<double> first_;              // of those of the first of two sequences, direct and indirect light together
-  std::vector<double> square_;          // squared deviations of whole chunks' means, summed over chunks and channels
-  std::vector<Samples> whole_;          // whole chunks, by sequence
-  std::map<std::uint32_t, ShortChunks> short_;  // by pixel; a stage has one at most
-  // From the first features on: sums.
-  Channels<float> albedo_, normal_;
-  std::vector<float> depth_, hits_;
-  std::uint64_t feature_samples_ = 0;          // of all pixels
-  Channels<float> clamped_;                    // sums
+  std::vector<Pixel> pixels_;  // from the first samples on
+  std::vector<Features> features_;
+  std::vector<float> clamped_;                 // RGB sums
   std::vector<float> pass_sum_, pass_square_;  // RGB over the passes
   std::uint32_t passes_ = 0;
+  std::vector<PreviewPixel> preview_;
   std::vector<float> preview_pass_;
 
  public:
-  // Memory that a pixel takes at most while samples and features are added. A film has as much or less.
-  static constexpr std::uint64_t bytes_a_pixel = 10 * sizeof(double) + sizeof(Samples) + 8 * sizeof(float);
+  // Of memory, at most: what is held, the film's layers, and twice the file that is made of them.
+  static constexpr std::uint64_t bytes_a_pixel =
+      sizeof(Pixel) + sizeof(Features) + sizeof(PreviewPixel) + 3 * 23 * sizeof(float);
 };
 
 }  // namespace gleaner::coordinator

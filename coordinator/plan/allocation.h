@@ -24,14 +24,10 @@ std::vector<float> edge_variance(const PixelNoise& noise);
 std::vector<std::uint32_t> allocate_chunks(const std::vector<float>& variance, const std::vector<std::uint32_t>& chunks,
                                            std::uint64_t extra);
 
-// For each pixel, chunks to come and chunks that it has.
-struct Allocation {
-  std::vector<std::uint32_t> more, chunks;
-};
-
 // The same by what the noise seen so far says. Where its own samples decided how many more a pixel gets, its mean would
 // be biased: dark beginnings would stay dark, and a bright one, which draws samples to its neighbours, would go short
 // itself. So each colour of a chessboard has its own half of `extra`, given out by what the other colour's samples say.
-Allocation allocate_by_noise(PixelNoise noise, std::uint64_t extra, int radius);
+std::vector<std::uint32_t> allocate_by_noise(const PixelNoise& noise, const std::vector<std::uint32_t>& chunks,
+                                             std::uint64_t extra, int radius);
 
 }  // namespace gleaner::coordinator

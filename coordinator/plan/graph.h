@@ -159,7 +159,6 @@ class GraphPlan : public Plan {
   }
   Film preview_film() const final { return film_.preview(); }
   Film film() const final { return film_.film(); }
-  Film take_film() final { return film_.take_film(); }
   std::vector<Skip> skips() const override { return skips_; }
 
  protected:

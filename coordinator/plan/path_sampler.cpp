@@ -90,6 +90,7 @@ PathItem PathSampler::item_of(const Asked& asked, std::uint64_t item) const {
 
 void PathSampler::begin(const Complement& complement) {
   complement_ = complement;
+  used_chunks_.assign(pixels(), first_chunks_);
   ask({.artifact = {}, .items = pixels() * first_chunks_, .features = true, .last_item_samples = chunk_samples_});
 }
 
@@ -115,11 +116,12 @@ void PathSampler::ask(Asked asked) {
   // 16 paths are one packet: what shares a packet must not depend on where batches are cut.
   spec.tile = std::max(1u, 16 / chunk_samples_);
   spec.work = static_cast<double>(samples_of(asked, {0, asked.items}));
-  // The records of a whole stage of a large film are larger than all that the film holds.
-  spec.output = {.record_bytes = static_cast<std::uint32_t>(record_bytes(asked)), .placement = Placement::stream};
+  spec.output.record_bytes = static_cast<std::uint32_t>(record_bytes(asked));
   std::vector<Graph::Input> inputs;
   if (asked.list) inputs.push_back({"items", graph_.data(asked.list), Extent::whole});
   asked.artifact = graph_.add(std::move(spec), p, std::move(inputs));
+  graph_.on_preview(asked.artifact,
+                    [this](auto first, auto count, const Bytes& records) { draw(first, count, records); });
   graph_.on_records(asked.artifact,
                     [this](auto first, auto count, const Bytes& records) { absorb(first, count, records); });
   graph_.when({asked.artifact}, [this] { continue_or_end(); });
@@ -135,11 +137,11 @@ void PathSampler::spend(std::uint64_t samples) {
   const std::uint64_t items = whole + (rest ? 1 : 0);
   PixelNoise noise = film_.noise();
   noise.chunk_samples = static_cast<float>(chunk_samples_);
-  const auto [more, used] = allocate_by_noise(std::move(noise), items, kNoiseRadius);
+  const std::vector<std::uint32_t> more = allocate_by_noise(noise, used_chunks_, items, kNoiseRadius);
   auto list = std::make_shared<Bytes>(items * sizeof(PathItem));
   auto* item = reinterpret_cast<PathItem*>(list->data());
   for (std::uint32_t pixel = 0; pixel < more.size(); ++pixel)
-    for (std::uint32_t k = 0; k < more[pixel]; ++k) *item++ = {pixel, used[pixel] + k};
+    for (std::uint32_t k = 0; k < more[pixel]; ++k) *item++ = {pixel, used_chunks_[pixel]++};
   ask({.artifact = {},
        .items = items,
        .features = false,
@@ -147,12 +149,12 @@ void PathSampler::spend(std::uint64_t samples) {
        .list = std::move(list)});
 }
 
-// Adds the records of `count` items, from `first` on, to the film.
-void PathSampler::absorb(std::uint64_t first, std::uint64_t count, const Bytes& records) {
+// Adds `count` records, those of items from `first` on, to the film; the first lies `skip` records into the bytes.
+void PathSampler::absorb(std::uint64_t first, std::uint64_t count, const Bytes& records, std::uint64_t skip) {
   const Asked& asked = stages_.back();
   const std::size_t stride = record_bytes(asked);
   for (std::uint64_t k = 0; k < count; ++k) {
-    const Sums sums = read_sums(records.data() + k * stride, asked.features, complement_.complement);
+    const Sums sums = read_sums(records.data() + (skip + k) * stride, asked.features, complement_.complement);
     if (!finite(sums))
       throw Error::failed("stage " + asked.artifact.stage() + ", item " + std::to_string(first + k) +
                           ": a sum that is not finite");
@@ -165,6 +167,15 @@ void PathSampler::absorb(std::uint64_t first, std::uint64_t count, const Bytes& 
           item.pixel,
           {{r.albedo[0], r.albedo[1], r.albedo[2]}, {r.normal[0], r.normal[1], r.normal[2]}, r.depth, r.hits}, samples);
     if (complement_.complement) film_.add_clamped(item.pixel, sums.clamped);
+  }
+}
+
+void PathSampler::draw(std::uint64_t first, std::uint64_t count, const Bytes& records) {
+  const Asked& asked = stages_.back();
+  for (std::uint64_t k = 0; k < count; ++k) {
+    PathRecord record;
+    std::memcpy(&record, records.data() + k * record_bytes(asked), sizeof record);
+    film_.draw_samples(item_of(asked, first + k).pixel, record.direct, record.indirect, samples_of(asked, first + k));
   }
 }
 
@@ -212,7 +223,11 @@ bool PathSampler::conclude(const std::vector<CutStage>& cut, std::vector<Skip>& 
   const Asked& asked = stages_.back();
   std::uint64_t taken = 0;
   if (const CutStage* part = find_cut(cut, asked.artifact))
-    for (const ItemRange& range : part->whole) taken += samples_of(asked, range);
+    for (const ItemRange& range : part->whole) {
+      // Streamed records have been taken as they came.
+      if (part->stage.records) absorb(range.first, range.count, *part->stage.records, range.first);
+      taken += samples_of(asked, range);
+    }
   spent_ -= samples_of(asked, {0, asked.items}) - taken;
   stages_.back().list.reset();
   skips.push_back({"samples", "the time limit ended the frame", budget() - spent_});

@@ -31,7 +31,7 @@ class PathSampler {
   void begin(const Complement& complement);
   bool begun() const { return !stages_.empty(); }
   bool done() const { return done_; }
-  // Makes do with what a cut stage has brought. False: some pixels have no sample yet, and nothing has changed.
+  // Takes what there is of a stage that is cut. False: some pixels have no sample yet, and nothing has changed.
   bool conclude(const std::vector<CutStage>& cut, std::vector<Skip>& skips);
 
   nlohmann::json parameters() const;
@@ -57,7 +57,8 @@ class PathSampler {
   kernels::PathItem item_of(const Asked& asked, std::uint64_t item) const;
   void ask(Asked asked);
   void spend(std::uint64_t samples);
-  void absorb(std::uint64_t first, std::uint64_t count, const Bytes& records);
+  void absorb(std::uint64_t first, std::uint64_t count, const Bytes& records, std::uint64_t skip = 0);
+  void draw(std::uint64_t first, std::uint64_t count, const Bytes& records);
   void continue_or_end();
   std::uint64_t wanted_for_target();
 
@@ -66,15 +67,16 @@ class PathSampler {
   FrameSettings settings_;
   Complement complement_;
   std::uint32_t chunk_samples_ = 1, first_chunks_ = 1;
-  std::uint64_t spent_ = 0;    // samples asked for so far
-  std::vector<Asked> stages_;  // the last one runs
+  std::vector<std::uint32_t> used_chunks_;  // chunks handed out a pixel, the short last one included
+  std::uint64_t spent_ = 0;                 // samples asked for so far
+  std::vector<Asked> stages_;               // the last one runs
   std::vector<std::string> warnings_;
   bool done_ = false;
 };
 
-// What a plan with a sampler holds a pixel beside its film, at most: a stage's list of a few items a pixel, and either
-// what its allocation needs or records that have arrived out of order.
-inline constexpr std::uint64_t kPathBytesAPixel = 2 * sizeof(kernels::PathItem) + 24;
+// What a plan with a sampler holds a pixel, beside its film: the records of the largest stage (the first, two chunks a
+// pixel), and how many chunks were handed out.
+inline constexpr std::uint64_t kPathBytesAPixel = 2 * (sizeof(kernels::PathFeatureRecord) + 12) + 4;
 
 // What a path tracer leaves out where the scene does not need it.
 std::vector<Skip> path_skips(const scene::SceneNeeds& needs);

@@ -449,7 +449,7 @@ TEST(Allocation, NoPixelDecidesForItself) {
     noise.chunks.assign(noise.chunk_variance.size(), 2);
     for (std::uint32_t i = 0; i < width * height; ++i) noise.mean.push_back(static_cast<float>(10 * unit(i + 1000)));
     for (const std::uint64_t extra : {1u, 10u, 77u, 1000u}) {
-      const auto before = allocate_by_noise(noise, extra, 3).more;
+      const auto before = allocate_by_noise(noise, noise.chunks, extra, 3);
       std::uint64_t given = 0, moved = 0;
       for (const std::uint32_t more : before) given += more;
       ASSERT_EQ(given, extra);
@@ -457,7 +457,7 @@ TEST(Allocation, NoPixelDecidesForItself) {
         PixelNoise louder = noise;
         louder.chunk_variance[i] *= 1000;
         louder.mean[i] += 100;
-        const auto after = allocate_by_noise(louder, extra, 3).more;
+        const auto after = allocate_by_noise(louder, noise.chunks, extra, 3);
         ASSERT_EQ(after[i], before[i]) << width << "x" << height << ", pixel " << i << " of " << extra << " chunks";
         moved += after != before;
       }
@@ -476,7 +476,7 @@ TEST(Allocation, EdgesDrawSamplesThoughTheyLookQuiet) {
   noise.chunk_samples = 4;
   for (std::uint32_t i = 0; i < width * height; ++i) noise.mean.push_back(i / width < row ? 17.0f : 0.2f);
   const auto edges = edge_variance(noise);
-  const auto more = allocate_by_noise(noise, width * height, 3).more;
+  const auto more = allocate_by_noise(noise, noise.chunks, width * height, 3);
   for (std::uint32_t y = 0; y < height; ++y)
     for (std::uint32_t x = 1; x + 1 < width; ++x) {
       const std::size_t i = std::size_t{y} * width + x;
