@@ -440,8 +440,8 @@ TEST(Matter, SolidsAbsorbOverEveryMetre) {
     }
 }
 
-// A solid of index 1 does not bend light: shadow rays go through it, weakened, from outside, from within and into it; and
-// a lamp's light is not counted twice.
+// A solid of index 1 does not bend light: shadow rays go through it, weakened, from outside, from within and into it;
+// and a lamp's light is not counted twice.
 TEST(Matter, ShadowRaysPassWhatDoesNotBend) {
   const auto tank = [](double low, double high) {
     SceneBuilder b("tank");
