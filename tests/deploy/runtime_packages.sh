@@ -11,11 +11,10 @@ linked() {
   for program in gleaner gleaner-coordinator gleaner-worker; do
     readelf -d "$1/$program" | sed -n 's/.*(NEEDED).*\[\(.*\)\]/\1/p'
   done | sort -u | while read -r library; do
-    # awk reads to the end: a pipe closed early would end ldconfig by SIGPIPE, and with it this script.
-    path=$(ldconfig -p | awk -v name="$library" '$1 == name && !found++ { print $NF }')
+    path=$(ldconfig -p | awk -v name="$library" '$1 == name { print $NF; exit }')
     path=$(readlink -f "$path")
     # Where /lib is a link to /usr/lib, packages may still list the old place.
-    dpkg-query --search "$path" "${path#/usr}" 2>/dev/null | cut -d : -f 1
+    { dpkg-query --search "$path" "${path#/usr}" 2>/dev/null || true; } | cut -d : -f 1
   done | sort -u | grep -vxE 'libc6|libgcc-s1' # in every image
 }
 
