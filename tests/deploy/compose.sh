@@ -7,7 +7,7 @@ set -euo pipefail
 source "$(dirname "$0")/common.sh"
 root=$1 programs=$2
 command -v docker >/dev/null || skip "no docker here"
-docker version >/dev/null 2>&1 || skip "no Docker engine answers (DOCKER_HOST=${DOCKER_HOST:-})"
+timeout 20 docker version >/dev/null 2>&1 || skip "no Docker engine answers (DOCKER_HOST=${DOCKER_HOST:-})"
 docker compose version >/dev/null 2>&1 || command -v docker-compose >/dev/null || skip "no docker compose here"
 ((EUID == 0)) || skip "processes of containers are killed from outside, which needs root"
 

@@ -6,7 +6,7 @@ set -euo pipefail
 source "$(dirname "$0")/common.sh"
 root=$1 programs=$2
 command -v sbatch >/dev/null || skip "no Slurm here"
-sinfo >/dev/null 2>&1 || skip "no Slurm controller answers (SLURM_CONF=${SLURM_CONF:-})"
+timeout 20 sinfo >/dev/null 2>&1 || skip "no Slurm controller answers (SLURM_CONF=${SLURM_CONF:-})"
 
 place=$(mktemp -d)
 array= pid=
