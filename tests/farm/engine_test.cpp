@@ -496,7 +496,10 @@ TEST_F(FarmEngine, StreamedRecordsReachThePlanInItemOrderWhateverOrderTheyArrive
   std::vector<Offered> gathers = all_of(worker, "gather", 4);
   ASSERT_THAT(gathers, SizeIs(4));
   for (std::size_t i : {2u, 1u, 3u}) worker.deliver(gathers[i], worker.compute(gathers[i], blobs_));
-  EXPECT_FALSE(farm.preview(job)) << "the first batch has not arrived";
+  // The first batch has not arrived. (There may be a preview: the first stage's records were shown to the plan.)
+  if (const auto film = farm.preview(job)) {
+    for (const Channel& channel : film->channels) EXPECT_THAT(channel.values, testing::Each(0.0f)) << channel.name;
+  }
   EXPECT_EQ(farm.status(job)->stages.at(1).items_done, 384u);
   worker.deliver(gathers[0], worker.compute(gathers[0], blobs_));
   JobStatus status = end_of(farm, job);
@@ -596,7 +599,7 @@ TEST_F(FarmEngine, WhatAPlanWarnsOfIsToldToPeople) {
   serve(farm, worker, job);
   JobStatus status = end_of(farm, job);
   EXPECT_EQ(status.state, JobState::done);
-  EXPECT_EQ(status.message, "the target error was not reached");
+  EXPECT_THAT(status.message, HasSubstr("the target error was not reached"));
   EXPECT_EQ(report(farm, job)["warnings"][0], "the target error was not reached");
 }
 

@@ -330,7 +330,8 @@ TEST_F(FarmJobs, WhateverAPlanThrowsFailsItsJobAlone) {
     serve(farm, worker, job);
     JobStatus status = end_of(farm, job);
     EXPECT_EQ(status.state, seed == 3 ? JobState::done : JobState::failed) << status.message;
-    EXPECT_EQ(status.message.empty(), seed == 3);
+    // The third one's message is that its picture is white from end to end.
+    EXPECT_NE(status.message, "");
   }
 }
 
