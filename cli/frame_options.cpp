@@ -228,6 +228,7 @@ LoadedFrame load_frame(const FrameOptions& options) {
   scene::SceneNeeds needs = scene::needs_of(frame.scene);
   if (!needs.punctual_lights && !needs.emissive_triangles && !needs.environment && !needs.unlit)
     words.push_back(options.files.scene + ": no light; the picture will be black (--environment FILE lights a scene)");
+  for (const std::string& sentence : scene::lost_light(needs)) words.push_back(options.files.scene + ": " + sentence);
   if (!options.quiet)
     for (const std::string& word : words) std::cerr << "gleaner: " << word << "\n";
   return frame;

@@ -189,6 +189,7 @@ int info(const InfoWords& words) {
   const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   if (!has_light(needs_of(scene)))
     scene.warnings.push_back("the scene has no light: --environment FILE.exr lights it from all around");
+  for (std::string& sentence : scene::lost_light(needs_of(scene))) scene.warnings.push_back(std::move(sentence));
   // Names come from the file as they are; JSON must be UTF-8 all the same.
   if (words.json)
     std::cout << json_of(words, scene, seconds).dump(2, ' ', false, ordered_json::error_handler_t::replace) << '\n';

@@ -113,6 +113,7 @@ int render(const RenderOptions& options) {
   if (status.state == JobState::failed) throw Error::failed(status.message);
   if (!status.message.empty()) std::cerr << "gleaner: warning: " << status.message << "\n";
   if (!options.frame.quiet) {
+    if (!status.message.empty()) std::cerr << "gleaner: " << status.message << "\n";
     for (const fs::path& file : farm.files(job)) std::cerr << "gleaner: wrote " << file.string() << "\n";
     std::fprintf(stderr, "gleaner: %.2f s\n", status.seconds);
   }

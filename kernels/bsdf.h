@@ -23,8 +23,11 @@
 // What geometry leaves of light that a surface scatters back: gl and nl are its cosines to the triangle's normal and to
 // that for shading, ng that between the two; lengths do not matter. Nothing comes from behind the triangle, and ever
 // less towards its horizon, so that the terminator has no edge (Chiang et al. 2019, "Taming the shadow terminator").
+// The paper's factor begins where gl < nl * ng, on half of every facet: a coarse sphere loses light all over. Ours
+// begins at TERMINATOR_START of that, near the horizon alone.
+#define TERMINATOR_START 0.5f
 FN vf terminator(vf gl, vf nl, vf ng) {
-  vf g = min_f(gl / (nl * ng), one_f());
+  vf g = min_f(gl / (nl * ng) * (vf)(1.0f / TERMINATOR_START), one_f());
   return pick(zero_f(), g * fma(g, one_f() - g, one_f()), (gl > zero_f()) & (nl > zero_f()));
 }
 

@@ -6,6 +6,7 @@
 #include <type_traits>
 #include <utility>
 
+#include "coordinator/film/exposure.h"
 #include "coordinator/jobs/engine.h"
 #include "scene/model/error.h"
 
@@ -154,6 +155,8 @@ Film Farm::Impl::render(const std::shared_ptr<Job>& job, std::uint32_t frame) {
   job->reused.clear();
   job->report.plan_parameters = job->plan->parameters_json();
   job->report.warnings = job->plan->warnings();
+  if (std::string warning = exposure_warning(film, job->request.exposure_stops); !warning.empty())
+    job->report.warnings.push_back(std::move(warning));
   warn(*job, frame);
   job->report.plan_seconds = plan_seconds;
   return film;

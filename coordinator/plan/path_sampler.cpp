@@ -265,6 +265,10 @@ std::vector<Skip> path_skips(const scene::SceneNeeds& n) {
   skip(n.emissive_triangles, "light samples on triangles", "no triangle emits");
   skip(n.punctual_lights, "punctual lights", "the scene has none");
   skip(n.environment, "environment light", "the scene has none");
+  if (n.punctual_lights && n.refractive)
+    skips.push_back({"punctual lights through refracting solids", "no shadow ray finds its way through", 1});
+  if (n.punctual_lights && n.specular)
+    skips.push_back({"punctual lights by way of mirrors", "no shadow ray is mirrored", 1});
   return skips;
 }
 

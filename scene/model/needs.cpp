@@ -138,6 +138,15 @@ SceneNeeds needs_of(const Scene& scene) {
   return needs;
 }
 
+std::vector<std::string> lost_light(const SceneNeeds& needs) {
+  if (!needs.punctual_lights || !needs.refractive) return {};
+  return {
+      "point, spot and directional lights do not shine through solid glass: no shadow ray finds its way through a "
+      "surface that refracts. A lamp of emissive triangles does, and so does an environment; and so would the glass as "
+      "a "
+      "thin sheet (KHR_materials_transmission without KHR_materials_volume)"};
+}
+
 std::uint32_t SceneNeeds::bits() const {
   const bool fields[] = {specular,
                          glossy,

@@ -90,6 +90,8 @@ struct SceneNeeds {
 };
 
 SceneNeeds needs_of(const Scene& scene);
+// What of a scene's light no method carries: sentences for people.
+std::vector<std::string> lost_light(const SceneNeeds& needs);
 // The names of the fields, in the order of bits().
 const std::vector<std::string>& need_names();
 

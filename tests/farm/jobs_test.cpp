@@ -330,7 +330,8 @@ TEST_F(FarmJobs, WhateverAPlanThrowsFailsItsJobAlone) {
     serve(farm, worker, job);
     JobStatus status = end_of(farm, job);
     EXPECT_EQ(status.state, seed == 3 ? JobState::done : JobState::failed) << status.message;
-    if (seed != 3) EXPECT_FALSE(status.message.empty());
+    // The third one's message is that its picture is white from end to end.
+    EXPECT_NE(status.message, "");
   }
 }
 

@@ -440,6 +440,41 @@ TEST(Matter, SolidsAbsorbOverEveryMetre) {
     }
 }
 
+// A solid of index 1 does not bend light: shadow rays go through it, weakened, from outside, from within and into it;
+// and a lamp's light is not counted twice.
+TEST(Matter, ShadowRaysPassWhatDoesNotBend) {
+  const auto tank = [](double low, double high) {
+    SceneBuilder b("tank");
+    b.mesh("block");
+    b.box({0, (low + high) / 2, 0}, {8, (high - low) / 2, 8}, 0,
+          b.material("block", tinted(1, {kAbsorbs[0], kAbsorbs[1], kAbsorbs[2]})));
+    return b;
+  };
+  const auto left = [](double metres) { return std::exp(-double{kAbsorbs[0]} * metres); };
+  SceneBuilder sun = tank(0.5, 1.5), point = tank(0.5, 1.5), into = tank(0.5, 4), lamps = tank(0.5, 1.5);
+  sun.directional_light({0, -0.8, 0.6}, grey(2));
+  expect_floor(sun, kFloor / M_PI * 2 * 0.8 * left(1 / 0.8), "sun through a tinted block", 4, 1, 1e-5, 1, 0);
+  point.point_light({0, 3, 0}, grey(7));
+  expect_floor(point, kFloor / M_PI * 7 / 9 * left(1), "point light through a tinted block", 4, 1, 1e-5, 1, 0);
+  into.point_light({0, 3, 0}, grey(7));
+  expect_floor(into, kFloor / M_PI * 7 / 9 * left(2.5), "point light within a tinted block", 4, 1, 1e-5, 1, 0);
+  const double half = 0.05, height = 3;
+  const std::vector<Vec> corners{
+      {-half, height, -half}, {half, height, -half}, {half, height, half}, {-half, height, half}};
+  lamps.mesh("lamp");
+  lamps.quad(corners[0], corners[1], corners[2], corners[3], lamps.material("lamp", scene::emitter(grey(1))));
+  // The lamp's corners are seen through a little more of the block than its middle: by midpoints of 32 x 32 pieces.
+  constexpr int pieces = 32;
+  double lit = 0;
+  for (int i = 0; i < pieces; ++i)
+    for (int j = 0; j < pieces; ++j) {
+      const double x = half * (2 * (i + 0.5) / pieces - 1), z = half * (2 * (j + 0.5) / pieces - 1);
+      const double d2 = x * x + z * z + height * height, cosine = height / std::sqrt(d2);
+      lit += cosine * cosine / (M_PI * d2) * std::pow(2 * half / pieces, 2) * left(1 / cosine);
+    }
+  expect_floor(lamps, kFloor * lit, "lamp through a tinted block", 4, 256, 6e-3, 1, 0);
+}
+
 // The index beyond a boundary is that of what fills the space there: glass in water of its own index is not seen.
 TEST(Matter, NestedSolidsBendByTheirRatio) {
   for (const TraceKind trace : kTracers) {

@@ -118,12 +118,20 @@ std::vector<Tile> tiles() {
                    const double f = fresnel(mu, 1.5), r = 2 * f / (1 + f);
                    return r + 0.5 * (1 - r);
                  }});
-  all.push_back({"half thin glass, half Lambert 0.5", with(lambert(grey(0.5)), transmitting(0.5, 0)), [](double mu) {
+  all.push_back({"half thin glass, half Lambert 0.5",
+                 with(lambert(grey(0.5)),
+                      [=](Material& m) {
+                        transmitting(0.5, 0)(m);
+                        m.roughness = 0;
+                      }),
+                 [](double mu) {
                    const double f = fresnel(mu, 1.5), r = 2 * f / (1 + f);
                    return 0.25 + 0.5 * (r + 0.5 * (1 - r));
                  }});
-  all.push_back({"0.7 thin glass, rest glossy white, roughness 0.3",
-                 with(dielectric(grey(1), 0.3), transmitting(0.7, 0)), [](double) { return 1; }});
+  // A rough pane reflects and transmits one lobe, to both sides together what its masking leaves of it.
+  all.push_back({"0.7 rough thin glass, rest glossy white, roughness 0.3",
+                 with(dielectric(grey(1), 0.3), transmitting(0.7, 0)),
+                 [](double mu) { return 0.3 + 0.7 * integrate(0.09, mu, [](double) { return 1; }).reflected; }});
   // One face of a solid: radiance is squeezed on its way in, and what comes from below was never squeezed.
   all.push_back({"face of smooth glass, 1.5", with(dielectric(grey(1), 0), transmitting(1, GLEANER_MATERIAL_SOLID)),
                  [](double mu) {

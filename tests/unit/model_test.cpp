@@ -187,18 +187,22 @@ TEST(Needs, FollowTheMaterialsThatTrianglesUse) {
        {"glossy", "metallic", "textures", "material_textures"}},
       {"glass",
        [](Scene&, Material& m) { m.transmission = 1, m.roughness = 0, m.flags |= GLEANER_MATERIAL_SOLID; },
-       {"specular", "transmissive"}},
+       {"specular", "transmissive", "refractive"}},
+      {"pane", [](Scene&, Material& m) { m.transmission = 1, m.roughness = 0; }, {"specular", "transmissive", "panes"}},
       {"frosted glass",
        [](Scene&, Material& m) { m.transmission = 1, m.flags |= GLEANER_MATERIAL_SOLID; },
        {"glossy", "transmissive", "rough_transmissive"}},
-      {"thin frosted glass lets through unbent",
+      {"frosted pane",
        [](Scene&, Material& m) { m.transmission = 1; },
-       {"specular", "transmissive"}},
+       {"glossy", "transmissive", "rough_transmissive"}},
+      {"metal hides transmission",
+       [](Scene&, Material& m) { m.transmission = 1, m.roughness = 0, m.metallic = 1; },
+       {"specular", "metallic"}},
       {"coloured glass",
        [](Scene&, Material& m) {
          m.transmission = 1, m.roughness = 0, m.attenuation[0] = 1, m.flags |= GLEANER_MATERIAL_SOLID;
        },
-       {"specular", "transmissive", "attenuation"}},
+       {"specular", "transmissive", "attenuation", "refractive", "media"}},
       {"half transparent",
        [](Scene&, Material& m) { m.alpha = 0.5f, m.flags |= GLEANER_MATERIAL_ALPHA_BLEND; },
        {"alpha"}},
@@ -274,9 +278,9 @@ TEST(Needs, HaveOneNameABit) {
   EXPECT_EQ(needs.bits(), 1u);
   EXPECT_EQ(need_names().front(), "specular");
   needs = {};
-  needs.deforming = true;
+  needs.media = true;
   EXPECT_EQ(needs.bits(), 1u << (need_names().size() - 1));
-  EXPECT_EQ(need_names().back(), "deforming");
+  EXPECT_EQ(need_names().back(), "media");
   needs = {};
   needs.normal_maps = true;
   EXPECT_EQ(need_names()[std::countr_zero(needs.bits())], "normal_maps");

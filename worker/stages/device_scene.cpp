@@ -145,6 +145,8 @@ void add_media_of_lights(const scene::MediumFinder& media, LightTables& lights) 
 
 std::array<cl_uint, 2> DeviceScene::media_of(const scene::Camera& camera) const {
   if (!media_) return {};
+  std::lock_guard lock(media_mutex_);
+  if (media_camera_ && std::memcmp(&*media_camera_, &camera, sizeof camera) == 0) return camera_media_;
   const auto at = [&](double x, double y) {
     std::array<double, 3> p;
     for (int k = 0; k < 3; ++k)
@@ -158,7 +160,8 @@ std::array<cl_uint, 2> DeviceScene::media_of(const scene::Camera& camera) const 
       const std::vector<std::uint32_t> others = at(x, y);
       std::erase_if(ranks, [&](const std::uint32_t& r) { return std::ranges::find(others, r) == others.end(); });
     }
-  return pack_media(ranks);
+  media_camera_ = camera;
+  return camera_media_ = pack_media(ranks);
 }
 
 cl::Buffer DeviceScene::upload(const Device& device, cl::CommandQueue& queue, const void* data, std::size_t bytes) {

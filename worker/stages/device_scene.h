@@ -4,6 +4,7 @@
 #include <array>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <string>
 
@@ -53,6 +54,10 @@ class DeviceScene {
   bool transparent_shadows_ = false;
   unsigned path_rows_ = 0, shadow_rows_ = 0;
   std::optional<scene::MediumFinder> media_;  // where the scene has media
+  // The last camera that media_of() was asked for, and its answer: batches of a frame ask for the same one.
+  mutable std::mutex media_mutex_;
+  mutable std::optional<scene::Camera> media_camera_;
+  mutable std::array<cl_uint, 2> camera_media_{};
   std::uint64_t triangle_count_ = 0;
   std::map<std::uint32_t, std::uint32_t> albedo_rows_;  // by table
   std::size_t bytes_ = 0;
