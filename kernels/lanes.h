@@ -70,37 +70,71 @@ FN void scatter_u(global uint* p, vu i, vu v) {
 #define HIGH_4 4, 5, 6, 7, 20, 21, 22, 23, 12, 13, 14, 15, 28, 29, 30, 31
 #define LOW_8 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23
 #define HIGH_8 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31
-FN void transpose16(float16* x){
+FN void transpose16(float16* x) {
 #define STEP(i, j) SHUFFLE_PAIR(x, i, j, LOW_1, HIGH_1)
-    STEP(0, 1) STEP(2, 3) STEP(4, 5) STEP(6, 7) STEP(8, 9) STEP(10, 11) STEP(12, 13) STEP(14, 15)
+  STEP(0, 1)
+  STEP(2, 3)
+  STEP(4, 5)
+  STEP(6, 7) STEP(8, 9) STEP(10, 11) STEP(12, 13) STEP(14, 15)
 #undef STEP
 #define STEP(i, j) SHUFFLE_PAIR(x, i, j, LOW_2, HIGH_2)
-        STEP(0, 2) STEP(1, 3) STEP(4, 6) STEP(5, 7) STEP(8, 10) STEP(9, 11) STEP(12, 14) STEP(13, 15)
+      STEP(0, 2) STEP(1, 3) STEP(4, 6) STEP(5, 7) STEP(8, 10) STEP(9, 11) STEP(12, 14) STEP(13, 15)
 #undef STEP
 #define STEP(i, j) SHUFFLE_PAIR(x, i, j, LOW_4, HIGH_4)
-            STEP(0, 4) STEP(1, 5) STEP(2, 6) STEP(3, 7) STEP(8, 12) STEP(9, 13) STEP(10, 14) STEP(11, 15)
+          STEP(0, 4) STEP(1, 5) STEP(2, 6) STEP(3, 7) STEP(8, 12) STEP(9, 13) STEP(10, 14) STEP(11, 15)
 #undef STEP
 #define STEP(i, j) SHUFFLE_PAIR(x, i, j, LOW_8, HIGH_8)
-                STEP(0, 8) STEP(1, 9) STEP(2, 10) STEP(3, 11) STEP(4, 12) STEP(5, 13) STEP(6, 14) STEP(7, 15)
+              STEP(0, 8) STEP(1, 9) STEP(2, 10) STEP(3, 11) STEP(4, 12) STEP(5, 13) STEP(6, 14) STEP(7, 15)
 #undef STEP
-} FN void load_words(global const float* table, vu word, vf* out) {
-  out[0] = vload16(0, table + word.s0);
-  out[1] = vload16(0, table + word.s1);
-  out[2] = vload16(0, table + word.s2);
-  out[3] = vload16(0, table + word.s3);
-  out[4] = vload16(0, table + word.s4);
-  out[5] = vload16(0, table + word.s5);
-  out[6] = vload16(0, table + word.s6);
-  out[7] = vload16(0, table + word.s7);
-  out[8] = vload16(0, table + word.s8);
-  out[9] = vload16(0, table + word.s9);
-  out[10] = vload16(0, table + word.sa);
-  out[11] = vload16(0, table + word.sb);
-  out[12] = vload16(0, table + word.sc);
-  out[13] = vload16(0, table + word.sd);
-  out[14] = vload16(0, table + word.se);
-  out[15] = vload16(0, table + word.sf);
+}
+// One whole vector at any float's address. PoCL's vload16 and vstore16 are written in pairs of floats, which its
+// compiler puts together again: that was half of all it had to do.
+#ifdef __clang__
+typedef float unaligned16 __attribute__((ext_vector_type(16), aligned(4)));
+FN vf load_vector(global const float* p) { return *(global const unaligned16*)p; }
+FN void store_vector(global float* p, vf v) { *(global unaligned16*)p = v; }
+#else
+FN vf load_vector(global const float* p) { return vload16(0, p); }
+FN void store_vector(global float* p, vf v) { vstore16(v, 0, p); }
+#endif
+FN void load_words(global const float* table, vu word, vf* out) {
+  out[0] = load_vector(table + word.s0);
+  out[1] = load_vector(table + word.s1);
+  out[2] = load_vector(table + word.s2);
+  out[3] = load_vector(table + word.s3);
+  out[4] = load_vector(table + word.s4);
+  out[5] = load_vector(table + word.s5);
+  out[6] = load_vector(table + word.s6);
+  out[7] = load_vector(table + word.s7);
+  out[8] = load_vector(table + word.s8);
+  out[9] = load_vector(table + word.s9);
+  out[10] = load_vector(table + word.sa);
+  out[11] = load_vector(table + word.sb);
+  out[12] = load_vector(table + word.sc);
+  out[13] = load_vector(table + word.sd);
+  out[14] = load_vector(table + word.se);
+  out[15] = load_vector(table + word.sf);
   transpose16(out);
+}
+// The inverse, in the lanes' order. `in` is lost.
+FN void store_words(global float* table, vu word, vf* in) {
+  transpose16(in);
+  store_vector(table + word.s0, in[0]);
+  store_vector(table + word.s1, in[1]);
+  store_vector(table + word.s2, in[2]);
+  store_vector(table + word.s3, in[3]);
+  store_vector(table + word.s4, in[4]);
+  store_vector(table + word.s5, in[5]);
+  store_vector(table + word.s6, in[6]);
+  store_vector(table + word.s7, in[7]);
+  store_vector(table + word.s8, in[8]);
+  store_vector(table + word.s9, in[9]);
+  store_vector(table + word.sa, in[10]);
+  store_vector(table + word.sb, in[11]);
+  store_vector(table + word.sc, in[12]);
+  store_vector(table + word.sd, in[13]);
+  store_vector(table + word.se, in[14]);
+  store_vector(table + word.sf, in[15]);
 }
 // Exclusive prefix sum of the mask's lanes; *total gets their number.
 FN vu rank_lanes(vi m, uint* total) {
@@ -142,6 +176,9 @@ FN void scatter_u(global uint* p, vu i, vu v) { p[i] = v; }
 FN void load_words(global const float* table, vu word, vf* out) {
   for (uint k = 0; k < 16; ++k) out[k] = table[word + k];
 }
+FN void store_words(global float* table, vu word, vf* in) {
+  for (uint k = 0; k < 16; ++k) table[word + k] = in[k];
+}
 FN vu rank_lanes(vi m, uint* total) {
   *total = m ? 1u : 0u;
   return 0u;
@@ -162,6 +199,12 @@ FN vi to_i(vf x) { return (int)x; }
 #else
 #error "LANES must be 1 or 16"
 #endif
+
+// Values k to p + stride * k, for each lane at its own place. A loop: written out, the stores of a row's words were a
+// quarter of a kernel's compile time (LLVM compares each store with each).
+FN void scatter_words(global float* p, uint stride, vu at, const vf* values, uint count) {
+  __attribute__((opencl_unroll_hint(1))) for (uint k = 0; k < count; ++k) scatter_f(p + stride * k, at, values[k]);
+}
 
 // select() by mask with the chosen value last, as in OpenCL: pick(otherwise, where, mask).
 FN vf pick(vf otherwise, vf where, vi m) { return select(otherwise, where, m); }

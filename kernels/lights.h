@@ -56,14 +56,11 @@ FN vf cluster_importance_at(const Scene* scene, vu k, v3 p) {
 #if CLUSTERS == 1
   return one_f();
 #else
-  vu row = k * CLUSTER_WORDS;
-  v3 offset = sub3(p, gather3(scene->clusters + CLUSTER_CENTER, row));
-  vi anywhere = gather_u((global const uint*)scene->clusters + CLUSTER_KIND, row) >= CLUSTER_DIRECTIONAL;
-  return cluster_importance_of(
-      offset, gather_f(scene->clusters + CLUSTER_RADIUS, row), gather3(scene->clusters + CLUSTER_AXIS, row),
-      gather_f(scene->clusters + CLUSTER_COS, row), gather_f(scene->clusters + CLUSTER_SIN, row),
-      gather_f(scene->clusters + CLUSTER_POWER, row), anywhere,
-      gather_u((global const uint*)scene->clusters + CLUSTER_TWO_SIDED, row) != 0u);
+  vf c[16];
+  load_words(scene->clusters, k * CLUSTER_WORDS, c);
+  return cluster_importance_of(sub3(p, words3(c, CLUSTER_CENTER)), c[CLUSTER_RADIUS], words3(c, CLUSTER_AXIS),
+                               c[CLUSTER_COS], c[CLUSTER_SIN], c[CLUSTER_POWER],
+                               as_vu(c[CLUSTER_KIND]) >= CLUSTER_DIRECTIONAL, as_vu(c[CLUSTER_TWO_SIDED]) != 0u);
 #endif
 }
 
@@ -177,8 +174,9 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
 #if CLUSTERS == 1
   vu kind = (vu)cluster_words[CLUSTER_KIND];
 #else
-  vu row = cluster * CLUSTER_WORDS;
-  vu kind = gather_u(cluster_words + CLUSTER_KIND, row);
+  vf c[16];
+  load_words(scene->clusters, cluster * CLUSTER_WORDS, c);
+  vu kind = as_vu(c[CLUSTER_KIND]);
 #endif
   light.pdf = zero_f();
   light.radiance = splat3(zero_f());
@@ -188,8 +186,7 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
 #if CLUSTERS == 1
   vu first = (vu)cluster_words[CLUSTER_FIRST], count = (vu)cluster_words[CLUSTER_COUNT];
 #else
-  vu first = gather_u(cluster_words + CLUSTER_FIRST, row);
-  vu count = gather_u(cluster_words + CLUSTER_COUNT, row);
+  vu first = as_vu(c[CLUSTER_FIRST]), count = as_vu(c[CLUSTER_COUNT]);
 #endif
   vu low = (vu)0u;
   for (uint step = cluster_words[CLUSTERS * CLUSTER_WORDS]; step > 0u; step >>= 1) {
@@ -285,11 +282,9 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
 }
 
 #ifdef NEED_EMISSIVE_TRIANGLES
-// Density, per steradian, with which sample_light() at `p` would have come upon the point of emitter `emitter` at
-// `distance` along unit `w`; `total` is LightSample::total at p.
-FN vf light_pdf(const Scene* scene, vu emitter, v3 p, v3 w, vf distance, vf total) {
-  vf e[16];
-  load_words(scene->emitters, emitter * EMITTER_WORDS, e);
+// Density, per steradian, with which sample_light() at `p` would have come upon the point of an emitter, the row `e` of
+// the emitters, at `distance` along unit `w`; `total` is LightSample::total at p.
+FN vf light_pdf(const Scene* scene, const vf* e, v3 p, v3 w, vf distance, vf total) {
   v3 n = cross3(words3(e, EMITTER_E1), words3(e, EMITTER_E2));
   vf projected = -dot3(n, w);
   projected = pick(projected, fabs(projected), is_two_sided(e));

@@ -17,8 +17,8 @@
 #define ROW_SLOT 25u
 #define ROW_META 26u
 #define ROW_KEY 27u
-#define ROW_ETA 28u    // product of n_t / n_i along the path
-#define ROW_COVER 29u  // COVERED: what virtual point lights do with light that arrives on this ray, see COVER_...
+#define ROW_ETA 28u     // product of n_t / n_i along the path
+#define ROW_FILTER 29u  // PATH_FILTER: the path's state (kernels/path_filter.h)
 // In scenes with surfaces that light passes straight: the way since the ray's direction was drawn, m. Passing is no
 // scattering: emission found beyond weighs against the light samples of where the direction was drawn, for shadow rays
 // pass the same surfaces.
@@ -35,12 +35,6 @@
 #else
 #define PATH_ROWS PLAIN_PATH_ROWS
 #endif
-
-// ROW_COVER: 0: the path has met nothing but mirrors and glass. Above 0: it left the diffuse layer of its first other
-// surface, at this cosine; the diffuse layer that it meets next is a virtual point light. Below: paths alone find what
-// is to be found.
-#define COVER_FREE -1.0f
-#define COVER_CLAMPED -2.0f  // as COVER_FREE, of what clamping the geometry term took
 
 // Rows of a block of 16 shadow rays: RTCRay16, then what arrives if nothing is in the way. Where a scene has surfaces
 // that light passes straight, its shadow rays pass them too, weakened: they ask for the closest hit.
@@ -64,9 +58,9 @@
 // How far shadow rays go, the light being at 1.
 #define SHADOW_FAR 0.9999999f
 #define SHADOW_INDIRECT 0x80000000u
-#define SHADOW_INFINITE 0x20000000u  // its light is not at `far` 1
-#define SHADOW_CLAMPED 0x10000000u   // counts as given back of what was clamped
-#define SHADOW_BITS (SHADOW_INDIRECT | SHADOW_INFINITE | SHADOW_CLAMPED)
+#define SHADOW_INFINITE 0x20000000u     // its light is not at `far` 1
+#define SHADOW_COMPENSATES 0x10000000u  // is what the partner of a path filter lacks
+#define SHADOW_BITS (SHADOW_INDIRECT | SHADOW_INFINITE | SHADOW_COMPENSATES)
 // Of rays between points and virtual point lights.
 #define VISIBILITY_ROWS 16u
 
@@ -81,16 +75,16 @@
 #define META_SAMPLE_MASK 4095u
 #define META_IDLE (1u << 31)
 
-// A path's slot: direct RGB, indirect RGB, (covered: of that, what was clamped), padding.
+// A path's slot: direct RGB, indirect RGB, (with a path filter: of that, what the partner lacks), padding.
 #define PLAIN_SLOT_WORDS 8u
-#define COVERED_SLOT_WORDS 12u
-#ifdef COVERED
-#define SLOT_WORDS COVERED_SLOT_WORDS
+#define FILTERED_SLOT_WORDS 12u
+#ifdef PATH_FILTER
+#define SLOT_WORDS FILTERED_SLOT_WORDS
 #else
 #define SLOT_WORDS PLAIN_SLOT_WORDS
 #endif
 #define SLOT_INDIRECT 3u
-#define SLOT_CLAMPED 6u
+#define SLOT_COMPENSATION 6u
 // Albedo, normal, depth, 1 where something was hit.
 #define FEATURE_WORDS 8u
 

@@ -13,6 +13,14 @@ namespace gleaner::kernels {
 // Points of a sequence before the pixel begins another one.
 #define GLEANER_PATH_SEQUENCE 4096u
 
+// Classes of indirect light, by how it leaves the first surface that a camera path meets past mirrors and glass, and
+// how it came there: kernels/path_filter.h.
+#define PATH_CLASS_DIFFUSE 1u
+#define PATH_CLASS_CAUSTIC 2u
+#define PATH_CLASS_MIXED 4u
+#define PATH_CLASS_GLOSSY 8u
+#define PATH_CLASSES 15u
+
 // Stage kind "path". An item is (pixel, chunk): samples_per_item camera paths through one pixel. Without the input
 // "items", item i is pixel i % (width * height), chunk first_chunk + i / (width * height); with it, item i is what the
 // list says. A pixel has two independently scrambled sequences; chunk c goes on with sequence c % 2 where its last
@@ -27,11 +35,10 @@ typedef struct {
   gl_uint seed_low, seed_high;
   gl_uint features;               // 1: records are PathFeatureRecord, else PathRecord
   gl_uint items_low, items_high;  // items of the whole stage
-  // 1: light that reaches the first non-specular surface straight from another one is left to virtual point lights
-  // (kernels/vpl/), but for what they clamp and for lobes that are not rough; records then end with three words more,
-  // the sums of what was clamped.
-  gl_uint covered;
-  gl_float clamp;  // covered: the geometry term's bound, 1/m^2; infinity: none
+  // Classes of light that a partner method has (kernels/path_filter.h), or 0. With any, records end with three words
+  // more, the sums of what the partner lacks.
+  gl_uint filter;
+  gl_float clamp;  // with a filter: the partner's bound of the geometry term, 1/m^2; infinity: none
   gl_uint reserved[3];
 } PathParameters;
 GLEANER_SIZE(PathParameters, 128);

@@ -65,6 +65,17 @@ FN void set_ray(global float* rays, uint rows, uint block, v3 origin, v3 directi
   set_row_u(rays, rows, block, ROW_SOURCE, source);
   set_row_u(rays, rows, block, ROW_FLAGS, (vu)0u);
 }
+// The same rows in private memory.
+FN void put_ray(vf* rows, v3 origin, v3 direction, vf far, vu source) {
+  put_words3(rows, ROW_ORIGIN, origin);
+  rows[ROW_NEAR] = zero_f();
+  put_words3(rows, ROW_DIRECTION, direction);
+  rows[ROW_TIME] = zero_f();
+  rows[ROW_FAR] = far;
+  rows[ROW_MASK] = as_vf((vu)0xffffffffu);
+  rows[ROW_SOURCE] = as_vf(source);
+  rows[ROW_FLAGS] = zero_f();
+}
 // Where row 0 of ray `i` lies; add 16 for each row.
 FN vu ray_address(vu i, uint rows) { return (i >> 4) * (rows * 16u) + (i & 15u); }
 

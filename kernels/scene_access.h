@@ -37,13 +37,14 @@ FN v3 material_3(const Scene* scene, vu material, uint word) {
 
 #ifdef NEED_TEXTURES
 
-// Texture coordinate to texel, by the sampler's wrap mode.
+// Texture coordinate to texel, by the sampler's wrap mode. That of a lane which repeats or mirrors lies in [-1, 2 n].
 FN vu wrap_texel(vi i, vi n, vu mode) {
-  vi repeat = i % n;
-  repeat = select(repeat, repeat + n, repeat < 0);
+  vi repeat = select(i, i + n, i < 0);
+  repeat = select(repeat, repeat - n, repeat >= n);
+  repeat = select(repeat, repeat - n, repeat >= n);
   vi clamped = select(select(i, n - 1, i >= n), (vi)0, i < 0);
-  vi period = i % (2 * n);
-  period = select(period, period + 2 * n, period < 0);
+  vi period = select(i, i + 2 * n, i < 0);
+  period = select(period, period - 2 * n, period >= 2 * n);
   vi mirrored = select(period, 2 * n - 1 - period, period >= n);
 #if LANES == 16
   vi r = select(select(repeat, clamped, as_vi(pick_u((vu)0u, (vu)0xffffffffu, mode == GLEANER_WRAP_CLAMP))), mirrored,
@@ -63,34 +64,33 @@ FN vi reads_second_uvs(const Scene* scene, vu texture, vi active) {
 }
 #endif
 
+FN void load_texture(const Scene* scene, vu texture, vi active, vf* words) {
+  load_words((global const float*)scene->textures, texture_row(texture, active), words);
+}
+
 #ifdef NEED_TEXTURE_TRANSFORMS
 // The linear part of a texture's transform.
-FN void turn_uv(const Scene* scene, vu row, vf* u, vf* v) {
-  global const float* t = (global const float*)scene->textures + TEXTURE_TRANSFORM;
+FN void turn_uv(const vf* words, vf* u, vf* v) {
+  const vf* t = words + TEXTURE_TRANSFORM;
   vf x = *u, y = *v;
-  *u = gather_f(t, row) * x + gather_f(t + 1, row) * y;
-  *v = gather_f(t + 3, row) * x + gather_f(t + 4, row) * y;
+  *u = t[0] * x + t[1] * y;
+  *v = t[3] * x + t[4] * y;
 }
 #endif
 
 // Bilinear lookup: bytes are decoded first, then filtered. Lanes outside `active` read texture 0. Gives RGB and alpha.
 FN v3 texture_lookup(const Scene* scene, vu texture, vf u, vf v, vi active, vf* alpha) {
-  vu row = texture_row(texture, active);
+  vf words[16];
+  load_texture(scene, texture, active, words);
 #ifdef NEED_TEXTURE_TRANSFORMS
-  {
-    global const float* t = (global const float*)scene->textures + TEXTURE_TRANSFORM;
-    turn_uv(scene, row, &u, &v);
-    u += gather_f(t + 2, row);
-    v += gather_f(t + 5, row);
-  }
+  turn_uv(words, &u, &v);
+  u += words[TEXTURE_TRANSFORM + 2];
+  v += words[TEXTURE_TRANSFORM + 5];
 #endif
-  vu first = gather_u(scene->textures + TEXTURE_FIRST_TEXEL, row);
-  vu width = gather_u(scene->textures + TEXTURE_WIDTH, row);
-  vu height = gather_u(scene->textures + TEXTURE_HEIGHT, row);
-  vu wrap_u = gather_u(scene->textures + TEXTURE_WRAP_U, row);
-  vu wrap_v = gather_u(scene->textures + TEXTURE_WRAP_V, row);
-  vu flags = gather_u(scene->textures + TEXTURE_FLAGS, row);
-  vu decode = pick_u((vu)256u, (vu)0u, (flags & GLEANER_TEXTURE_SRGB) != 0u);
+  vu first = as_vu(words[TEXTURE_FIRST_TEXEL]);
+  vu width = as_vu(words[TEXTURE_WIDTH]), height = as_vu(words[TEXTURE_HEIGHT]);
+  vu wrap_u = as_vu(words[TEXTURE_WRAP_U]), wrap_v = as_vu(words[TEXTURE_WRAP_V]);
+  vu decode = pick_u((vu)256u, (vu)0u, (as_vu(words[TEXTURE_FLAGS]) & GLEANER_TEXTURE_SRGB) != 0u);
   // Coordinates beyond 2^20 have no texel of their own left in a float; NaN and such become 0.
   u = pick(zero_f(), u, fabs(u) < (vf)1048576.0f);
   v = pick(zero_f(), v, fabs(v) < (vf)1048576.0f);
@@ -108,16 +108,17 @@ FN v3 texture_lookup(const Scene* scene, vu texture, vf u, vf v, vi active, vf* 
   vi ix = to_i(x0), iy = to_i(y0);
   vu xa = wrap_texel(ix, w, wrap_u), xb = wrap_texel(ix + 1, w, wrap_u);
   vu ya = wrap_texel(iy, h, wrap_v) * width + first, yb = wrap_texel(iy + 1, h, wrap_v) * width + first;
-  vu t[4] = {gather_u(scene->texels, ya + xa), gather_u(scene->texels, ya + xb), gather_u(scene->texels, yb + xa),
-             gather_u(scene->texels, yb + xb)};
+  vu at[4] = {ya + xa, ya + xb, yb + xa, yb + xb};
   vf weight[4] = {(1.0f - fx) * (1.0f - fy), fx * (1.0f - fy), (1.0f - fx) * fy, fx * fy};
   v3 sum = splat3(zero_f());
   vf a = zero_f();
-  for (int k = 0; k < 4; ++k) {
-    v3 c = make3(gather_f(scene->srgb, (t[k] & 255u) + decode), gather_f(scene->srgb, ((t[k] >> 8) & 255u) + decode),
-                 gather_f(scene->srgb, ((t[k] >> 16) & 255u) + decode));
+  // A loop: written out, the taps' gathers were a third of the kernel (see scatter_words()).
+  __attribute__((opencl_unroll_hint(1))) for (int k = 0; k < 4; ++k) {
+    vu texel = gather_u(scene->texels, at[k]);
+    v3 c = make3(gather_f(scene->srgb, (texel & 255u) + decode), gather_f(scene->srgb, ((texel >> 8) & 255u) + decode),
+                 gather_f(scene->srgb, ((texel >> 16) & 255u) + decode));
     sum = mad3(c, weight[k], sum);
-    a = fma(to_f(t[k] >> 24) * (vf)(1.0f / 255.0f), weight[k], a);
+    a = fma(to_f(texel >> 24) * (vf)(1.0f / 255.0f), weight[k], a);
   }
   *alpha = a;
   return sum;

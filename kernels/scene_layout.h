@@ -6,7 +6,7 @@
 #include "scene/model/records.h"
 
 // Triangles: all that shading reads of one, in two cache lines; the second only where normals, uvs or vertex colours
-// are needed, a third only in scenes with second uvs. The host asks triangle_words() for the length of a row.
+// are needed, a third only in scenes with second uvs. DeviceScene::triangle_words() is the length of a row.
 #define TRIANGLE_WORDS_PLAIN 32u
 #define TRIANGLE_WORDS_SECOND_UVS 48u
 #ifdef NEED_SECOND_UVS

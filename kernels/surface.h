@@ -136,8 +136,10 @@ FN Hit load_hit(const Scene* scene, vu primitive, vf b1, vf b2, vi active) {
       dv2 = pick(dv2, t3[uv2 + 1] - t3[uv0 + 1], second);
 #endif
 #ifdef NEED_TEXTURE_TRANSFORMS
-      turn_uv(scene, texture_row(texture, mapped), &du1, &dv1);
-      turn_uv(scene, texture_row(texture, mapped), &du2, &dv2);
+      vf words[16];
+      load_texture(scene, texture, mapped, words);
+      turn_uv(words, &du1, &dv1);
+      turn_uv(words, &du2, &dv2);
 #endif
       vf area = du1 * dv2 - du2 * dv1;
       // dp/du, made perpendicular to the normal; the bitangent's sense is that of -dv (v grows downwards in glTF).

@@ -48,8 +48,13 @@ FN void scatter3(global float* p, vu i, v3 v) {
 FN vf luminance(v3 c) { return c.x * 0.2126f + c.y * 0.7152f + c.z * 0.0722f; }
 FN float luminance_of(float r, float g, float b) { return 0.2126f * r + 0.7152f * g + 0.0722f * b; }
 
-// Three words in a row of what load_words() gave.
+// Three words in a row of what load_words() gave, or for store_words().
 FN v3 words3(const vf* words, uint first) { return make3(words[first], words[first + 1u], words[first + 2u]); }
+FN void put_words3(vf* words, uint first, v3 v) {
+  words[first] = v.x;
+  words[first + 1u] = v.y;
+  words[first + 2u] = v.z;
+}
 
 // Two unit vectors perpendicular to unit n (Duff et al. 2017, "Building an Orthonormal Basis, Revisited").
 FN void basis3(v3 n, v3* s, v3* t) {

@@ -356,7 +356,7 @@ StageSpec VplPlan::path_pilot(std::uint32_t number, Step& step) const {
   p.seed_low = static_cast<std::uint32_t>(settings_.seed) ^ 0x70696c6fu;
   p.seed_high = static_cast<std::uint32_t>(settings_.seed >> 32);
   p.items_low = static_cast<std::uint32_t>(count * 2);
-  p.covered = 1;
+  p.filter = PATH_CLASS_DIFFUSE;
   p.clamp = static_cast<float>(number == 0 ? pilot_->bounds().front() : pilot_->bounds().back());
   const Table items = table_of(std::move(list));
   StageSpec spec;

@@ -12,7 +12,7 @@
 // moves.
 //
 // Direct light and all that reaches a surface through mirrors, glass or a specular lobe comes from the path tracer,
-// whose paths end where a VPL would be (PathPlan, covered). Sets are independent of each other: their mean has less
+// whose paths end where a VPL would be (PathPlan, Complement). Sets are independent of each other: their mean has less
 // error, and their differences tell how much.
 
 #include <memory>

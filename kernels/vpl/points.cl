@@ -51,13 +51,16 @@ kernel WIDE void vpl_camera_rays(global const VplPointParameters* restrict param
 }
 
 #ifdef NEED_LOBE
-FN void write_lobe(global float* lobes, vu at, const SurfacePoint* point) {
+FN void write_lobe(global float* lobes, vu row, const SurfacePoint* point) {
   const Surface* m = &point->vertex.surface;
-  scatter3(lobes + LOBE_VIEW, at, negate3(point->direction));
-  scatter3(lobes + LOBE_THROUGHPUT, at, point->throughput);
-  scatter3(lobes + LOBE_F0, at, lobe_f0(m));
-  scatter_f(lobes + LOBE_F90, at, lobe_f90(m));
-  scatter_f(lobes + LOBE_ALPHA, at, pick(zero_f(), m->alpha, point->rough));
+  vf w[LOBE_WORDS];
+  put_words3(w, LOBE_VIEW, negate3(point->direction));
+  put_words3(w, LOBE_THROUGHPUT, point->throughput);
+  put_words3(w, LOBE_F0, lobe_f0(m));
+  w[LOBE_F90] = lobe_f90(m);
+  w[LOBE_ALPHA] = pick(zero_f(), m->alpha, point->rough);
+  for (uint k = LOBE_ALPHA + 1u; k < LOBE_WORDS; ++k) w[k] = zero_f();
+  store_words(lobes, row * LOBE_WORDS, w);
 }
 #endif
 
@@ -73,19 +76,20 @@ kernel WIDE void vpl_point_step(global const VplPointParameters* restrict parame
   SurfacePoint point = step_to_surface_point(scene, paths, block, parameters->samples, parameters->depth, 2u, counters);
   if (!any_lane(point.found)) return;
   const Hit* h = &point.vertex.hit;
-  vu at = pick_u((vu)count, point.slot, point.found) * POINT_WORDS;
-  global uint* words = (global uint*)points;
-  scatter3(points + POINT_POSITION, at, h->p);
-  scatter3(points + POINT_NORMAL, at, point.vertex.frame.normal);
-  scatter_u(words + POINT_TABLE, at, point.table);
-  scatter_f(points + POINT_ROW, at, point.table_row);
-  scatter_f(points + POINT_WEIGHT, at, one_f());
-  scatter3(points + POINT_ALBEDO, at, scale3(mul3(point.throughput, point.albedo), (vf)INV_PI));
-  scatter_u(words + POINT_TRIANGLE, at, point.vertex.primitive);
-  scatter_f(points + POINT_B1, at, h->b1);
-  scatter_f(points + POINT_B2, at, h->b2);
-  scatter_f(points + POINT_COS, at, one_f());
+  vu row = pick_u((vu)count, point.slot, point.found);
+  vf w[POINT_WORDS];
+  put_words3(w, POINT_POSITION, h->p);
+  put_words3(w, POINT_NORMAL, point.vertex.frame.normal);
+  w[POINT_TABLE] = as_vf(point.table);
+  w[POINT_ROW] = point.table_row;
+  w[POINT_WEIGHT] = one_f();
+  put_words3(w, POINT_ALBEDO, scale3(mul3(point.throughput, point.albedo), (vf)INV_PI));
+  w[POINT_TRIANGLE] = as_vf(point.vertex.primitive);
+  w[POINT_B1] = h->b1;
+  w[POINT_B2] = h->b2;
+  w[POINT_COS] = one_f();
+  store_words(points, row * POINT_WORDS, w);
 #ifdef NEED_LOBE
-  if (lobed) write_lobe(lobes, pick_u((vu)count, point.slot, point.found) * LOBE_WORDS, &point);
+  if (lobed) write_lobe(lobes, row, &point);
 #endif
 }

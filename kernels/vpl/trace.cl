@@ -17,9 +17,9 @@
 #include "kernels/wide.h"
 
 // Light paths in flight: rows of kernels/path_layout.h with meanings of their own.
-#define ROW_RANGE ROW_PDF      // of the punctual light's window; 0: none, or passed already
-#define ROW_SENT ROW_ETA       // what the path's surfaces have sent on so far, by vpl_weight
-#define ROW_SPACING ROW_COVER  // of the thresholds at first, in the same unit
+#define ROW_RANGE ROW_PDF       // of the punctual light's window; 0: none, or passed already
+#define ROW_SENT ROW_ETA        // what the path's surfaces have sent on so far, by vpl_weight
+#define ROW_SPACING ROW_FILTER  // of the thresholds at first, in the same unit
 // ROW_META of a light path.
 #define LIGHT_BOUNCE_MASK 255u
 #define LIGHT_DEPTH 8u
@@ -109,42 +109,47 @@ FN Reflection reflect_flux(const Vertex* v, v3 flux, vf correction) {
 // Of the VPLs in a path's slots every second one is dropped, and the others carry twice as much.
 FN void halve_vpls(global float* records, vu slot, vu odd) {
   vu first = slot * VPL_PATH_SLOTS;
-  for (uint k = 0; k < VPL_PATH_SLOTS / 2u; ++k) {
+  // Loops as they stand: this is rare, and written out it would be most of the kernel.
+  __attribute__((opencl_unroll_hint(1))) for (uint k = 0; k < VPL_PATH_SLOTS / 2u; ++k) {
     vu from = (first + 2u * k + odd) * VPL_WORDS, to = (first + k) * VPL_WORDS;
-    for (uint word = 0; word < VPL_WORDS; ++word) {
-      vf value = gather_f(records, from + word);
-      uint twice = (word >= VPL_FLUX && word < VPL_FLUX + 3u) || (word >= VPL_SENT && word < VPL_SENT + 3u);
-      scatter_f(records, to + word, twice ? value * 2.0f : value);
-    }
+    vf w[VPL_WORDS];
+    load_words(records, from, w);
+    load_words(records + 16u, from, w + 16u);
+    put_words3(w, VPL_FLUX, scale3(words3(w, VPL_FLUX), (vf)2.0f));
+    put_words3(w, VPL_SENT, scale3(words3(w, VPL_SENT), (vf)2.0f));
+    store_words(records, to, w);
+    store_words(records + 16u, to, w + 16u);
   }
-  for (uint k = VPL_PATH_SLOTS / 2u; k < VPL_PATH_SLOTS; ++k)
-    for (uint word = VPL_FLUX; word < VPL_FLUX + 3u; ++word)
-      scatter_f(records, (first + k) * VPL_WORDS + word, zero_f());
+  __attribute__((opencl_unroll_hint(1))) for (uint k = VPL_PATH_SLOTS / 2u; k < VPL_PATH_SLOTS; ++k)
+      scatter3(records + VPL_FLUX, (first + k) * VPL_WORDS, splat3(zero_f()));
 }
 
-// `flux`: of the VPL. `incoming`: what the surface scatters for it; a rough lobe shines by that. Slots may hold what
-// halve_vpls() left there: every word is written.
+// `flux`: of the VPL. `incoming`: what the surface scatters for it; a rough lobe shines by that.
 FN void write_vpl(global float* records, vu at, const Vertex* v, const Reflection* r, v3 geometric, v3 direction,
                   v3 flux, v3 incoming, vu depth) {
-  global uint* words = (global uint*)records;
-  scatter3(records + VPL_POSITION, at, v->hit.p);
-  scatter3(records + VPL_NORMAL, at, v->frame.normal);
-  scatter3(records + VPL_GEOMETRIC, at, geometric);
-  scatter3(records + VPL_FLUX, at, flux);
-  scatter_u(words + VPL_TABLE, at, r->table);
-  scatter_f(records + VPL_ROW, at, r->table_row);
-  scatter3(records + VPL_ERROR, at, v->hit.error);
-  scatter_f(records + VPL_RADIUS, at, zero_f());
-  scatter_f(records + VPL_COS, at, one_f());
-  scatter_f(records + VPL_COUNT, at, one_f());
-  scatter_f(records + VPL_DEPTH, at, to_f(depth) + 1.0f);
+  vf w[VPL_WORDS];
+  put_words3(w, VPL_POSITION, v->hit.p);
+  put_words3(w, VPL_NORMAL, v->frame.normal);
+  put_words3(w, VPL_GEOMETRIC, geometric);
+  put_words3(w, VPL_FLUX, flux);
+  w[VPL_TABLE] = as_vf(r->table);
+  w[VPL_ROW] = r->table_row;
+  w[VPL_RADIUS] = zero_f();
+  w[VPL_DEPTH] = to_f(depth) + 1.0f;
+  w[VPL_COUNT] = one_f();
+  put_words3(w, VPL_ERROR, v->hit.error);
+  w[VPL_COS] = one_f();
 #ifdef NEED_LOBE
-  scatter3(records + VPL_SENT, at, pick3(splat3(zero_f()), incoming, r->rough));
-  scatter3(records + VPL_F0, at, r->f0);
-  scatter_f(records + VPL_F90, at, r->f90);
-  scatter_f(records + VPL_ALPHA, at, pick(zero_f(), v->surface.alpha, r->rough));
-  scatter3(records + VPL_INCOMING, at, negate3(direction));
+  put_words3(w, VPL_SENT, pick3(splat3(zero_f()), incoming, r->rough));
+  put_words3(w, VPL_F0, r->f0);
+  w[VPL_F90] = r->f90;
+  w[VPL_ALPHA] = pick(zero_f(), v->surface.alpha, r->rough);
+  put_words3(w, VPL_INCOMING, negate3(direction));
+#else
+  for (uint k = VPL_SENT; k < VPL_WORDS; ++k) w[k] = zero_f();
 #endif
+  store_words(records, at, w);
+  store_words(records + 16u, at, w + 16u);
 }
 
 // The thresholds of a block's paths: `sent` over `spacing`, VPLs made so far, doublings of the spacing.

@@ -36,12 +36,14 @@ kernel WIDE void vpl_visibility_cutoff(global const float* restrict points, uint
 
 // Rays from points to lights: `rows` points, each asked for `width` lights (a multiple of 32) from its own first one
 // on; ray r is point r / width, light r % width of it. Clusters of points and of lights are judged by the cones and
-// spheres that hold their members. `left_out`: for each row, how many pairs face away, then how many bring too little.
-kernel WIDE void vpl_visibility_rays(global const float* restrict triangles, global const float* restrict points,
-                                     global const uint* restrict chosen, uint listed,
-                                     global const float* restrict lights, uint width, uint slices, uint point_base,
-                                     uint ray_base, uint count, global float* restrict rays, global uint* counters,
-                                     global uint* left_out, global const float* restrict cutoff, float clamp_to) {
+// spheres that hold their members. A triangle has triangle_words words, more in some scenes than in others: this
+// program is one for all. `left_out`: for each row, how many pairs face away, then how many bring too little.
+kernel WIDE void vpl_visibility_rays(global const float* restrict triangles, uint triangle_words,
+                                     global const float* restrict points, global const uint* restrict chosen,
+                                     uint listed, global const float* restrict lights, uint width, uint slices,
+                                     uint point_base, uint ray_base, uint count, global float* restrict rays,
+                                     global uint* counters, global uint* left_out, global const float* restrict cutoff,
+                                     float clamp_to) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
   if (first_lane >= count) return;
@@ -94,7 +96,7 @@ kernel WIDE void vpl_visibility_rays(global const float* restrict triangles, glo
   if (little) atomic_add(left_out + 2u * row + 1u, little);
   if (asked) atomic_add(counters, asked);
   uint t_row = triangle == GLEANER_NONE ? 0u : triangle;
-  global const float* t = triangles + (ulong)TRIANGLE_WORDS * t_row;
+  global const float* t = triangles + (ulong)triangle_words * t_row;
   v3 p0 = uniform3(t[TRIANGLE_P0], t[TRIANGLE_P0 + 1], t[TRIANGLE_P0 + 2]);
   v3 e1 = sub3(uniform3(t[TRIANGLE_P1], t[TRIANGLE_P1 + 1], t[TRIANGLE_P1 + 2]), p0);
   v3 e2 = sub3(uniform3(t[TRIANGLE_P2], t[TRIANGLE_P2 + 1], t[TRIANGLE_P2 + 2]), p0);

@@ -85,7 +85,9 @@ kernel void ask(SCENE_PARAMETERS, float px, float py, float pz, global const uin
   Scene scene_value = SCENE_FROM_PARAMETERS;
   vu i = lane_id();
   v3 w = gather3(rows, i * 12u);
-  scatter_f(out, i, light_pdf(&scene_value, gather_u(emitter, i), uniform3(px, py, pz), w, gather_f(distance, i),
+  vf e[16];
+  load_words(emitters, gather_u(emitter, i) * EMITTER_WORDS, e);
+  scatter_f(out, i, light_pdf(&scene_value, e, uniform3(px, py, pz), w, gather_f(distance, i),
                               gather_f(rows, i * 12u + 11u)));
 }
 #endif

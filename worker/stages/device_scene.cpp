@@ -76,7 +76,7 @@ std::vector<float> material_rows(const scene::Scene& scene, const std::vector<st
   return rows;
 }
 
-unsigned triangle_words(const scene::SceneNeeds& needs) {
+unsigned words_of_triangle(const scene::SceneNeeds& needs) {
   return needs.second_uvs ? TRIANGLE_WORDS_SECOND_UVS : TRIANGLE_WORDS_PLAIN;
 }
 
@@ -183,12 +183,13 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
   cl::CommandQueue queue = device.make_queue();
   LightTables lights = make_light_tables(*scene);
 
-  const std::size_t triangle_bytes = std::max<std::size_t>(scene->triangle_count(), 1) * 4 * triangle_words(needs);
+  triangle_words_ = words_of_triangle(needs);
+  const std::size_t triangle_bytes = std::max<std::size_t>(scene->triangle_count(), 1) * 4 * triangle_words_;
   triangles_ = device.make_buffer(triangle_bytes, CL_MEM_READ_ONLY);
   // Written in place: a copy of the largest table would double the scene's memory for a moment.
   auto* rows = static_cast<float*>(queue.enqueueMapBuffer(triangles_, CL_TRUE, CL_MAP_WRITE, 0, triangle_bytes));
-  std::memset(rows, 0, 4 * triangle_words(needs));
-  write_triangles(*scene, lights.triangle_emitter, triangle_words(needs), rows);
+  std::memset(rows, 0, 4 * triangle_words_);
+  write_triangles(*scene, lights.triangle_emitter, triangle_words_, rows);
   queue.enqueueUnmapMemObject(triangles_, rows);
   queue.finish();
   bytes_ += triangle_bytes;
@@ -224,7 +225,7 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
     tracer_ = make_embree_tracer(*scene, device.info().threads);
   } else {
     if (!bvh) throw Error::failed("the OpenCL tracer needs the scene's BVH");
-    tracer_ = make_opencl_tracer(device, *bvh, triangles_, triangle_words(needs));
+    tracer_ = make_opencl_tracer(device, *bvh, triangles_, triangle_words_);
   }
 
   bool emission_textures = false, alpha_emitters = false;

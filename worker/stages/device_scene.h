@@ -39,6 +39,7 @@ class DeviceScene {
   bool shines() const { return shines_; }
   std::uint64_t triangles() const { return triangle_count_; }
   const cl::Buffer& triangle_rows() const { return triangles_; }
+  unsigned triangle_words() const { return triangle_words_; }  // of a row (kernels/scene_layout.h)
   // Whether an albedo table of the scene's materials begins at `table` and has this (fractional) row.
   bool has_albedo_row(std::uint32_t table, float row) const;
   std::size_t bytes() const { return bytes_; }
@@ -52,7 +53,7 @@ class DeviceScene {
       emission_;
   bool shines_ = false;
   bool transparent_shadows_ = false;
-  unsigned path_rows_ = 0, shadow_rows_ = 0;
+  unsigned triangle_words_ = 0, path_rows_ = 0, shadow_rows_ = 0;
   std::optional<scene::MediumFinder> media_;  // where the scene has media
   // The last camera that media_of() was asked for, and its answer: batches of a frame ask for the same one.
   mutable std::mutex media_mutex_;

@@ -41,7 +41,10 @@ PathParameters read_parameters(const StageRun& run) {
   if (p.last_item_samples == 0 || p.last_item_samples > p.samples_per_item)
     throw Error::bad_input(run.where(), "last_item_samples", "1 to samples_per_item",
                            std::to_string(p.last_item_samples));
-  if (p.covered && !(p.clamp > 0))
+  if (p.filter & ~PATH_CLASSES)
+    throw Error::bad_input(run.where(), "filter", "classes of light, up to " + std::to_string(PATH_CLASSES),
+                           std::to_string(p.filter));
+  if (p.filter && !(p.clamp > 0))
     throw Error::bad_input(run.where(), "clamp", "a number above 0", std::to_string(p.clamp));
   run.check_range(wide(p.items_high, p.items_low));
   return p;
@@ -231,11 +234,13 @@ BatchResult run_path_stage(const StageRun& run) {
   const std::uint64_t total = wide(p.items_high, p.items_low), pixels = std::uint64_t{p.width} * p.height;
   const std::optional<ItemList> list = find_list(run, p);
   const double start = seconds_now();
-  const std::size_t record_bytes = (p.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord)) + (p.covered ? 12 : 0);
+  const std::size_t record_bytes = (p.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord)) + (p.filter ? 12 : 0);
   BatchResult result;
   result.records.resize(run.count * record_bytes);
   cl::CommandQueue queue = run.device.make_queue();
-  Part part{.device = run.device, .scene = run.scene, .program = run.build("path.cl", p.covered ? " -D COVERED" : "")};
+  Part part{.device = run.device,
+            .scene = run.scene,
+            .program = run.build("path.cl", p.filter ? " -D PATH_FILTER=" + std::to_string(p.filter) : "")};
   part.parameters = run.parameter_buffer(queue);
   part.media = run.scene.media_of(p.camera);
   part.listed = list.has_value();
@@ -246,7 +251,7 @@ BatchResult run_path_stage(const StageRun& run) {
     part.item_count = static_cast<std::uint32_t>(std::min(part_items, run.count - done));
     part.paths = part.item_count * p.samples_per_item;
     const std::size_t slots = part.slot_count() + 1;
-    part.slots = run.workspace.take("path.slots", slots * (p.covered ? COVERED_SLOT_WORDS : PLAIN_SLOT_WORDS) * 4);
+    part.slots = run.workspace.take("path.slots", slots * (p.filter ? FILTERED_SLOT_WORDS : PLAIN_SLOT_WORDS) * 4);
     part.features = run.workspace.take("path.features", p.features ? slots * FEATURE_WORDS * 4 : 4);
     part.items = run.workspace.take("path.items", list ? (part.item_count + RAY_BLOCK) * sizeof(PathItem) : 4);
     if (list) upload_list(*list, queue, part.items, done, part.item_count, pixels);

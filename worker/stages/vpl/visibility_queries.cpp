@@ -35,6 +35,7 @@ VisibilityQueries::VisibilityQueries(const StageRun& run, cl::CommandQueue& queu
       make_rays_(run.device, run.build_plain("visibility.cl"), "vpl_visibility_rays"),
       answers_(run.device, run.build_plain("visibility.cl"), queue, queries, std::move(rays)) {
   make_rays_.set("triangles", run.scene.triangle_rows())
+      .set("triangle_words", run.scene.triangle_words())
       .set("lights", lights)
       .set("width", width)
       .set("slices", slices)

@@ -1,0 +1,231 @@
+// A path filter: which light the path tracer leaves to a partner method, so that the two add up to the whole picture.
+//
+// The first surface that a camera path meets, seen past mirrors and glass, shows direct light (reflected there once)
+// and indirect light. A surface's *broad* part is its diffuse layer and, where it is rough, its specular lobe
+// (has_rough_lobe()); the rest is its *sharp* part: mirrors, glass, other lobes. Indirect light is of one of four
+// classes (PATH_CLASS_... in kernels/path_records.h), by how it leaves the first surface and how it came there:
+//
+//   leaves by      arrives from                               class
+//   broad part     another surface's broad part, straight     DIFFUSE
+//   broad part     a light, by way of sharp parts             CAUSTIC
+//   broad part     a broad part, by way of sharp parts        MIXED
+//   sharp part     any                                        GLOSSY
+//
+// Contract: with -D PATH_FILTER=<classes> the path tracer computes all light but these classes, and the partner
+// computes these alone, with the same BSDFs. The partner may fall short of DIFFUSE: partner_lacks() is the share of a
+// straight connection's light that it leaves out (virtual point lights bound the geometry term); the path tracer adds
+// just that, and sums it in a layer of its own as well. Never the partner's: light at a first surface within a solid,
+// and light that passes a surface straight (alpha, panes) behind the first one.
+//
+// Virtual point lights take DIFFUSE (kernels/vpl/). A map of photons takes CAUSTIC, or DIFFUSE with it; a cache of
+// irradiance takes DIFFUSE, CAUSTIC and MIXED.
+//
+// The path tracer calls, in this order: load_filter(); shows_emission() where its ray finds light; filter_vertex() at a
+// surface; filter_reflectance() and filter_sharp() of a light sample; filter_scattering() and filter_passing() for the
+// path's next state, ROW_FILTER. Without PATH_FILTER these compile to nothing.
+#ifndef GLEANER_KERNELS_PATH_FILTER_H
+#define GLEANER_KERNELS_PATH_FILTER_H
+
+#include "kernels/path_records.h"
+#include "kernels/transport/scattering.h"
+
+#ifdef PATH_FILTER
+
+// States. Above 0: the ray left the first surface's broad part, at this cosine (times the gain of a rough lobe); what
+// it meets decides the class.
+#define FILTER_NO_SURFACE 0.0f    // has met nothing but mirrors and glass
+#define FILTER_KEEP -1.0f         // all that is found from here on is the path tracer's
+#define FILTER_COMPENSATE -2.0f   // likewise, and is what the partner lacks
+#define FILTER_SHARP_CHAIN -3.0f  // left the first surface's broad part, and then sharp parts alone
+#define FILTER_GLOSSY -4.0f       // left the first surface by its sharp part, which is the partner's
+
+#define FILTERS(classes) ((PATH_FILTER & (classes)) != 0)
+#define FILTERS_CHAINS FILTERS(PATH_CLASS_CAUSTIC | PATH_CLASS_MIXED)
+
+typedef struct {
+  vf state;
+  vi compensates;  // light found in these lanes is what the partner lacks
+  vi straight;     // lanes whose ray came straight from the first surface's broad part
+  vi chained;      // lanes that came from there by way of sharp parts
+  vf geometry;     // of a straight segment: cosines over the squared distance, 1/m^2
+  vf broad_share;  // of this vertex's diffuse layer, what the path tracer computes
+} PathFilter;
+
+// The share of a straight connection of this geometry term that the partner leaves out: it bounds the term by clamp_to.
+FN vf partner_lacks(float clamp_to, vf geometry, vi straight) {
+  return pick(one_f(), clamp_f(one_f() - clamp_to / geometry, zero_f(), one_f()), straight);
+}
+
+FN PathFilter load_filter(global const float* paths, uint block) {
+  PathFilter f;
+  f.state = row_f(paths, PATH_ROWS, block, ROW_FILTER);
+  f.compensates = f.state == (vf)FILTER_COMPENSATE;
+  f.straight = no_lanes();
+  f.chained = no_lanes();
+#if FILTERS_CHAINS
+  f.chained = f.state == (vf)FILTER_SHARP_CHAIN;
+#endif
+  f.geometry = zero_f();
+  f.broad_share = one_f();
+  return f;
+}
+
+// Of lanes whose ray found a light, those in which it is the path tracer's.
+FN vi shows_emission(const PathFilter* f, vi found) {
+#if FILTERS(PATH_CLASS_CAUSTIC)
+  found = found & none(f->chained);
+#endif
+  return found;
+}
+
+// At a surface, before its lobes are loaded: ends paths whose light is all the partner's.
+FN void filter_vertex(PathFilter* f, float clamp_to, v3 origin, v3 direction, Vertex* v) {
+  f->straight = v->active & none(v->passes) & (f->state > zero_f());
+#if FILTERS(PATH_CLASS_DIFFUSE)
+  v3 segment = sub3(v->hit.p, origin);
+  f->geometry = f->state * fabs(dot3(v->hit.geometric, direction)) / dot3(segment, segment);
+  f->broad_share = partner_lacks(clamp_to, f->geometry, f->straight);
+#if !defined(NEED_LOBE) && !defined(NEED_TRANSMISSIVE)
+  v->active = v->active & (v->passes | (f->broad_share > zero_f()));
+  f->compensates = f->compensates | f->straight;
+#endif
+#endif
+#if FILTERS(PATH_CLASS_MIXED)
+  f->broad_share = pick(f->broad_share, zero_f(), f->chained);
+#endif
+#if FILTERS(PATH_CLASS_GLOSSY)
+  v->active = v->active & (v->passes | (f->state != (vf)FILTER_GLOSSY));
+#endif
+}
+
+// Of a rough surface the partner's bound is on the product with the lobe's gain, which a direction decides.
+FN vf share_of_rough(const PathFilter* f, float clamp_to, vf gain, vi rough) {
+#if FILTERS(PATH_CLASS_DIFFUSE)
+  return pick(f->broad_share, partner_lacks(clamp_to, f->geometry * gain, f->straight), rough & f->straight);
+#else
+  return f->broad_share;
+#endif
+}
+
+// Of a reflectance (BSDF times the cosine nl), without glass, what the path tracer computes.
+FN v3 filter_reflectance(const PathFilter* f, const Scene* scene, const Surface* m, float clamp_to, vf nl,
+                         v3 reflectance) {
+  vf z = max_f(nl, (vf)1e-6f);
+  v3 broad = eval_layer(scene, m, z);
+  vf share = f->broad_share;
+#ifdef NEED_LOBE
+  vi rough = has_rough_lobe(m);
+  share = share_of_rough(f, clamp_to, lobe_gain(scale3(sub3(reflectance, broad), one_f() / z)), rough);
+  broad = pick3(broad, reflectance, rough);
+#endif
+  v3 kept = sub3(reflectance, scale3(broad, one_f() - share));
+#if FILTERS(PATH_CLASS_CAUSTIC)
+  kept = pick3(kept, scale3(broad, share), f->straight | f->chained);
+#endif
+  return make3(max_f(kept.x, zero_f()), max_f(kept.y, zero_f()), max_f(kept.z, zero_f()));
+}
+
+// The same of rough glass.
+FN v3 filter_sharp(const PathFilter* f, v3 glass) {
+#if FILTERS(PATH_CLASS_CAUSTIC)
+  glass = pick3(glass, splat3(zero_f()), f->straight | f->chained);
+#endif
+  return glass;
+}
+
+#ifdef NEED_LOBE
+// Whether the broad part scattered a ray or the sharp one: at random, in proportion to what each sends this way, which
+// *factor makes up for. `gain`: of a rough lobe.
+FN vi choose_part(const Scene* scene, const Surface* m, v3 view, v3 direction, vi opaque, vf u, vf* gain, v3* factor) {
+  vf unused_pdf;
+  vi rough = has_rough_lobe(m);
+  vf z = max_f(direction.z, (vf)1e-6f);
+  v3 both = eval_bsdf(scene, m, view, make3(direction.x, direction.y, z), &unused_pdf);
+  v3 broad = eval_layer(scene, m, z);
+  *gain = pick(one_f(), lobe_gain(scale3(sub3(both, broad), one_f() / z)), rough & opaque);
+  broad = pick3(broad, both, rough);
+  vf chance = clamp_f((broad.x + broad.y + broad.z) / (both.x + both.y + both.z), zero_f(), one_f());
+  vi by_broad = opaque & (u < chance);
+  v3 part = pick3(sub3(both, broad), broad, by_broad);
+  vf odds = one_f() / pick(one_f() - chance, chance, by_broad);
+  *factor = make3(pick(zero_f(), max_f(part.x, zero_f()) / both.x * odds, both.x > zero_f()),
+                  pick(zero_f(), max_f(part.y, zero_f()) / both.y * odds, both.y > zero_f()),
+                  pick(zero_f(), max_f(part.z, zero_f()) / both.z * odds, both.z > zero_f()));
+  return by_broad;
+}
+#endif
+
+// A scattered ray, `direction` in the local frame: weighs its throughput and gives the path's next state. `glass`:
+// lanes in which glass sends it on.
+FN vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v, float clamp_to, v3 direction,
+                        vi specular, vi glass, vu pair_key, vu sample, v3* throughput) {
+  vi by_broad = none(specular | glass), through = glass;
+  vf gain = one_f(), share = f->broad_share;
+#ifdef NEED_LOBE
+  const Surface* m = &v->surface;
+  vi rough = has_rough_lobe(m);
+  vf u_part, u_spare;
+  v3 factor;
+  sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 4u, &u_part, &u_spare);
+  vi opaque = by_broad;
+  by_broad = choose_part(scene, m, v->frame.view, direction, opaque, u_part, &gain, &factor);
+  *throughput = pick3(*throughput, mul3(*throughput, factor), opaque);
+  through = through | ((m->lobe_share >= one_f()) & none(rough));
+  share = share_of_rough(f, clamp_to, gain, rough);
+#endif
+  vi first = f->state == (vf)FILTER_NO_SURFACE;
+  vi within = no_lanes();
+#ifdef NEED_MEDIA
+  within = first & (filling(v->media) != 0u);
+#endif
+  by_broad = by_broad & none(within);
+  *throughput = pick3(*throughput, scale3(*throughput, share), (f->straight | f->chained) & by_broad);
+  vf state = pick(f->state, (vf)(FILTERS_CHAINS ? FILTER_SHARP_CHAIN : FILTER_KEEP), f->straight);
+  state = pick(state, (vf)(FILTERS(PATH_CLASS_DIFFUSE) ? FILTER_COMPENSATE : FILTER_KEEP), f->straight & by_broad);
+#if FILTERS_CHAINS
+  state = pick(state, (vf)FILTER_KEEP, f->chained & by_broad);
+#endif
+  vi leaves = first & none(through);
+  state = pick(state, (vf)FILTER_KEEP, leaves);
+#if FILTERS(PATH_CLASS_GLOSSY)
+  state = pick(state, (vf)FILTER_GLOSSY, leaves & none(by_broad) & none(within));
+#endif
+#if FILTERS(PATH_CLASS_DIFFUSE) || FILTERS_CHAINS
+  state = pick(state, max_f(direction.z, (vf)1e-6f) * gain, leaves & by_broad);
+#endif
+  return state;
+}
+
+// The same where the path passes the vertex instead.
+FN vf filter_passing(const PathFilter* f, const Vertex* v, vf state) {
+  vi decided = (f->state != (vf)FILTER_NO_SURFACE) & (f->state != (vf)FILTER_COMPENSATE);
+  return pick(state, pick(f->state, (vf)FILTER_KEEP, decided), v->passes);
+}
+
+#else
+
+typedef struct {
+  vi compensates;
+} PathFilter;
+
+FN PathFilter load_filter(global const float* paths, uint block) {
+  PathFilter f;
+  f.compensates = no_lanes();
+  return f;
+}
+FN vi shows_emission(const PathFilter* f, vi found) { return found; }
+FN void filter_vertex(PathFilter* f, float clamp_to, v3 origin, v3 direction, Vertex* v) {}
+FN v3 filter_reflectance(const PathFilter* f, const Scene* scene, const Surface* m, float clamp_to, vf nl,
+                         v3 reflectance) {
+  return reflectance;
+}
+FN v3 filter_sharp(const PathFilter* f, v3 glass) { return glass; }
+FN vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v, float clamp_to, v3 direction,
+                        vi specular, vi glass, vu pair_key, vu sample, v3* throughput) {
+  return zero_f();
+}
+FN vf filter_passing(const PathFilter* f, const Vertex* v, vf state) { return state; }
+
+#endif
+
+#endif
