@@ -209,7 +209,7 @@ Step GraphPlan::next(const FinishedStage* finished) {
   else
     begin();
   Step step = graph_.take_step();
-  step.done = done();
+  step.done = graph_.idle();
   return step;
 }
 

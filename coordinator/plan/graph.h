@@ -124,8 +124,8 @@ class Graph {
   void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) const;
   // What was asked for, provided and released since the last call.
   Step take_step();
-  // Stages that were handed out and have not finished.
-  std::size_t running() const { return running_.size(); }
+  // Nothing was asked for that has not finished.
+  bool idle() const { return running_.empty() && waiting_stages_.empty(); }
 
  private:
   struct Life;
@@ -165,8 +165,8 @@ class GraphPlan : public Plan {
  protected:
   GraphPlan(const FrameSettings& settings, const SceneSummary& scene)
       : graph_(scene.blob), film_(settings.width, settings.height) {}
-  virtual void begin() = 0;       // asks for the first stages
-  virtual bool done() const = 0;  // the film is whole
+  // Asks for the first stages. The film is whole once nothing is left that was asked for.
+  virtual void begin() = 0;
 
   Graph graph_;
   Accumulator film_;

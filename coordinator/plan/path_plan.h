@@ -19,7 +19,6 @@ class PathPlan final : public GraphPlan {
 
  private:
   void begin() override { paths_.begin(complement_); }
-  bool done() const override { return paths_.done(); }
 
   PathSampler::Complement complement_;
   PathSampler paths_;
