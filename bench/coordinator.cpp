@@ -23,6 +23,7 @@
 
 #include "coordinator/gateway/convert.h"
 #include "coordinator/gateway/server.h"
+#include "gleaner/v1/farm.grpc.pb.h"
 #include "gleaner/v1/worker.grpc.pb.h"
 #include "scene/bvh/build.h"
 #include "scene/library/library.h"
