@@ -388,8 +388,8 @@ TEST_F(Gltf, PrimitivesWithoutMaterialGetTheDefault) {
 
 TEST_F(Gltf, UnknownExtensionsThatAreOnlyUsedGetAWord) {
   GltfFile file = triangle_file();
-  file.json["extensionsUsed"] = {"KHR_materials_sheen", "KHR_materials_ior"};
-  EXPECT_THAT(warnings(read(file)), ElementsAre(HasSubstr("KHR_materials_sheen")));
+  file.json["extensionsUsed"] = {"KHR_materials_dispersion", "KHR_materials_ior"};
+  EXPECT_THAT(warnings(read(file)), ElementsAre(HasSubstr("KHR_materials_dispersion")));
 }
 
 TEST_F(Gltf, WhatIsNotReadGetsAWord) {
