@@ -558,8 +558,8 @@ FN void orient_layers(const Scene* scene, const Hit* h, const ShadingFrame* f, S
   m->coat_bent =
       (m->coat > zero_f()) & ((material_u(scene, h->material, MATERIAL_NORMAL_TEXTURE) != GLEANER_NONE) |
                               (material_u(scene, h->material, MATERIAL_CLEARCOAT_NORMAL_TEXTURE) != GLEANER_NONE));
-  v3 local = normalize3(make3(dot3(f->tangent, n), dot3(f->bitangent, n), dot3(f->normal, n)));
-  m->coat_normal = pick3(m->coat_normal, local, m->coat_bent & (local.z > (vf)LEAST_COSINE));
+  v3 turned = normalize3(make3(dot3(f->tangent, n), dot3(f->bitangent, n), dot3(f->normal, n)));
+  m->coat_normal = pick3(m->coat_normal, turned, m->coat_bent & (turned.z > (vf)LEAST_COSINE));
 #endif
 #endif
 }
