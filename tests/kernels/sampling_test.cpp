@@ -255,8 +255,8 @@ TEST_P(Sampling, StreamsAreDisjoint) {
   EXPECT_LT(static_cast<double>(collisions), expected + 5 * std::sqrt(2 * expected));
 }
 
-// camera_generate's keys are those tested here; chunks go by turns to two sequences, and no two chunks of a pixel share a
-// sample.
+// camera_generate's keys are those tested here; chunks go by turns to two sequences, and no two chunks of a pixel share
+// a sample.
 TEST_P(Sampling, TheTracerUsesTheseKeys) {
   constexpr std::uint32_t width = 4, height = 2, pixels = width * height, samples = 2;
   // As many as two pairs of sequences hold, and one more.
