@@ -28,6 +28,8 @@ coordinator::FarmSettings farm_settings(const EmbeddedSettings& settings) {
 
 EmbeddedFarm::EmbeddedFarm(const EmbeddedSettings& settings)
     : farm_(farm_settings(settings), blobs_), server_(farm_, blobs_, gateway::ServerSettings{}) {
+  // All parts lie in this process: each worker reads the others' where they are.
+  const auto parts = std::make_shared<worker::PartStore>(worker::AgentSettings{}.retained_bytes);
   unsigned threads = std::max(1u, std::thread::hardware_concurrency() / std::max(1u, settings.workers));
   for (unsigned number = 1; number <= settings.workers; ++number) {
     worker::DeviceChoice choice = settings.device;
@@ -39,6 +41,7 @@ EmbeddedFarm::EmbeddedFarm(const EmbeddedSettings& settings)
     worker::AgentSettings agent;
     agent.name = "worker-" + std::to_string(number);
     agent.reconnect = false;
+    agent.parts = parts;
     agents_.push_back(
         std::make_unique<worker::Agent>(server_.in_process_channel(), std::move(runner), std::move(agent)));
   }

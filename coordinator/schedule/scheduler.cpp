@@ -74,6 +74,11 @@ struct Stage {
   Kind kind = 0;
   StageState state = StageState::open;
   Seconds preferred_until = 0;  // solo: until then the preferred workers alone are served
+  bool paused = false;
+  std::uint64_t wanted_items = 0;  // all, or those of spec.only
+  // Into each worker's spans of spec.near: those before it have no free items. A cursor, so that an offer costs O(log
+  // n).
+  mutable std::map<WorkerId, std::size_t> near_cursor;
   ItemPool pool;
   std::map<std::uint64_t, HeldRange> held;  // by first item
   std::uint64_t held_items = 0, done_items = 0;
@@ -447,6 +452,7 @@ struct Scheduler::Impl {
       return;
     }
     stage.held_items -= range.count;
+    stage.near_cursor.clear();
     stage.pool.put({first, range.count, std::move(range.failures)});
     stage.held.erase(at);
   }
@@ -500,6 +506,18 @@ struct Scheduler::Impl {
     return items;
   }
 
+  // Free items of whose inputs the worker holds its share; none: count is 0.
+  Piece near_piece(const Stage& stage, WorkerId worker) const {
+    const auto spans = stage.spec.near.find(worker);
+    if (spans == stage.spec.near.end()) return {};
+    for (std::size_t& at = stage.near_cursor[worker]; at < spans->second.size(); ++at) {
+      ++steps;
+      const ItemSpan& span = spans->second[at];
+      if (Piece piece = stage.pool.within(span.first, span.count, stage.spec.tile); piece.count > 0) return piece;
+    }
+    return {};
+  }
+
   // What of the stage the worker would get now, or why it gets nothing.
   Offer offer(const Worker& worker, const Stage& stage, Seconds now) const {
     Offer out;
@@ -512,6 +530,9 @@ struct Scheduler::Impl {
 
     out.piece = stage.pool.front([&](const FailureHistory& f) { return may_run(worker, f); }, steps);
     if (out.piece.count == 0) return out.refuse(Refusal::failed_it);
+    if (out.piece.failures.clean()) {
+      if (const Piece near = near_piece(stage, worker.id); near.count > 0) out.piece = near;
+    }
     if (stage.spec.solo) {
       out.count = out.piece.count;
       if (prefers(stage, worker.id)) return out;
@@ -641,11 +662,15 @@ StageId Scheduler::add_stage(const ScheduledStage& spec, Seconds now) {
   stage.id = id;
   stage.spec = spec;
   stage.kind = m.kind_of(spec.kind);
-  if (spec.items == 0) {
+  const std::vector<ItemSpan> all = {{0, spec.items}};
+  for (const ItemSpan& span : spec.only.empty() ? all : spec.only) {
+    stage.pool.put({span.first, span.count, FailureHistory{0, spec.avoid}});
+    stage.wanted_items += span.count;
+  }
+  if (stage.wanted_items == 0) {
     stage.state = StageState::complete;
     return id;
   }
-  stage.pool.put({0, spec.items, {}});
   m.order.insert({-spec.priority, id});
   if (spec.solo) {
     // Workers that are at work ask again within a batch's time, or two where one waits.
@@ -715,7 +740,7 @@ std::optional<Lease> Scheduler::next_lease(WorkerId id, Seconds now) {
   for (const auto& [priority, stage_id] : m.order) {
     ++m.steps;
     Stage& stage = m.stages.at(stage_id);
-    if (stage.pool.items() == 0) continue;
+    if (stage.pool.items() == 0 || stage.paused) continue;
     const Offer offer = m.offer(worker, stage, now);
     if (offer.why_not == Refusal::none) {
       if (auto lease = m.rescue(worker, stage, now)) return lease;
@@ -727,7 +752,9 @@ std::optional<Lease> Scheduler::next_lease(WorkerId id, Seconds now) {
   if (!worker.hand.empty()) return std::nullopt;
   for (const auto& [priority, stage_id] : m.order) {
     ++m.steps;
-    if (auto lease = m.duplicate(worker, m.stages.at(stage_id), now)) return lease;
+    Stage& stage = m.stages.at(stage_id);
+    if (stage.paused) continue;
+    if (auto lease = m.duplicate(worker, stage, now)) return lease;
   }
   return std::nullopt;
 }
@@ -800,14 +827,22 @@ ResultOutcome Scheduler::result(WorkerId id, LeaseId lease_id, Epoch epoch, Seco
   progress.items += lease.count;
   if (seconds >= 0 && std::isfinite(seconds)) progress.seconds += seconds;
   ++progress.batches;
-  if (stage.done_items == stage.spec.items) {
+  if (stage.done_items == stage.wanted_items) {
     m.close(stage, StageState::complete);
     outcome.stage_complete = true;
   }
   return outcome;
 }
 
-FailureOutcome Scheduler::failed(WorkerId id, LeaseId lease_id, Epoch epoch, Seconds now) {
+void Scheduler::pause(StageId id) {
+  if (const auto at = impl_->stages.find(id); at != impl_->stages.end()) at->second.paused = true;
+}
+
+void Scheduler::resume(StageId id) {
+  if (const auto at = impl_->stages.find(id); at != impl_->stages.end()) at->second.paused = false;
+}
+
+FailureOutcome Scheduler::failed(WorkerId id, LeaseId lease_id, Epoch epoch, Seconds now, bool blameless) {
   Impl& m = *impl_;
   now = m.clock(now);
   ++m.steps;
@@ -815,6 +850,11 @@ FailureOutcome Scheduler::failed(WorkerId id, LeaseId lease_id, Epoch epoch, Sec
   if (at == m.live.end() || at->second.lease.worker != id || at->second.lease.epoch != epoch) return {};
   const Lease lease = at->second.lease;
   Stage& stage = m.stages.at(lease.stage);
+  if (blameless) {
+    m.end_lease(lease_id, LeaseEnd::taken_back, true, now);
+    m.give_back(stage, lease.first);
+    return {true, false};
+  }
   FailureHistory& failures = stage.held.at(lease.first).failures;
   failures.add(id);
   const bool stage_failed = stage.state == StageState::open && failures.strikes >= m.settings.strikes;
@@ -870,7 +910,7 @@ std::optional<Seconds> Scheduler::next_expiry() const {
 
 bool Scheduler::complete(StageId id) const {
   const auto at = impl_->stages.find(id);
-  return at != impl_->stages.end() && at->second.done_items == at->second.spec.items;
+  return at != impl_->stages.end() && at->second.done_items == at->second.wanted_items;
 }
 
 std::uint64_t Scheduler::items_done(StageId id) const {
@@ -899,11 +939,12 @@ std::string Scheduler::why_waiting(StageId id, Seconds now) const {
   if (stage.state == StageState::failed)
     return "the same items failed " + std::to_string(m.settings.strikes) + " times";
   if (stage.pool.items() == 0) return {};
+  if (stage.paused) return "it waits for inputs that are computed again";
   if (m.joined == 0) return "no worker is connected";
 
   for (const auto& [priority, other] : m.order) {
     if (other == id) break;
-    if (m.stages.at(other).pool.items() == 0) continue;
+    if (m.stages.at(other).pool.items() == 0 || m.stages.at(other).paused) continue;
     return "stage " + std::to_string(other) +
            " goes first: " + (-priority > stage.spec.priority ? "its priority is higher" : "it is older");
   }
