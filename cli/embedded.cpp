@@ -27,15 +27,20 @@ coordinator::FarmSettings farm_settings(const EmbeddedSettings& settings) {
 
 EmbeddedFarm::EmbeddedFarm(const EmbeddedSettings& settings)
     : farm_(farm_settings(settings), blobs_), server_(farm_, blobs_, gateway::ServerSettings{}) {
+  // All parts lie in this process: each worker reads the others' where they are.
+  const auto parts = std::make_shared<worker::PartStore>(worker::AgentSettings{}.retained_bytes);
   unsigned threads = std::max(1u, std::thread::hardware_concurrency() / std::max(1u, settings.workers));
   for (unsigned number = 1; number <= settings.workers; ++number) {
     worker::DeviceChoice choice = settings.device;
+    // One for all of them: they build the same.
+    if (number > 1) choice.compiler.clear();
     if (choice.threads == 0 && settings.workers > 1) choice.threads = static_cast<int>(threads);
     auto runner = worker::open_device(choice);
     needs_bvh_ = needs_bvh_ || runner->needs_bvh();
     worker::AgentSettings agent;
     agent.name = "worker-" + std::to_string(number);
     agent.reconnect = false;
+    agent.parts = parts;
     agents_.push_back(
         std::make_unique<worker::Agent>(server_.in_process_channel(), std::move(runner), std::move(agent)));
   }

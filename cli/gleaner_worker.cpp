@@ -7,6 +7,7 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 
+#include "cli/kernel_compiler.h"
 #include "cli/program.h"
 #include "cli/signals.h"
 #include "gleaner/version.h"
@@ -18,9 +19,9 @@ namespace gleaner::cli {
 namespace {
 
 struct WorkerOptions {
-  std::string coordinator, trace = "auto", name;
+  std::string coordinator, trace = "auto", name, peers = "auto";
   int device = -1, threads = 0;
-  double cache_gib = 2, give_up_seconds = 0;
+  double cache_gib = 2, retained_gib = 1, give_up_seconds = 0;
 };
 
 // HOSTNAME-PID, in the letters that names may have.
@@ -44,12 +45,17 @@ int work(const WorkerOptions& options) {
   worker::DeviceChoice choice;
   choice.device = options.device;
   choice.threads = options.threads;
+  choice.compiler = kernel_compiler();
   choice.trace = worker::parse_trace_kind(options.trace);
   auto runner = worker::open_device(choice);
   log->info("device " + runner->info().name + ", traces with " + runner->info().tracer);
   worker::AgentSettings settings;
   settings.name = options.name.empty() ? default_name() : options.name;
   settings.cache_bytes = static_cast<std::uint64_t>(options.cache_gib * 1024 * 1024 * 1024);
+  settings.retained_bytes = static_cast<std::uint64_t>(options.retained_gib * 1024 * 1024 * 1024);
+  settings.peers = options.peers == "auto"  ? worker::usual_peers(options.coordinator)
+                   : options.peers == "off" ? std::string()
+                                            : options.peers;
   settings.give_up_seconds = options.give_up_seconds;
   settings.log = [log](const std::string& line) { log->info(line); };
   worker::Agent agent(worker::dial(options.coordinator), std::move(runner), settings);
@@ -68,6 +74,7 @@ int work(const WorkerOptions& options) {
 
 int main(int argc, char** argv) {
   using namespace gleaner::cli;
+  if (served_as_kernel_compiler(argc, argv)) return 0;
   silence_grpc();
   CLI::App app{"Runs a farm's batches on one OpenCL device", "gleaner-worker"};
   app.set_version_flag("--version", std::string("gleaner-worker ") + gleaner::version);
@@ -79,9 +86,17 @@ int main(int argc, char** argv) {
   app.add_option("--threads", options.threads, "of a CPU device (default: all)")->check(CLI::NonNegativeNumber);
   app.add_option("--trace", options.trace, "auto, embree or opencl")->capture_default_str();
   app.add_option("--name", options.name, "1 to 64 of [A-Za-z0-9._-] (default: the host's and the process's)");
-  app.add_option("--cache", options.cache_gib, "artifacts that are kept, in GiB")
+  app.add_option("--cache", options.cache_gib, "memory for what was fetched and may be read again, in GiB")
       ->capture_default_str()
       ->check(CLI::NonNegativeNumber);
+  app.add_option("--retained", options.retained_gib,
+                 "memory for records that this worker keeps, in GiB; more lies in temporary files in $TMPDIR")
+      ->capture_default_str()
+      ->check(CLI::NonNegativeNumber);
+  app.add_option("--peers", options.peers,
+                 "HOST:PORT on which other workers fetch them, or off: through the coordinator (auto: any port of "
+                 "127.0.0.1 where the coordinator is reached there, else off)")
+      ->capture_default_str();
   app.add_option("--give-up", options.give_up_seconds,
                  "end with status 4 after so many seconds without a connection (default: never)")
       ->check(CLI::NonNegativeNumber);

@@ -25,11 +25,11 @@ constexpr double kPath = PATH_ROWS * 4, kShadow = SHADOW_ROWS * 4, kRay = RAY_RO
 constexpr double kPairFlops = 36;
 
 constexpr Cost kCosts[] = {
-    {"path_generate", "rays", kPath + PLAIN_SLOT_WORDS * 4},
+    {"camera_generate", "rays", kPath + PLAIN_SLOT_WORDS * 4},
     {"path_shade", "rays", 2 * kPath + kShadow + 24},
-    {"path_connect", "rays", kShadow + 24},
-    {"path_pass", "rays", 2 * TRANSPARENT_SHADOW_ROWS * 4 + 24},
-    {"path_resolve", "items", PLAIN_SLOT_WORDS * 4 + sizeof(kernels::PathRecord)},
+    {"shadow_connect", "rays", kShadow + 24},
+    {"shadow_pass", "rays", 2 * TRANSPARENT_SHADOW_ROWS * 4 + 24},
+    {"camera_resolve", "items", PLAIN_SLOT_WORDS * 4 + sizeof(kernels::PathRecord)},
     {"trace_closest", "rays", kRay + 8 * 4},
     {"trace_any", "rays", kRay + 4},
     {"vpl_emit", "rays", kPath},

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <new>
 
+#include "proto/sha256.h"
 #include "scene/model/error.h"
 #include "scene/model/names.h"
 
@@ -252,7 +253,13 @@ WorkerHello from_proto(const pb::Hello& hello) {
            c == '-';
   });
   require(clean, "hello.name", "1 to 64 of [A-Za-z0-9._-]");
-  return {.name = name, .address = {}, .device = from_proto(hello.device()), .needs_bvh = hello.needs_bvh()};
+  require(hello.peer_address().size() <= 256, "hello.peer_address", "at most 256 bytes");
+  return {.name = name,
+          .address = {},
+          .device = from_proto(hello.device()),
+          .needs_bvh = hello.needs_bvh(),
+          .peer_address = hello.peer_address(),
+          .token = {}};
 }
 
 BatchCost from_proto(const pb::BatchCost& cost) {
@@ -267,9 +274,20 @@ BatchCost from_proto(const pb::BatchCost& cost) {
                 .shadow_rays = cost.shadow_rays(),
                 .nonfinite = cost.nonfinite(),
                 .nonfinite_items = {},
-                .fetched_bytes = cost.fetched_bytes()};
+                .fetched_bytes = cost.fetched_bytes(),
+                .peer_bytes = cost.peer_bytes()};
   out.nonfinite_items.assign(cost.nonfinite_items().begin(), cost.nonfinite_items().end());
   return out;
+}
+
+BatchOutput::Retained from_proto(const pb::RetainedPart& part) {
+  require(part.digest().size() == 32, "result.part.digest", "32 bytes");
+  require(is_sha256_hex(part.artifact()), "result.part.artifact", "64 lower-case hexadecimal digits");
+  return {.bytes = part.bytes(),
+          .records = part.records(),
+          .digest = part.digest(),
+          .artifact = part.artifact(),
+          .items = {part.first(), part.items()}};
 }
 
 grpc::Status guarded(const std::function<grpc::Status()>& body) {

@@ -34,6 +34,7 @@ coordinator::DeviceDescription from_proto(const pb::Device& device);
 // Throws Error::bad_input naming the field.
 coordinator::WorkerHello from_proto(const pb::Hello& hello);
 coordinator::BatchCost from_proto(const pb::BatchCost& cost);
+coordinator::BatchOutput::Retained from_proto(const pb::RetainedPart& part);
 
 // Runs a handler's body; what it throws becomes the call's status.
 grpc::Status guarded(const std::function<grpc::Status()>& body);

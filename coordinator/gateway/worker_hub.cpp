@@ -7,8 +7,11 @@
 #include <functional>
 #include <mutex>
 #include <thread>
+#include <utility>
 
 #include "coordinator/gateway/convert.h"
+#include "gleaner/kernels_build.h"
+#include "proto/sha256.h"
 #include "scene/model/error.h"
 
 namespace gleaner::gateway {
@@ -31,19 +34,44 @@ std::string printable(const std::string& words) {
   return text;
 }
 
+Status no_such_reader() { return {StatusCode::PERMISSION_DENIED, "no lease of this worker reads the artifact"}; }
+
+// Pieces that are asked of a holder before the first one has arrived.
+constexpr std::size_t pieces_ahead = 4;
+
+// A worker that listens at all of its addresses is reached at the one from which it dials. `dialled_from` is gRPC's
+// word for it: ipv4:1.2.3.4:5678 or ipv6:[::1]:5678, percent-encoded.
+std::string reachable_address(const std::string& listens, const std::string& dialled_from) {
+  const std::size_t port = listens.rfind(':');
+  if (port == std::string::npos) return {};
+  const std::string host = listens.substr(0, port);
+  if (host != "0.0.0.0" && host != "[::]") return listens;
+  std::string from = dialled_from;
+  for (const auto& [code, letter] : {std::pair("%5B", "["), std::pair("%5D", "]")})
+    if (const std::size_t at = from.find(code); at != std::string::npos) from.replace(at, 3, letter);
+  const std::size_t begin = from.find(':') + 1, end = from.rfind(':');
+  if ((from.rfind("ipv4:", 0) != 0 && from.rfind("ipv6:", 0) != 0) || end <= begin) return {};
+  return from.substr(begin, end - begin) + listens.substr(port);
+}
+
 // What is said to one worker: queued by the farm, written by a thread of the session's own, so that no worker that
 // reads slowly can hold up the farm.
 class StreamSession final : public WorkerSession {
  public:
-  StreamSession(grpc::ServerContext& context, Stream& stream, double heartbeat_seconds)
-      : context_(context), stream_(stream), heartbeat_seconds_(heartbeat_seconds), writer_([this] { write(); }) {}
+  StreamSession(grpc::ServerContext& context, Stream& stream, double heartbeat_seconds, std::string token)
+      : context_(context),
+        stream_(stream),
+        heartbeat_seconds_(heartbeat_seconds),
+        token_(std::move(token)),
+        writer_([this] { write(); }) {}
 
   ~StreamSession() override { stop(); }
 
   void welcome(const std::string& name) override {
-    say([name, seconds = heartbeat_seconds_](pb::HubMessage& message) {
+    say([name, seconds = heartbeat_seconds_, token = token_](pb::HubMessage& message) {
       message.mutable_welcome()->set_worker(name);
       message.mutable_welcome()->set_heartbeat_seconds(seconds);
+      message.mutable_welcome()->set_token(token);
     });
   }
 
@@ -58,12 +86,12 @@ class StreamSession final : public WorkerSession {
       out.set_stage(work->stage);
       out.set_kind(work->kind);
       out.set_parameters(work->parameters.data(), work->parameters.size());
-      for (const auto& input : work->inputs) {
-        pb::StageInput& to = *out.add_inputs();
-        to.set_name(input.name);
-        to.set_artifact(input.blob);
-      }
-      out.set_record_bytes(work->record_bytes);
+      for (const auto& input : work->inputs) *out.add_inputs() = to_proto(input, lease);
+      out.set_record_bytes(work->output.record_bytes);
+      out.set_artifact(work->artifact);
+      out.set_retain(work->output.placement == Placement::retain);
+      out.set_counted(work->output.counted);
+      out.set_most_records(work->output.most_records);
       out.set_scene_blob(work->scene_blob);
       out.set_bvh_blob(work->bvh_blob);
     });
@@ -78,6 +106,33 @@ class StreamSession final : public WorkerSession {
 
   void drain() override {
     say([](pb::HubMessage& message) { message.mutable_drain(); });
+  }
+
+  void release(const std::vector<ArtifactId>& artifacts) override {
+    say([artifacts](pb::HubMessage& message) {
+      for (const ArtifactId& id : artifacts) message.mutable_release()->add_artifacts(id);
+    });
+  }
+
+  void drop_part(const ArtifactId& artifact, std::uint64_t first, const std::string& digest) override {
+    say([artifact, first, digest](pb::HubMessage& message) {
+      message.mutable_release()->add_artifacts(artifact);
+      message.mutable_release()->set_first(first);
+      message.mutable_release()->set_digest(digest);
+    });
+  }
+
+  void send_part(std::uint64_t request, const PartRange& range) override {
+    say([request, range](pb::HubMessage& message) {
+      message.mutable_send_part()->set_request(request);
+      pb::FetchPartRequest& wanted = *message.mutable_send_part()->mutable_range();
+      wanted.set_artifact(range.artifact);
+      wanted.set_first(range.first);
+      wanted.set_digest(range.digest);
+      wanted.set_sums(range.sums);
+      wanted.set_offset(range.offset);
+      wanted.set_length(range.length);
+    });
   }
 
   void close(const std::string& reason) override {
@@ -106,6 +161,21 @@ class StreamSession final : public WorkerSession {
 
  private:
   using Fill = std::function<void(pb::HubMessage&)>;
+
+  static pb::StageInput to_proto(const StageWork::Input& input, const Lease& lease) {
+    pb::StageInput to;
+    to.set_name(input.name);
+    to.set_artifact(input.blob);
+    to.set_own_items(input.own_items);
+    to.set_retained(!input.data);
+    to.set_counted(input.counted);
+    to.set_record_bytes(input.record_bytes);
+    to.set_items(input.items);
+    if (input.data) to.set_bytes(input.data->bytes());
+    if (input.data && input.data->index && input.own_items)
+      to.set_first_record(input.data->index->first_record(lease.first));
+    return to;
+  }
 
   void say(Fill fill) {
     {
@@ -136,6 +206,7 @@ class StreamSession final : public WorkerSession {
   grpc::ServerContext& context_;
   Stream& stream_;
   double heartbeat_seconds_;
+  std::string token_;
   mutable std::mutex mutex_;
   std::condition_variable queued_;
   std::condition_variable writer_ended_;
@@ -167,11 +238,13 @@ class ResultAssembly {
       return;
     }
     BatchCost cost = from_proto(piece.cost());
-    Bytes records = std::move(records_);
-    records_ = {};
+    BatchOutput output{.image = std::exchange(records_, {})};
+    if (piece.has_part()) output.part = from_proto(piece.part());
+    const auto facts = std::as_bytes(std::span(piece.facts()));
+    output.facts.assign(facts.begin(), facts.end());
     received_ = 0;
     lease_ = epoch_ = 0;
-    farm_.result(worker_, piece.lease(), piece.epoch(), std::move(records), cost);
+    farm_.result(worker_, piece.lease(), piece.epoch(), std::move(output), cost);
   }
 
  private:
@@ -213,6 +286,9 @@ Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
   if (message.hello().protocol() != protocol_version)
     return {StatusCode::FAILED_PRECONDITION, "this coordinator speaks protocol " + std::to_string(protocol_version) +
                                                  ", the worker " + std::to_string(message.hello().protocol())};
+  if (!message.hello().kernels_build().empty() && message.hello().kernels_build() != kernels_build())
+    return {StatusCode::FAILED_PRECONDITION,
+            "this worker was built with other kernels than the coordinator: its records would differ"};
   WorkerHello hello;
   if (Status status = guarded([&] {
         hello = from_proto(message.hello());
@@ -221,8 +297,10 @@ Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
       !status.ok())
     return status;
   hello.address = context->peer();
+  hello.peer_address = reachable_address(hello.peer_address, hello.address);
+  hello.token = new_token();
 
-  auto session = std::make_shared<StreamSession>(*context, *stream, heartbeat_seconds_);
+  auto session = std::make_shared<StreamSession>(*context, *stream, heartbeat_seconds_, hello.token);
   const WorkerId worker = farm_.join(hello, session).id;
   Status status = guarded([&]() -> Status {
     ResultAssembly assembly(farm_, worker);
@@ -233,7 +311,7 @@ Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
           break;
         case pb::WorkerMessage::kFailed:
           farm_.failed(worker, message.failed().lease(), message.failed().epoch(),
-                       printable(message.failed().message()));
+                       printable(message.failed().message()), message.failed().input_unavailable());
           break;
         case pb::WorkerMessage::kHeartbeat:
           farm_.heard(worker);
@@ -241,8 +319,10 @@ Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
         case pb::WorkerMessage::kLeaving:
           farm_.drain(worker);
           break;
-        case pb::WorkerMessage::kWrongPart:  // nothing is retained yet that it could be about
-          return {StatusCode::INVALID_ARGUMENT, "a part that was never told"};
+        case pb::WorkerMessage::kWrongPart:
+          farm_.wrong_part(worker, message.wrong_part().artifact(), message.wrong_part().first(),
+                           message.wrong_part().digest(), message.wrong_part().holder());
+          break;
         case pb::WorkerMessage::kHello:
           return {StatusCode::INVALID_ARGUMENT, "a second Hello"};
         case pb::WorkerMessage::MESSAGE_NOT_SET:
@@ -252,6 +332,7 @@ Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
     return Status::OK;
   });
   farm_.leave(worker);
+  relay_.worker_lost(worker);
   session->stop();
   if (std::string reason = session->reason(); !reason.empty()) return {StatusCode::ABORTED, reason};
   return status;
@@ -283,6 +364,83 @@ Status WorkerHub::FetchBlob(grpc::ServerContext*, const pb::FetchBlobRequest* re
     } while (left > 0);
     return Status::OK;
   });
+}
+
+Status WorkerHub::LocateArtifact(grpc::ServerContext*, const pb::LocateArtifactRequest* request,
+                                 pb::LocateArtifactReply* reply) {
+  const std::string& id = request->artifact();
+  const Farm::Located located = farm_.locate(request->token(), request->epoch(), id);
+  if (located.answer == Farm::Located::refused) return no_such_reader();
+  if (located.answer == Farm::Located::unavailable)
+    return {StatusCode::UNAVAILABLE, "parts of it were lost and are computed again"};
+  for (const Farm::Located::At& at : located.parts) {
+    pb::Part& part = *reply->add_parts();
+    part.set_first(at.part.items.first);
+    part.set_items(at.part.items.count);
+    part.set_bytes(at.part.bytes);
+    part.set_records(at.part.records);
+    part.set_records_before(at.part.records_before);
+    part.set_digest(at.part.digest);
+    part.set_own(at.own);
+    for (const auto& holder : at.holders) {
+      pb::Holder& to = *part.add_holders();
+      to.set_worker(holder.worker);
+      to.set_address(holder.address);
+      to.set_ticket(holder.ticket);
+    }
+  }
+  return Status::OK;
+}
+
+Status WorkerHub::FetchPart(grpc::ServerContext* context, const pb::FetchPartRequest* request,
+                            grpc::ServerWriter<pb::PartPiece>* stream) {
+  PartRange range{.artifact = request->artifact(),
+                  .first = request->first(),
+                  .digest = request->digest(),
+                  .sums = request->sums(),
+                  .offset = request->offset(),
+                  .length = 0};
+  const Farm::RelaySource source = farm_.relay_source(request->ticket(), request->epoch(), request->holder(), range);
+  if (source.answer == Farm::Located::refused) return no_such_reader();
+  if (source.answer == Farm::Located::unavailable)
+    return {StatusCode::NOT_FOUND, "that worker does not hold this part"};
+  // The sums are 32 bytes for every 64 KiB of the image (worker.proto).
+  const std::uint64_t bytes = range.sums ? (source.part_bytes + 65535) / 65536 * 32 : source.part_bytes;
+  if (request->offset() > bytes || request->length() > bytes - request->offset())
+    return {StatusCode::OUT_OF_RANGE, "part: expected a range inside of its " + std::to_string(bytes) +
+                                          " bytes, found " + std::to_string(request->length()) + " from " +
+                                          std::to_string(request->offset()) + " on"};
+  const std::uint64_t end = request->offset() + request->length();
+  std::deque<Relay::Piece> coming;
+  try {
+    while (range.offset < end || !coming.empty()) {
+      while (range.offset < end && coming.size() < pieces_ahead) {
+        range.length = std::min<std::uint64_t>(piece_bytes, end - range.offset);
+        coming.push_back(relay_.begin(source.holder, range, [&](std::uint64_t number) {
+          return farm_.ask_for_part(source.holder, number, range);
+        }));
+        range.offset += range.length;
+      }
+      pb::PartPiece piece;
+      piece.set_data(relay_.wait(coming.front()));
+      coming.pop_front();
+      farm_.relayed(request->epoch(), piece.data().size());
+      if (context->IsCancelled() || !stream->Write(piece)) return Status::OK;
+    }
+  } catch (const Error& error) {
+    return {StatusCode::UNAVAILABLE, error.what()};
+  }
+  return Status::OK;
+}
+
+Status WorkerHub::DeliverPart(grpc::ServerContext*, const pb::DeliverPartRequest* request, pb::DeliverPartReply*) {
+  const auto worker = farm_.worker_of(request->token());
+  if (!worker) return {StatusCode::PERMISSION_DENIED, "no connected worker has this token"};
+  if (request->data().size() > piece_bytes) return {StatusCode::INVALID_ARGUMENT, "a piece is at most 1 MiB"};
+  farm_.heard(*worker);
+  if (!relay_.deliver(*worker, request->request(), request->data(), printable(request->error())))
+    return {StatusCode::NOT_FOUND, "nobody waits for it"};
+  return Status::OK;
 }
 
 }  // namespace gleaner::gateway

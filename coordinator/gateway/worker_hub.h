@@ -3,6 +3,7 @@
 
 #include <atomic>
 
+#include "coordinator/artifacts/relay.h"
 #include "coordinator/blobs/store.h"
 #include "coordinator/jobs/farm.h"
 #include "gleaner/v1/worker.grpc.pb.h"
@@ -19,10 +20,16 @@ class WorkerHub final : public pb::WorkerHub::Service {
   grpc::Status Work(grpc::ServerContext*, grpc::ServerReaderWriter<pb::HubMessage, pb::WorkerMessage>*) override;
   grpc::Status FetchBlob(grpc::ServerContext*, const pb::FetchBlobRequest*,
                          grpc::ServerWriter<pb::BlobPiece>*) override;
+  grpc::Status LocateArtifact(grpc::ServerContext*, const pb::LocateArtifactRequest*,
+                              pb::LocateArtifactReply*) override;
+  grpc::Status FetchPart(grpc::ServerContext*, const pb::FetchPartRequest*,
+                         grpc::ServerWriter<pb::PartPiece>*) override;
+  grpc::Status DeliverPart(grpc::ServerContext*, const pb::DeliverPartRequest*, pb::DeliverPartReply*) override;
 
  private:
   coordinator::Farm& farm_;
   coordinator::BlobStore& blobs_;
+  coordinator::Relay relay_;
   unsigned most_workers_;
   double heartbeat_seconds_;
   std::atomic<unsigned> workers_{0};

@@ -27,8 +27,18 @@ struct Worker {
   std::shared_ptr<WorkerSession> session;
   Seconds joined = 0, heard = 0;
   bool draining = false;
-  unsigned waits = 0;  // results of its that wait for the plan: it cannot be heard meanwhile
+  unsigned wrong_copies = 0;  // of its parts that turned out to be other bytes
+  unsigned waits = 0;         // results of its that wait for the plan: it cannot be heard meanwhile
   std::set<Epoch> leases;
+};
+
+// An output that stays with the workers, for as long as somebody may read it.
+struct RetainedArtifact {
+  std::shared_ptr<const Recipe> recipe;
+  std::set<Job*> frames;        // that have it
+  unsigned readers = 0;         // stages that compute something again and read it
+  std::vector<ItemRange> lost;  // while a stage makes it: what that stage had made, and nobody holds any more
+  Bytes facts;
 };
 
 struct Cancelled {};  // thrown on a job's thread
@@ -38,7 +48,8 @@ struct JobRemains {
   std::vector<std::shared_ptr<RunningStage>> stages;
   std::vector<std::shared_ptr<const Bytes>> records;
   std::vector<ArrivedRecords> arrived;
-  std::map<ArtifactId, Job::Artifact> artifacts;
+  std::vector<std::map<std::uint64_t, CountedBatch>> counted;
+  std::map<ArtifactId, std::shared_ptr<const ArtifactData>> data;
   std::deque<UndrawnItems> undrawn;
   std::vector<scene::Camera> cameras;
 };
@@ -106,23 +117,59 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   // Hands a step's stages to the scheduler. The memory for their results is taken while the first batches run.
   // `work_to_come`: predicted, of stages after these.
   void post(const std::shared_ptr<Job>& job, const Step& step, double work_to_come);
-  // Names what a stage makes by what it makes it of: the same address, the same records.
-  static std::string address_of(const StageWork& work, const StageSpec& spec);
-  // Mutex held. Null: the stage's records are there already, and were handed to the job.
+  // What follows: mutex held. Null: the stage's records exist already, and were handed to the job.
   std::shared_ptr<RunningStage> schedule(const std::shared_ptr<Job>& job, const StageSpec& spec);
-  // Mutex held. The last of {all accepted, all copied in, memory there} hands the stage to its job; of a streamed stage
-  // that of {all accepted, all given to the plan}.
+  void provide(Job& job, const ArtifactId& id, const std::string& blob, std::shared_ptr<const Bytes> bytes);
+  void add_input(Job& job, RunningStage& stage, StageWork& work, const StageInput& input) const;
+  bool find_kept(RunningStage& stage);
+  void remember_output(const RunningStage& stage);
+  void start(const std::shared_ptr<RunningStage>& stage);
+  static void join_counted(RunningStage& stage);
+  // The last of {all accepted, all copied in, memory there, retained parts whole} hands the stage to its job; of a
+  // streamed stage that of {all accepted, all given to the plan}.
   void deliver_if_complete(const std::shared_ptr<RunningStage>& shared);
 
+  // Retained outputs (retained.cpp; mutex held).
+  bool retain_output(Job& job, RunningStage& stage);      // true: it exists already
+  void release_retained(Job& job, const ArtifactId& id);  // the frame reads it no more
+  void release_all_retained(Job& job);
+  void release_if_unused(const ArtifactId& id);
+  void place_near_inputs(const RunningStage& stage, ScheduledStage& scheduled);
+  bool inputs_exist(const RunningStage& stage) const;
+  void pause_if_inputs_lack(RunningStage& stage);
+  // Computes again what is missing and needed, and pauses who waits for it.
+  void settle_retained();
+  std::vector<Gap> missing(const ArtifactId& id, bool being_made);
+  void compute_again(Job& job, const ArtifactId& id, const std::vector<Gap>& gaps);
+  void start_again(Job& job, const ArtifactId& id, std::vector<ItemRange> items, const Gap* special);
+  void require_inputs(const RunningStage& stage);
+  bool is_computed(const ArtifactId& id, const ItemRange& items) const;
+  void end_again(const std::shared_ptr<RunningStage>& stage);
+  static bool fits(const RunningStage& stage, const Lease& lease, const BatchOutput::Retained& part);
+  void take_part(const RunningStage& stage, Worker& worker, const ItemRange& items, const BatchOutput::Retained& part);
+  // A part whose lease is over: a second copy, or of no use.
+  void take_late_part(Worker& worker, Verdict verdict, const BatchOutput::Retained& part);
+  void made_part(const ArtifactId& id);
+  void put_aside(WorkerId id, const std::string& why);
+  void lose_parts(WorkerId worker);
+  std::string name_of(WorkerId id) const;
+  const Worker* worker_with(const std::string& token) const;
+  const RunningStage* reader(const Worker& worker, Epoch epoch, const ArtifactId& id, ItemRange* own) const;
+
   // Results (results.cpp).
-  Verdict result(WorkerId id, LeaseId lease_id, Epoch epoch, Bytes records, const BatchCost& cost);
+  Verdict result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutput output, const BatchCost& cost);
+  // Why the output is not what the lease asks for; empty: it is.
+  static std::string misfit(const RunningStage& stage, const Lease& lease, const BatchOutput& output);
   // Mutex held. Puts an accepted batch where its stage's records go.
   void collect(const std::shared_ptr<RunningStage>& stage, const Lease& lease, const Bytes& records,
                std::unique_lock<std::mutex>& lock);
+  void collect_counted(const std::shared_ptr<RunningStage>& stage, const Lease& lease, Bytes image);
+  void keep(const std::shared_ptr<RunningStage>& stage, Worker& worker, const Lease& lease,
+            const BatchOutput::Retained& part);
   void stream_in(RunningStage& stage, const Lease& lease, Bytes records, std::unique_lock<std::mutex>& lock);
   void account(RunningStage& stage, const Worker& worker, const Lease& lease, const BatchCost& cost,
                std::size_t bytes);  // mutex held
-  void failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::string& message);
+  void failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::string& message, bool input_unavailable);
 
   FarmSettings settings;
   BlobStore& blobs;
@@ -141,6 +188,10 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   FarmTotals totals;
   std::map<Epoch, Lease> leases;  // handed out and not yet answered
   std::map<StageId, std::shared_ptr<RunningStage>> active_stages;
+  ArtifactRegistry registry;
+  std::map<ArtifactId, RetainedArtifact> retained;
+  std::map<std::string, WorkerId> tokens;
+  std::map<WorkerId, std::string> names_of_gone;  // the last few: they may still be in dispute
   KeptRecords kept{settings.kept_bytes};
   std::map<std::string, std::shared_ptr<Job>> jobs;
   std::list<std::shared_ptr<Job>> order;        // of submission

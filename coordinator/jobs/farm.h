@@ -10,6 +10,8 @@
 #include <string>
 #include <vector>
 
+#include "coordinator/artifacts/registry.h"
+#include "coordinator/artifacts/relay.h"
 #include "coordinator/blobs/store.h"
 #include "coordinator/film/film.h"
 #include "coordinator/jobs/job.h"
@@ -38,6 +40,7 @@ struct FarmSettings {
   bool preview = true;       // accepted batches are drawn as they come
   std::uint64_t artifact_bytes = std::uint64_t{32} << 30;  // largest result of a stage
   std::uint64_t kept_bytes = std::uint64_t{512} << 20;     // of stages' records that later frames may use again
+  std::uint64_t retained_bytes = std::uint64_t{8} << 30;  // the same of those that workers retain, all workers together
   // Predicted bytes of the plans that run at the same time: a job that needs more than all of it is refused, one that
   // needs more than what is free waits.
   std::uint64_t memory_bytes = std::numeric_limits<std::uint64_t>::max();
@@ -89,10 +92,44 @@ class Farm {
   std::vector<WorkerStatus> workers() const;
   FarmTotals totals() const;
 
-  // How many bytes the result of this lease has; none where the lease is not (or no longer) this worker's.
+  // How many bytes the result of this lease has (of a counted output: at most); none where the lease is not (or no
+  // longer) this worker's.
   std::optional<std::uint64_t> expected_bytes(WorkerId worker, LeaseId lease, Epoch epoch) const;
-  Verdict result(WorkerId worker, LeaseId lease, Epoch epoch, Bytes records, const BatchCost& cost);
-  void failed(WorkerId worker, LeaseId lease, Epoch epoch, const std::string& message);
+  Verdict result(WorkerId worker, LeaseId lease, Epoch epoch, BatchOutput output, const BatchCost& cost);
+  Verdict result(WorkerId worker, LeaseId lease, Epoch epoch, Bytes records, const BatchCost& cost) {
+    return result(worker, lease, epoch, BatchOutput{std::move(records)}, cost);
+  }
+  // `input_unavailable`: what the batch reads could not be fetched; nobody's fault, and it is tried again.
+  void failed(WorkerId worker, LeaseId lease, Epoch epoch, const std::string& message, bool input_unavailable = false);
+
+  // Parts of retained outputs, as workers ask for them. A token names a worker's connection (WorkerHello).
+  struct Located {
+    enum Answer { here, unavailable, refused } answer = refused;
+    struct Holder {
+      std::string worker, address, ticket;
+    };
+    struct At {
+      HeldPart part;
+      std::vector<Holder> holders;  // others than the one who asks
+      bool own = false;             // who asks holds it too
+    };
+    std::vector<At> parts;
+  };
+  // The parts that the lease reads of the artifact: refused where it is not the caller's, or does not read it.
+  Located locate(const std::string& token, Epoch epoch, const ArtifactId& artifact);
+  struct RelaySource {
+    Located::Answer answer = Located::refused;
+    WorkerId holder = 0;
+    std::uint64_t part_bytes = 0;  // of the part's image
+  };
+  // Whom the coordinator asks for bytes of a part that the caller cannot fetch from `holder` itself.
+  RelaySource relay_source(const std::string& token, Epoch epoch, const std::string& holder, const PartRange& range);
+  bool ask_for_part(WorkerId holder, std::uint64_t request, const PartRange& range);  // false: the holder is gone
+  void relayed(Epoch epoch, std::uint64_t bytes);  // so many have gone through the coordinator for this lease
+  std::optional<WorkerId> worker_of(const std::string& token) const;
+  // `reader` got bytes from `holder` that are not those of the digest.
+  void wrong_part(WorkerId reader, const ArtifactId& artifact, std::uint64_t first, const std::string& digest,
+                  const std::string& holder);
 
  private:
   struct Impl;

@@ -31,17 +31,17 @@ void remember_progress(RunningStage& stage, Seconds now) {
 
 StageStatus status_of(const RunningStage& stage, Seconds now) {
   StageStatus status{
-      .name = stage.spec.name, .kind = stage.spec.kind, .items = stage.spec.items, .items_done = stage.items_done};
+      .name = stage.spec.name, .kind = stage.spec.kind, .items = stage.items, .items_done = stage.items_done};
   if (stage.complete) {
     double seconds = stage.last_result - stage.first_lease;
-    status.items_per_second = seconds > 0 ? static_cast<double>(stage.spec.items) / seconds : 0;
+    status.items_per_second = seconds > 0 ? static_cast<double>(stage.items) / seconds : 0;
     status.seconds_left = 0;
   } else if (!stage.history.empty()) {
     const auto& [since, before] = stage.history.front();
     double seconds = now - since;
     if (seconds > 0) status.items_per_second = static_cast<double>(stage.items_done - before) / seconds;
     if (status.items_per_second > 0)
-      status.seconds_left = static_cast<double>(stage.spec.items - stage.items_done) / status.items_per_second;
+      status.seconds_left = static_cast<double>(stage.items - stage.items_done) / status.items_per_second;
   }
   return status;
 }

@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "coordinator/artifacts/artifact_data.h"
 #include "coordinator/jobs/arrived_records.h"
 #include "coordinator/jobs/job.h"
 #include "coordinator/jobs/progress.h"
@@ -21,6 +22,21 @@
 namespace gleaner::coordinator {
 
 struct Job;
+
+// How a retained artifact is made: kept for as long as its items, or those of what was made of it, may have to be
+// computed again.
+struct Recipe {
+  ArtifactId id;
+  StageSpec spec;
+  std::shared_ptr<const StageWork> work;
+  // Of each input; null: the coordinator has its bytes, and the work keeps them.
+  std::vector<std::shared_ptr<const Recipe>> inputs;
+};
+
+// Of a counted output.
+struct CountedBatch {
+  Bytes counts, records;
+};
 
 // A stage that the scheduler knows.
 struct RunningStage {
@@ -33,7 +49,19 @@ struct RunningStage {
   unsigned writers = 0;    // accepted batches that are being copied in
   ArrivedRecords arrived;  // of a streamed stage, which has no `records`
   bool complete = false, delivered = false;
-  std::string address;  // of kept records (Impl::address_of); empty: not kept
+  ArtifactId artifact;                               // what it makes
+  std::shared_ptr<const Recipe> recipe;              // of a retained output, else null
+  std::vector<std::shared_ptr<const Recipe>> reads;  // as Recipe::inputs
+  std::vector<ItemRange> again;                      // the items that are to be run; empty: all
+  bool computes_again = false;                       // what was lost of an output that another stage made
+  std::vector<WorkerId> avoid;                       // whose answers are in dispute
+  bool paused = false;                               // a retained input does not exist at the moment
+  Seconds unavailable_since = -1;                    // of failures for want of an input, no batch accepted since
+  std::map<std::uint64_t, CountedBatch> counted;     // collected: by first item, until the stage is whole
+  std::shared_ptr<const CountIndex> index;           // collected and counted: when it is
+  std::uint64_t record_count = 0;                    // when delivered
+  Bytes facts;
+  std::uint64_t items = 0;  // to be run
   std::uint64_t items_done = 0;
   std::vector<ItemRange> copied;  // accepted and copied in, in any order
   Seconds first_lease = -1, last_result = -1;
@@ -46,6 +74,8 @@ struct RunningStage {
     return spec.work > 0 && spec.items > 0 ? spec.work / static_cast<double>(spec.items) : 1;
   }
   bool streamed() const { return spec.output.placement == Placement::stream; }
+  bool retained() const { return spec.output.placement == Placement::retain; }
+  bool collected() const { return spec.output.placement == Placement::collect; }
 };
 
 StageStatus status_of(const RunningStage& stage, Seconds now);
@@ -57,7 +87,7 @@ struct UndrawnItems {
   std::uint64_t first = 0, count = 0;
 };
 
-struct Job {
+struct Job : std::enable_shared_from_this<Job> {
   std::string id;
   JobRequest request;
   JobState state = JobState::queued;
@@ -81,12 +111,10 @@ struct Job {
   std::vector<std::shared_ptr<RunningStage>> stages;  // of the frame that runs, in the order of their start
   std::deque<std::shared_ptr<RunningStage>> finished;
   std::deque<UndrawnItems> undrawn;
-  // Data of the plan's own that stages read, and the ids of their blobs. Workers find them until they are released.
-  struct Artifact {
-    std::shared_ptr<const Bytes> bytes;
-    std::string blob;
-  };
-  std::map<ArtifactId, Artifact> artifacts;
+  // What stages read of the coordinator's, by the plan's ids. Workers find it until the plan releases it.
+  std::map<ArtifactId, std::shared_ptr<const ArtifactData>> data;
+  // Collected outputs of the frame: their layout, without the records, which are the plan's.
+  std::map<ArtifactId, ArtifactData> outputs;
 
   std::vector<Skip> reused;  // stages of the frame that had been made before
   Seconds frame_begun = 0;   // when the frame that runs was begun

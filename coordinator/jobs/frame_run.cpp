@@ -192,7 +192,7 @@ std::optional<FinishedStage> Farm::Impl::await_stage(Job& job) {
     if (!job.finished.empty()) {
       auto stage = job.finished.front();
       job.finished.pop_front();
-      return FinishedStage{stage->spec.name, std::exchange(stage->records, nullptr), stage->spec.items};
+      return FinishedStage{stage->spec.name, std::exchange(stage->records, nullptr), stage->record_count, stage->facts};
     }
     const double left = job.frame_begun + limit - now();
     if (concludes && left <= 0) {
@@ -252,7 +252,7 @@ bool Farm::Impl::conclude(Job& job, std::unique_lock<std::mutex>& lock) {
   std::vector<CutStage> cut;
   std::vector<std::shared_ptr<RunningStage>> stages;
   for (const auto& stage : job.stages)
-    if (!stage->delivered) {
+    if (!stage->delivered && !stage->computes_again) {
       stages.push_back(stage);
       cut.push_back({{stage->spec.name, stage->records}, stage->copied});
       if (stage->arrived.given() > 0) cut.back().whole = {{0, stage->arrived.given()}};
@@ -276,6 +276,7 @@ JobRemains Farm::Impl::withdraw(Job& job) {
   JobRemains remains;
   for (const auto& stage : job.stages) {
     if (!stage->delivered) {
+      if (stage->computes_again) end_again(stage);
       revoke(scheduler.remove_stage(stage->id));
       active_stages.erase(stage->id);
       stage->delivered = true;
@@ -283,12 +284,16 @@ JobRemains Farm::Impl::withdraw(Job& job) {
     if (stage->last_result >= 0) stage->report.seconds = stage->last_result - stage->first_lease;
     remains.records.push_back(std::exchange(stage->records, nullptr));
     remains.arrived.push_back(std::exchange(stage->arrived, {}));
+    remains.counted.push_back(std::exchange(stage->counted, {}));
   }
   records_ready.notify_all();
   for (const auto& stage : job.finished) remains.stages.push_back(stage);
   job.finished.clear();
   job.undrawn.swap(remains.undrawn);
-  job.artifacts.swap(remains.artifacts);
+  job.data.swap(remains.data);
+  job.outputs.clear();
+  release_all_retained(job);
+  settle_retained();  // what this frame computed again, others may need
   if (job.report.stages.empty())
     for (const auto& stage : job.stages) job.report.stages.push_back(stage->report);
   offer_to_unserved_soon();

@@ -12,11 +12,11 @@ KeptRecords::Records KeptRecords::find(const std::string& address) {
 }
 
 void KeptRecords::put(const std::string& address, Records records) {
-  if (records->size() > most_ / largest_share || find(address)) return;
-  bytes_ += records->size();
+  if (records->bytes() > most_ / largest_share || find(address)) return;
+  bytes_ += records->bytes();
   entries_.emplace_front(address, std::move(records));
   while (bytes_ > most_ && !entries_.empty()) {
-    bytes_ -= entries_.back().second->size();
+    bytes_ -= entries_.back().second->bytes();
     entries_.pop_back();
   }
 }

@@ -7,13 +7,13 @@
 #include <string>
 #include <utility>
 
-#include "scene/model/blob.h"
+#include "coordinator/artifacts/artifact_data.h"
 
 namespace gleaner::coordinator {
 
 class KeptRecords {
  public:
-  using Records = std::shared_ptr<const scene::Bytes>;
+  using Records = std::shared_ptr<const ArtifactData>;
 
   // One of more than so large a part of the bound is not kept: it would drive out what serves many frames.
   static constexpr std::uint64_t largest_share = 4;

@@ -52,28 +52,30 @@ std::string report_json(const FrameReport& report) {
                        {"memory_bytes", device.memory_bytes}});
   for (const auto& item : report.nonfinite_items)
     nonfinite_items.push_back({{"stage", item.stage}, {"item", item.item}, {"worker", item.worker}});
-  json root = {{"scene", report.scene},
-               {"method", report.settings.method},
-               {"size", {report.settings.width, report.settings.height}},
-               {"parameters", parameters_of(report)},
-               {"seconds", report.seconds},
-               {"plan_seconds", report.plan_seconds},
-               {"write_seconds", report.write_seconds},
-               {"stages", stages},
-               {"rays",
-                {{"camera", report.camera_rays},
-                 {"scatter", report.scatter_rays},
-                 {"shadow", report.shadow_rays},
-                 {"total", report.camera_rays + report.scatter_rays + report.shadow_rays}}},
-               {"bytes", {{"uploaded", report.uploaded_bytes}, {"downloaded", report.downloaded_bytes}}},
-               {"skips", skips},
-               {"warnings", report.warnings},
-               {"nonfinite", report.nonfinite},
-               {"nonfinite_items", nonfinite_items},
-               {"devices", devices},
-               {"pixels_sha256", report.pixels_sha256},
-               {"frame", report.frame},
-               {"job", report.job}};
+  json root = {
+      {"scene", report.scene},
+      {"method", report.settings.method},
+      {"size", {report.settings.width, report.settings.height}},
+      {"parameters", parameters_of(report)},
+      {"seconds", report.seconds},
+      {"plan_seconds", report.plan_seconds},
+      {"write_seconds", report.write_seconds},
+      {"stages", stages},
+      {"rays",
+       {{"camera", report.camera_rays},
+        {"scatter", report.scatter_rays},
+        {"shadow", report.shadow_rays},
+        {"total", report.camera_rays + report.scatter_rays + report.shadow_rays}}},
+      {"bytes",
+       {{"uploaded", report.uploaded_bytes}, {"downloaded", report.downloaded_bytes}, {"peers", report.peer_bytes}}},
+      {"skips", skips},
+      {"warnings", report.warnings},
+      {"nonfinite", report.nonfinite},
+      {"nonfinite_items", nonfinite_items},
+      {"devices", devices},
+      {"pixels_sha256", report.pixels_sha256},
+      {"frame", report.frame},
+      {"job", report.job}};
   if (report.time_limit > 0)
     root["time_limit"] = {{"seconds", report.time_limit}, {"reached", report.time_limit_reached}};
   // Names come from people and drivers: bytes that are not UTF-8 are replaced instead of failing the frame.

@@ -35,6 +35,7 @@ struct FrameReport {
   std::vector<StageReport> stages;
   std::uint64_t camera_rays = 0, scatter_rays = 0, shadow_rays = 0;
   std::uint64_t uploaded_bytes = 0, downloaded_bytes = 0;  // as seen from the coordinator: to and from workers
+  std::uint64_t peer_bytes = 0;                            // from worker to worker
   std::vector<Skip> skips;
   std::vector<std::string> warnings;  // the plan's and the picture's, for people
   std::uint64_t nonfinite = 0;

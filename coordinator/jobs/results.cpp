@@ -12,7 +12,10 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr std::size_t most_nonfinite_items = 16;                 // in a report
+constexpr std::size_t most_nonfinite_items = 16;  // in a report
+constexpr std::size_t most_facts_bytes = std::size_t{64} << 10;
+constexpr std::uint64_t count_bytes = 4;
+constexpr Seconds unavailable_for = 60;  // that inputs may lack, beyond the time in which a lost worker is noticed
 constexpr std::uint64_t most_arrived = std::uint64_t{64} << 20;  // bytes of a stage that wait for its plan
 
 // Adds the time from here on to a total, until it is stopped.
@@ -34,7 +37,39 @@ class Stopwatch {
 
 }  // namespace
 
-Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, Bytes records, const BatchCost& cost) {
+std::string Farm::Impl::misfit(const RunningStage& stage, const Lease& lease, const BatchOutput& output) {
+  const StageOutput& wanted = stage.spec.output;
+  if (output.facts.size() > most_facts_bytes)
+    return "sent " + std::to_string(output.facts.size()) + " bytes of facts, expected at most " +
+           std::to_string(most_facts_bytes);
+  if (wanted.placement == Placement::retain) {
+    if (!output.part) return "sent its records, which it was to keep";
+    return fits(stage, lease, *output.part) ? "" : "keeps a part of a shape that its items cannot have";
+  }
+  if (output.part) return "kept its records, which it was to send";
+  if (!wanted.counted) {
+    const std::uint64_t expected = lease.count * wanted.record_bytes;
+    return output.image.size() == expected
+               ? ""
+               : "sent " + std::to_string(output.image.size()) + " bytes instead of " + std::to_string(expected);
+  }
+  std::uint64_t records = 0;
+  if (output.image.size() < lease.count * count_bytes) return "sent fewer counts than items";
+  for (std::uint64_t item = 0; item < lease.count; ++item) {
+    std::uint32_t count;
+    std::memcpy(&count, output.image.data() + item * count_bytes, count_bytes);
+    if (count > wanted.most_records)
+      return "sent " + std::to_string(count) + " records of item " + std::to_string(lease.first + item) +
+             ", expected at most " + std::to_string(wanted.most_records);
+    records += count;
+  }
+  const std::uint64_t expected = lease.count * count_bytes + records * wanted.record_bytes;
+  return output.image.size() == expected
+             ? ""
+             : "sent " + std::to_string(output.image.size()) + " bytes instead of " + std::to_string(expected);
+}
+
+Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutput output, const BatchCost& cost) {
   std::unique_lock lock(mutex);
   Stopwatch held(totals.result_lock_seconds);
   auto worker = workers.find(id);
@@ -45,29 +80,60 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, Bytes rec
   const Lease lease = own ? known->second : Lease{};
   std::shared_ptr<RunningStage> stage;
   if (auto found = active_stages.find(lease.stage); own && found != active_stages.end()) stage = found->second;
-  if (stage && records.size() != lease.count * stage->spec.output.record_bytes) {
-    held.stop();
-    lock.unlock();
-    failed(id, lease_id, epoch,
-           "sent " + std::to_string(records.size()) + " bytes instead of " +
-               std::to_string(lease.count * stage->spec.output.record_bytes));
-    return Verdict::stale;
-  }
+  if (stage)
+    if (const std::string why = misfit(*stage, lease, output); !why.empty()) {
+      held.stop();
+      lock.unlock();
+      failed(id, lease_id, epoch, why, false);
+      return Verdict::stale;
+    }
   ResultOutcome outcome = scheduler.result(id, lease_id, epoch, cost.seconds, now());
   if (own) forget_lease(epoch);
   revoke(outcome.revoke);
   offer(worker->second);  // it gets its next batch before this one is put away
   offer_to_unserved_soon();
-  if (outcome.verdict != Verdict::accepted || !stage) return outcome.verdict;
-  account(*stage, worker->second, lease, cost, records.size());
+  if (outcome.verdict != Verdict::accepted || !stage) {
+    if (output.part) take_late_part(worker->second, outcome.verdict, *output.part);
+    return outcome.verdict;
+  }
+  account(*stage, worker->second, lease, cost, output.image.size());
   stage->complete = outcome.stage_complete;
+  stage->unavailable_since = -1;
+  if (stage->spec.solo) stage->facts = std::move(output.facts);
   changed(*stage->job);
   held.stop();
   if (stage->streamed())
-    stream_in(*stage, lease, std::move(records), lock);
+    stream_in(*stage, lease, std::move(output.image), lock);
+  else if (stage->retained())
+    keep(stage, worker->second, lease, *output.part);
+  else if (stage->spec.output.counted)
+    collect_counted(stage, lease, std::move(output.image));
   else
-    collect(stage, lease, records, lock);
+    collect(stage, lease, output.image, lock);
   return outcome.verdict;
+}
+
+void Farm::Impl::collect_counted(const std::shared_ptr<RunningStage>& stage, const Lease& lease, Bytes image) {
+  const auto records = image.begin() + static_cast<std::ptrdiff_t>(lease.count * count_bytes);
+  stage->counted[lease.first] = {Bytes(image.begin(), records), Bytes(records, image.end())};
+  deliver_if_complete(stage);
+}
+
+void Farm::Impl::keep(const std::shared_ptr<RunningStage>& stage, Worker& worker, const Lease& lease,
+                      const BatchOutput::Retained& part) {
+  take_part(*stage, worker, {lease.first, lease.count}, part);
+  if (!stage->complete) return;
+  if (stage->computes_again) {
+    end_again(stage);
+    settle_retained();
+    return;
+  }
+  if (auto at = retained.find(stage->artifact); at != retained.end() && !stage->facts.empty())
+    at->second.facts = stage->facts;
+  if (registry.whole(stage->artifact))
+    deliver_if_complete(stage);
+  else
+    settle_retained();  // what was lost or disputed on the way
 }
 
 void Farm::Impl::collect(const std::shared_ptr<RunningStage>& stage, const Lease& lease, const Bytes& records,
@@ -132,6 +198,7 @@ void Farm::Impl::account(RunningStage& stage, const Worker& worker, const Lease&
   report.scatter_rays += cost.scatter_rays;
   report.shadow_rays += cost.shadow_rays;
   report.uploaded_bytes += cost.fetched_bytes;
+  report.peer_bytes += cost.peer_bytes;
   report.downloaded_bytes += bytes;
   report.nonfinite += cost.nonfinite;
   for (std::uint64_t item : cost.nonfinite_items)
@@ -140,7 +207,8 @@ void Farm::Impl::account(RunningStage& stage, const Worker& worker, const Lease&
   report.devices.emplace(worker.name, worker.hello.device);
 }
 
-void Farm::Impl::failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::string& message) {
+void Farm::Impl::failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::string& message,
+                        bool input_unavailable) {
   std::lock_guard lock(mutex);
   auto worker = workers.find(id);
   if (worker == workers.end()) return;
@@ -149,7 +217,13 @@ void Farm::Impl::failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::s
   std::shared_ptr<RunningStage> stage;
   if (known != leases.end())
     if (auto found = active_stages.find(known->second.stage); found != active_stages.end()) stage = found->second;
-  FailureOutcome outcome = scheduler.failed(id, lease_id, epoch, now());
+  // Nobody's fault, unless it lasts: by then who held the inputs is known to be lost.
+  bool blameless = input_unavailable && stage;
+  if (blameless) {
+    if (stage->unavailable_since < 0) stage->unavailable_since = now();
+    blameless = now() - stage->unavailable_since <= unavailable_for + settings.silence;
+  }
+  FailureOutcome outcome = scheduler.failed(id, lease_id, epoch, now(), blameless);
   if (outcome.known && stage) {
     ++totals.batches_failed;
     const Lease& lease = known->second;
@@ -178,15 +252,19 @@ std::optional<std::uint64_t> Farm::expected_bytes(WorkerId worker, LeaseId lease
   if (found == impl_->leases.end() || found->second.worker != worker || found->second.id != lease) return std::nullopt;
   auto stage = impl_->active_stages.find(found->second.stage);
   if (stage == impl_->active_stages.end()) return std::nullopt;
-  return found->second.count * stage->second->spec.output.record_bytes;
+  const StageOutput& output = stage->second->spec.output;
+  if (output.placement == Placement::retain) return 0;
+  const std::uint64_t item_bytes =
+      output.counted ? count_bytes + std::uint64_t{output.most_records} * output.record_bytes : output.record_bytes;
+  return found->second.count * item_bytes;
 }
 
-Verdict Farm::result(WorkerId worker, LeaseId lease, Epoch epoch, Bytes records, const BatchCost& cost) {
-  return impl_->result(worker, lease, epoch, std::move(records), cost);
+Verdict Farm::result(WorkerId worker, LeaseId lease, Epoch epoch, BatchOutput output, const BatchCost& cost) {
+  return impl_->result(worker, lease, epoch, std::move(output), cost);
 }
 
-void Farm::failed(WorkerId worker, LeaseId lease, Epoch epoch, const std::string& message) {
-  impl_->failed(worker, lease, epoch, message);
+void Farm::failed(WorkerId worker, LeaseId lease, Epoch epoch, const std::string& message, bool input_unavailable) {
+  impl_->failed(worker, lease, epoch, message, input_unavailable);
 }
 
 }  // namespace gleaner::coordinator

@@ -1,27 +1,62 @@
 // A stage from the plan's step to its whole records.
 
+#include <cstring>
 #include <new>
 #include <span>
 #include <utility>
 
+#include "coordinator/artifacts/artifact_id.h"
 #include "coordinator/blobs/sha256.h"
 #include "coordinator/jobs/engine.h"
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {
 
+namespace {
+
+// Why the farm cannot take the stage's output; empty: it can.
+std::string refusal(const StageSpec& spec, std::uint64_t most_bytes) {
+  const StageOutput& output = spec.output;
+  const std::uint64_t most_records = output.counted ? output.most_records : 1;
+  if (output.record_bytes == 0 || most_records == 0) return "records of no bytes";
+  if (output.placement == Placement::stream)
+    return output.counted    ? "counted records cannot be streamed"
+           : output.reusable ? "records that nobody keeps are not reusable"
+                             : "";
+  // Where the records stay with the workers, it is their memory.
+  if (output.placement == Placement::retain) return "";
+  const std::uint64_t item_bytes = output.counted ? output.record_bytes + 4 : output.record_bytes;
+  if (spec.items > most_bytes / item_bytes)
+    return std::to_string(spec.items) + " records of " + std::to_string(output.record_bytes) +
+           " bytes are more than this coordinator takes (" + std::to_string(most_bytes) + " bytes)";
+  return "";
+}
+
+}  // namespace
+
 void Farm::Impl::post(const std::shared_ptr<Job>& job, const Step& step, double work_to_come) {
-  std::map<ArtifactId, Job::Artifact> artifacts, released;  // destroyed where the mutex is not held
-  for (const auto& [id, bytes] : step.artifacts) artifacts[id] = {bytes, blobs.lend(bytes)};
+  // Names are made of bytes that may be many: before the mutex is taken.
+  std::map<ArtifactId, std::string> names;
+  for (const auto& [id, bytes] : step.artifacts) names[id] = is_sha256_hex(id) ? id : data_id(*bytes);
+  std::vector<std::shared_ptr<const ArtifactData>> released;  // destroyed where the mutex is not held
   std::vector<std::shared_ptr<RunningStage>> posted;
   {
     std::lock_guard lock(mutex);
     if (job->cancel || stopping) throw Cancelled{};
-    job->artifacts.merge(artifacts);
-    for (const StageSpec& spec : step.stages)
-      if (auto stage = schedule(job, spec)) posted.push_back(stage);
-    for (const ArtifactId& id : step.released)
-      if (auto artifact = job->artifacts.extract(id)) released.insert(std::move(artifact));
+    for (const auto& [id, bytes] : step.artifacts) provide(*job, id, names.at(id), bytes);
+    for (const StageSpec& spec : step.stages) {
+      auto stage = schedule(job, spec);
+      if (!stage) continue;
+      if (stage->collected() && !spec.output.counted)
+        posted.push_back(stage);
+      else
+        deliver_if_complete(stage);  // one of no items
+    }
+    for (const ArtifactId& id : step.released) {
+      if (auto data = job->data.extract(id)) released.push_back(std::move(data.mapped()));
+      job->outputs.erase(id);
+      release_retained(*job, id);
+    }
     job->work_to_come = work_to_come;
     offer_to_all();
     timer_rearm = true;
@@ -29,7 +64,6 @@ void Farm::Impl::post(const std::shared_ptr<Job>& job, const Step& step, double 
     changed(*job);
   }
   for (const auto& stage : posted) {
-    if (stage->streamed()) continue;
     std::shared_ptr<Bytes> records;
     try {
       records = std::make_shared<Bytes>(stage->spec.items * stage->spec.output.record_bytes);
@@ -46,93 +80,172 @@ void Farm::Impl::post(const std::shared_ptr<Job>& job, const Step& step, double 
   }
 }
 
-std::string Farm::Impl::address_of(const StageWork& work, const StageSpec& spec) {
-  Sha256 hash;
-  const auto add = [&](const std::string& text) {
-    const std::string length = std::to_string(text.size()) + ":";
-    hash.update(std::as_bytes(std::span(length)));
-    hash.update(std::as_bytes(std::span(text)));
-  };
-  add(work.scene_blob);
-  add(work.kind);
-  add(std::to_string(spec.items) + " of " + std::to_string(spec.output.record_bytes));
-  add(std::string(reinterpret_cast<const char*>(spec.parameters.data()), spec.parameters.size()));
-  for (const auto& input : work.inputs) {
-    add(input.name);
-    add(input.blob);
+void Farm::Impl::provide(Job& job, const ArtifactId& id, const std::string& blob, std::shared_ptr<const Bytes> bytes) {
+  auto data = std::make_shared<ArtifactData>();
+  if (auto output = job.outputs.find(id); output != job.outputs.end()) *data = output->second;
+  data->blob = blob;
+  data->records = std::move(bytes);
+  if (data->index)
+    blobs.lend(blob, {data->index->counts(), data->records});
+  else
+    blobs.lend(blob, {data->records});
+  job.data[id] = std::move(data);
+}
+
+void Farm::Impl::add_input(Job& job, RunningStage& stage, StageWork& work, const StageInput& input) const {
+  StageWork::Input out{.name = input.name, .blob = input.artifact, .own_items = input.extent == Extent::own_items};
+  std::shared_ptr<const Recipe> recipe;
+  if (auto held = retained.find(input.artifact); held != retained.end() && held->second.frames.contains(&job)) {
+    recipe = held->second.recipe;
+    out.counted = recipe->spec.output.counted;
+    out.record_bytes = recipe->spec.output.record_bytes;
+    out.items = recipe->spec.items;
+  } else if (auto found = job.data.find(input.artifact); found != job.data.end()) {
+    out.data = found->second;
+    out.blob = out.data->blob;
+    out.counted = out.data->index != nullptr;
+    out.record_bytes = out.data->record_bytes;
+    out.items = out.data->items;
+    // A plan's own data has as many records as the stage has items, of whatever size.
+    if (out.own_items && out.items == 0 && stage.spec.items > 0 && out.data->bytes() % stage.spec.items == 0) {
+      out.items = stage.spec.items;
+      out.record_bytes = static_cast<std::uint32_t>(out.data->bytes() / stage.spec.items);
+    }
+  } else {
+    throw Error::failed("stage " + stage.spec.name + ": its input " + input.name +
+                        " names an artifact that the plan never gave");
   }
-  return hash.hex();
+  if (out.own_items && out.items != stage.spec.items)
+    throw Error::failed("stage " + stage.spec.name + ": its input " + input.name + " has " + std::to_string(out.items) +
+                        " items, expected its own " + std::to_string(stage.spec.items));
+  work.inputs.push_back(std::move(out));
+  stage.reads.push_back(std::move(recipe));
 }
 
 std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Job>& job, const StageSpec& spec) {
-  const bool streamed = spec.output.placement == Placement::stream;
-  if (streamed && spec.output.reusable)
-    throw Error::failed("stage " + spec.name + ": records that nobody keeps are not reusable");
-  if (spec.output.record_bytes == 0 || (!streamed && spec.items > settings.artifact_bytes / spec.output.record_bytes))
-    throw Error::failed("stage " + spec.name + ": " + std::to_string(spec.items) + " records of " +
-                        std::to_string(spec.output.record_bytes) + " bytes are more than this coordinator takes (" +
-                        std::to_string(settings.artifact_bytes) + " bytes)");
+  if (const std::string why = refusal(spec, settings.artifact_bytes); !why.empty())
+    throw Error::failed("stage " + spec.name + ": " + why);
   auto work = std::make_shared<StageWork>();
   work->job = job->id;
   work->stage = spec.name;
   work->kind = spec.kind;
   work->parameters = spec.parameters;
-  work->record_bytes = spec.output.record_bytes;
+  work->output = spec.output;
   work->scene_blob = job->request.scene_blob;
   work->bvh_blob = job->request.bvh_blob;
-  for (const auto& input : spec.inputs) {
-    auto artifact = job->artifacts.find(input.artifact);
-    if (artifact == job->artifacts.end())
-      throw Error::failed("stage " + spec.name + ": its input " + input.name +
-                          " names an artifact that the plan never gave");
-    work->inputs.push_back({input.name, artifact->second.blob});
-  }
   auto stage = std::make_shared<RunningStage>();
   stage->job = job;
   stage->spec = spec;
-  if (spec.output.reusable) {
-    stage->address = address_of(*work, spec);
-    if (auto records = kept.find(stage->address)) {
-      stage->records = std::const_pointer_cast<Bytes>(records);
-      stage->delivered = true;
-      job->reused.push_back({"stage " + spec.name,
-                             "made before, from the same scene, settings and inputs: artifact " + stage->address,
-                             spec.items});
-      job->finished.push_back(stage);
-      job->events.notify_all();
-      return nullptr;
-    }
-  }
+  for (const auto& input : spec.inputs) add_input(*job, *stage, *work, input);
+  // The plan may have given its data names of its own; what stages make is named by what the farm knows it as.
+  for (std::size_t i = 0; i < spec.inputs.size(); ++i) stage->spec.inputs[i].artifact = work->inputs[i].blob;
+  stage->artifact = work->artifact = artifact_id(work->scene_blob, stage->spec);
   stage->work = std::move(work);
   stage->report.name = spec.name;
   stage->report.kind = spec.kind;
   stage->report.items = spec.items;
+  if (spec.output.placement == Placement::retain ? retain_output(*job, *stage) : find_kept(*stage)) {
+    stage->delivered = true;
+    stage->record_count =
+        stage->records ? stage->records->size() / spec.output.record_bytes : registry.records(stage->artifact);
+    job->reused.push_back({"stage " + spec.name,
+                           "made before, from the same scene, settings and inputs: artifact " + stage->artifact,
+                           spec.items});
+    job->finished.push_back(stage);
+    job->events.notify_all();
+    return nullptr;
+  }
+  start(stage);
+  return stage;
+}
+
+bool Farm::Impl::find_kept(RunningStage& stage) {
+  if (!stage.spec.output.reusable) return false;
+  const auto records = kept.find(stage.artifact);
+  if (!records) return false;
+  stage.records = std::const_pointer_cast<Bytes>(records->records);
+  stage.index = records->index;
+  stage.facts = records->facts;
+  remember_output(stage);
+  return true;
+}
+
+void Farm::Impl::remember_output(const RunningStage& stage) {
+  stage.job->outputs[stage.artifact] = {.blob = {},
+                                        .records = nullptr,
+                                        .index = stage.index,
+                                        .items = stage.spec.items,
+                                        .record_bytes = stage.spec.output.record_bytes,
+                                        .facts = stage.facts};
+}
+
+void Farm::Impl::start(const std::shared_ptr<RunningStage>& stage) {
+  const StageSpec& spec = stage->spec;
   ScheduledStage scheduled{.kind = spec.kind,
                            .items = spec.items,
                            .tile = spec.tile,
                            .solo = spec.solo,
                            .priority = spec.priority,
-                           .preferred = {}};
+                           .preferred = {},
+                           .only = {},
+                           .avoid = stage->avoid,
+                           .near = {}};
+  for (const ItemRange& range : stage->again) scheduled.only.push_back({range.first, range.count});
+  stage->items = stage->again.empty() ? spec.items : 0;
+  for (const ItemRange& range : stage->again) stage->items += range.count;
   kinds.insert(spec.kind);
+  place_near_inputs(*stage, scheduled);
   stage->id = scheduler.add_stage(scheduled, now());
   stage->complete = scheduler.complete(stage->id);
-  job->stages.push_back(stage);
-  job->work_asked += stage->work_per_item() * static_cast<double>(spec.items);
+  stage->job->stages.push_back(stage);
+  stage->job->work_asked += stage->work_per_item() * static_cast<double>(stage->items);
   active_stages[stage->id] = stage;
-  return stage;
+  pause_if_inputs_lack(*stage);
+  offer_to_unserved_soon();
+}
+
+// Mutex held. Puts the batches of a counted output behind each other.
+void Farm::Impl::join_counted(RunningStage& stage) {
+  auto counts = std::make_shared<Bytes>();
+  auto records = std::make_shared<Bytes>();
+  std::uint64_t bytes = 0;
+  for (const auto& [first, batch] : stage.counted) bytes += batch.records.size();
+  counts->reserve(stage.spec.items * 4);
+  records->reserve(bytes);
+  for (auto& [first, batch] : stage.counted) {
+    counts->insert(counts->end(), batch.counts.begin(), batch.counts.end());
+    records->insert(records->end(), batch.records.begin(), batch.records.end());
+    batch = {};
+  }
+  stage.counted.clear();
+  stage.index = std::make_shared<CountIndex>(std::move(counts));
+  stage.records = std::move(records);
 }
 
 void Farm::Impl::deliver_if_complete(const std::shared_ptr<RunningStage>& shared) {
   RunningStage& stage = *shared;
-  if (stage.delivered || !stage.complete) return;
-  if (stage.streamed() ? stage.arrived.given() != stage.spec.items : stage.writers != 0 || !stage.records) return;
+  if (!stage.complete || stage.writers != 0 || stage.delivered) return;
+  if (stage.streamed() && stage.arrived.given() != stage.spec.items) return;
+  if (stage.collected() && stage.spec.output.counted && !stage.index) join_counted(stage);
+  if (stage.collected() && !stage.records) return;
+  if (stage.retained() && !registry.whole(stage.artifact)) return;  // what was lost meanwhile is computed again
   stage.delivered = true;
+  stage.record_count = stage.streamed()   ? stage.spec.items
+                       : stage.retained() ? registry.records(stage.artifact)
+                                          : stage.records->size() / stage.spec.output.record_bytes;
   if (stage.first_lease < 0) stage.first_lease = stage.last_result = now();
   stage.report.seconds = stage.last_result - stage.first_lease;
   stage.history.clear();
   revoke(scheduler.remove_stage(stage.id));
   active_stages.erase(stage.id);
-  if (!stage.address.empty()) kept.put(stage.address, stage.records);
+  if (stage.collected()) {
+    remember_output(stage);
+    if (stage.spec.output.reusable) {
+      auto data = std::make_shared<ArtifactData>(stage.job->outputs.at(stage.artifact));
+      data->records = stage.records;
+      kept.put(stage.artifact, std::move(data));
+    }
+  }
   stage.job->finished.push_back(shared);
   stage.job->events.notify_all();
 }

@@ -16,6 +16,7 @@ constexpr std::chrono::milliseconds idle_look{100};
 // While none do: how often it is asked who lives.
 constexpr std::chrono::milliseconds calm_look{1000};
 constexpr std::chrono::milliseconds offer_interval{2};
+constexpr std::size_t most_names_of_gone = 4096;
 
 }  // namespace
 
@@ -81,8 +82,12 @@ void Farm::Impl::lose(WorkerId id, const std::string& why) {
                std::to_string(found->second.leases.size()) + " batches");
   for (Epoch epoch : std::set<Epoch>(found->second.leases)) leases.erase(epoch);
   if (!why.empty()) found->second.session->close(why);
+  tokens.erase(found->second.hello.token);
+  names_of_gone[id] = found->second.name;
+  if (names_of_gone.size() > most_names_of_gone) names_of_gone.erase(names_of_gone.begin());
   workers.erase(found);
   unserved.erase(id);
+  lose_parts(id);
   offer_to_unserved_soon();
 }
 
@@ -142,6 +147,7 @@ Farm::Joined Farm::join(const WorkerHello& hello, std::shared_ptr<WorkerSession>
   worker.session = std::move(session);
   worker.joined = worker.heard = impl_->now();
   Worker& stored = impl_->workers[id] = std::move(worker);
+  if (!hello.token.empty()) impl_->tokens[hello.token] = id;
   impl_->settings.log("worker " + name + " joined: " + hello.device.name + ", " + hello.device.tracer);
   impl_->scheduler.worker_joined(id, impl_->now());
   stored.session->welcome(name);

@@ -103,6 +103,10 @@ class Graph {
     stage.parameters = bytes_of(parameters);
     return add_stage(std::move(stage), std::move(inputs));
   }
+  // The same for a stage that comes with its parameters.
+  Artifact add(StageSpec stage, std::vector<Input> inputs = {}) {
+    return add_stage(std::move(stage), std::move(inputs));
+  }
 
   // Something that the plan itself makes happen: it finishes when it is announced, once.
   Artifact event();

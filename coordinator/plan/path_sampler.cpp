@@ -52,10 +52,11 @@ bool finite(const Sums& sums) {
 
 }  // namespace
 
-PathSampler::PathSampler(Graph& graph, Accumulator& film, const FrameSettings& settings)
+PathSampler::PathSampler(Graph& graph, Accumulator& film, const FrameSettings& settings, Program program)
     : graph_(graph),
       film_(film),
       settings_(settings),
+      program_(std::move(program)),
       chunk_samples_(chunk_samples(settings.spp)),
       first_chunks_(std::min<std::uint32_t>(2, settings.spp / chunk_samples_)) {
   if (settings.target_error > 0) {
@@ -109,8 +110,8 @@ void PathSampler::ask(Asked asked) {
   p.filter = complement_.complement ? PATH_CLASS_DIFFUSE : 0;
   p.clamp = complement_.clamp;
   StageSpec spec;
-  spec.name = "path." + std::to_string(stages_.size());
-  spec.kind = "path";
+  spec.name = program_.kind + "." + std::to_string(stages_.size());
+  spec.kind = program_.kind;
   spec.items = asked.items;
   // 16 paths are one packet: what shares a packet must not depend on where batches are cut.
   spec.tile = std::max(1u, 16 / chunk_samples_);
@@ -119,7 +120,9 @@ void PathSampler::ask(Asked asked) {
   spec.output = {.record_bytes = static_cast<std::uint32_t>(record_bytes(asked)), .placement = Placement::stream};
   std::vector<Graph::Input> inputs;
   if (asked.list) inputs.push_back({"items", graph_.data(asked.list), Extent::whole});
-  asked.artifact = graph_.add(std::move(spec), p, std::move(inputs));
+  spec.parameters = bytes_of(p);
+  spec.parameters.insert(spec.parameters.end(), program_.method_parameters.begin(), program_.method_parameters.end());
+  asked.artifact = graph_.add(std::move(spec), std::move(inputs));
   graph_.on_records(asked.artifact,
                     [this](auto first, auto count, const Bytes& records) { absorb(first, count, records); });
   graph_.when({asked.artifact}, [this] { continue_or_end(); });
@@ -238,14 +241,14 @@ nlohmann::json PathSampler::parameters() const {
 std::vector<std::string> PathSampler::outline() const {
   std::vector<std::string> lines;
   const std::uint64_t first = pixels() * first_chunks_;
-  lines.push_back("path.0: " + std::to_string(first) +
+  lines.push_back(program_.kind + ".0: " + std::to_string(first) +
                   " items, split: " + std::to_string(first_chunks_ * chunk_samples_) +
                   " samples in every pixel, with albedo, normal and depth");
   if (settings_.target_error > 0)
-    lines.push_back("path.1 and on: split: samples where the noise is, until its estimate is below " +
+    lines.push_back(program_.kind + ".1 and on: split: samples where the noise is, until its estimate is below " +
                     std::to_string(settings_.target_error) + " of the mean radiance");
   else if (const std::uint64_t rest = budget() - std::min(budget(), first * chunk_samples_))
-    lines.push_back("path.1 and on: split: " + std::to_string(rest) + " samples where the noise is");
+    lines.push_back(program_.kind + ".1 and on: split: " + std::to_string(rest) + " samples where the noise is");
   return lines;
 }
 

@@ -1,6 +1,7 @@
 #pragma once
-// Camera paths of a frame, as stages of a graph: a first stage gives every pixel a few chunks of samples; the next ones
-// go where the error is. Method `path` is this alone; others take from it the light that they do not carry.
+// Samples of a frame's pixels, as stages of a graph: a first stage gives every pixel a few chunks of samples; the next
+// ones go where the error is. Method `path` is this alone; others take from it the light that they do not carry, or
+// have its samples made by a stage of their own.
 
 #include <cstdint>
 #include <memory>
@@ -26,7 +27,15 @@ class PathSampler {
     double mean = 0, squared_error = 0;
   };
 
-  PathSampler(Graph& graph, Accumulator& film, const FrameSettings& settings);
+  // Which stage makes a sample. A method with a kind of its own gives parameters that begin with PathParameters.
+  struct Program {
+    std::string kind = "path";  // stages are kind.0, kind.1 and so on
+    Bytes method_parameters{};  // follow PathParameters
+  };
+
+  PathSampler(Graph& graph, Accumulator& film, const FrameSettings& settings, Program program);
+  PathSampler(Graph& graph, Accumulator& film, const FrameSettings& settings)
+      : PathSampler(graph, film, settings, Program()) {}
 
   void begin(const Complement& complement);
   bool begun() const { return !stages_.empty(); }
@@ -64,6 +73,7 @@ class PathSampler {
   Graph& graph_;
   Accumulator& film_;
   FrameSettings settings_;
+  Program program_;
   Complement complement_;
   std::uint32_t chunk_samples_ = 1, first_chunks_ = 1;
   std::uint64_t spent_ = 0;    // samples asked for so far

@@ -18,7 +18,7 @@ void FailureHistory::add(WorkerId worker) {
 void ItemPool::put(const Piece& piece) {
   if (piece.count == 0) return;
   items_ += piece.count;
-  if (piece.failures.strikes > 0) {
+  if (!piece.failures.clean()) {
     failed_.emplace(piece.first, piece);
     return;
   }
@@ -37,13 +37,32 @@ void ItemPool::put(const Piece& piece) {
   }
 }
 
+Piece ItemPool::within(std::uint64_t first, std::uint64_t count, std::uint32_t tile) const {
+  auto at = clean_.upper_bound(first);
+  if (at != clean_.begin() && std::prev(at)->first + std::prev(at)->second > first) --at;
+  for (; at != clean_.end() && at->first < first + count; ++at) {
+    const std::uint64_t run_end = at->first + at->second;
+    const std::uint64_t begin = (std::max(first, at->first) + tile - 1) / tile * tile;
+    std::uint64_t end = std::min(first + count, run_end);
+    if (end < run_end) end = end / tile * tile;
+    if (begin < end) return {begin, end - begin, {}};
+  }
+  return {};
+}
+
 void ItemPool::take(std::uint64_t first, std::uint64_t count) {
   items_ -= count;
-  if (const auto at = clean_.find(first); at != clean_.end()) {
-    const std::uint64_t left = at->second - count;
-    clean_.erase(at);
-    if (left > 0) clean_.emplace(first + count, left);
-    return;
+  if (auto at = clean_.upper_bound(first); at != clean_.begin()) {
+    --at;
+    const std::uint64_t end = at->first + at->second;
+    if (first < end) {
+      if (at->first < first)
+        at->second = first - at->first;
+      else
+        clean_.erase(at);
+      if (first + count < end) clean_.emplace(first + count, end - first - count);
+      return;
+    }
   }
   const auto at = failed_.find(first);
   assert(at != failed_.end());

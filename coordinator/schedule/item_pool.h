@@ -12,8 +12,9 @@ namespace gleaner::coordinator {
 // What went wrong with a range so far; inherited by its pieces.
 struct FailureHistory {
   unsigned strikes = 0;
-  std::vector<WorkerId> workers;  // who failed it, each once
+  std::vector<WorkerId> workers;  // who failed it (or must not have it), each once
 
+  bool clean() const { return strikes == 0 && workers.empty(); }
   bool by(WorkerId worker) const;
   void add(WorkerId worker);
 };
@@ -43,7 +44,11 @@ class ItemPool {
     return {clean_.begin()->first, clean_.begin()->second, {}};
   }
 
-  // Takes `count` items off the beginning of the piece that starts at `first`.
+  // Items of [first, first + count) that nobody failed and that begin at a multiple of `tile`: the first run of them,
+  // cut at multiples of `tile` (or where the run itself ends). None: count is 0.
+  Piece within(std::uint64_t first, std::uint64_t count, std::uint32_t tile) const;
+
+  // Takes `count` items from `first` on: off the beginning of a piece that failed, from anywhere in one that did not.
   void take(std::uint64_t first, std::uint64_t count);
 
   // Any piece that failed before, for the one who asks why it waits.

@@ -17,6 +17,10 @@ using StageId = std::uint64_t;
 using LeaseId = std::uint64_t;
 using Epoch = std::uint64_t;
 
+struct ItemSpan {
+  std::uint64_t first = 0, count = 0;
+};
+
 struct ScheduledStage {
   std::string kind;  // throughput is remembered per (worker, kind)
   std::uint64_t items = 0;
@@ -24,6 +28,13 @@ struct ScheduledStage {
   bool solo = false;
   int priority = 0;                 // higher first; equal: older first
   std::vector<WorkerId> preferred;  // solo: who holds most of its inputs
+  // Where not all of [0, items) are to run: these, in order and apart from each other; each begins at a multiple of
+  // `tile`.
+  std::vector<ItemSpan> only{};
+  std::vector<WorkerId> avoid{};  // these get none of it while others can
+  // Split: what of its own items' inputs a worker holds. It gets items of its spans before others, as long as any wait
+  // there.
+  std::map<WorkerId, std::vector<ItemSpan>> near{};  // spans in order
 };
 
 // Items [first, first + count) of a stage, handed to a worker. `epoch` is unique for every handing out.
@@ -49,7 +60,7 @@ struct SchedulerSettings {
   std::uint64_t first_batch_items = 4096;  // for a worker whose throughput is not known
   std::uint64_t fixed_batch_items = 0;     // tests: every batch of this size (rounded to tiles); 0 = adaptive
   unsigned strikes = 3;            // failures of one range on different workers before the stage fails; failures of
-                                   // one worker in a row before it is put aside
+                                   // one worker in a row before it is quarantined
   Seconds solo_lease_floor = 300;  // as lease_floor, for solo stages: nobody can tell how long the first one takes
   // Another number at every start of the coordinator (below 2^32, e.g. the journal's count of starts): it leads all
   // lease ids and epochs, so that what was handed out before a restart is told from what is handed out now.
@@ -94,6 +105,10 @@ class Scheduler {
   // so that their workers can be told.
   std::vector<Lease> remove_stage(StageId stage);
 
+  // A paused stage hands out nothing; leases that are out may still finish.
+  void pause(StageId stage);
+  void resume(StageId stage);
+
   // One that is there already starts afresh: as if it had been lost before.
   void worker_joined(WorkerId worker, Seconds now);
   // The worker's leases go back to the pool at once, and what it was known to do is forgotten.
@@ -107,13 +122,14 @@ class Scheduler {
   std::optional<Lease> next_lease(WorkerId worker, Seconds now);
   // A batch's result. `seconds` is the worker's own measure of the batch.
   ResultOutcome result(WorkerId worker, LeaseId lease, Epoch epoch, Seconds seconds, Seconds now);
-  // The worker could not do it: the items go back, preferably to another worker.
-  FailureOutcome failed(WorkerId worker, LeaseId lease, Epoch epoch, Seconds now);
+  // The worker could not do it: the items go back, preferably to another worker. `blameless`: for no fault of the items
+  // or of the worker, so that it is no strike against either.
+  FailureOutcome failed(WorkerId worker, LeaseId lease, Epoch epoch, Seconds now, bool blameless = false);
   // Leases that ran out by `now`, and those that waited behind a batch that takes far longer than it should: their
   // items are in the pool again, their epochs are stale, their workers can be told.
   std::vector<Lease> expire(Seconds now);
-  // When expire() has something to do next: a lease runs out, a worker that was put aside may work again, a solo stage
-  // gives up on its preferred workers. None = never. Call expire() then, though it may return no lease.
+  // When expire() has something to do next: a lease runs out, a worker that was quarantined may work again, a solo
+  // stage gives up on its preferred workers. None = never. Call expire() then, though it may return no lease.
   std::optional<Seconds> next_expiry() const;
 
   bool complete(StageId stage) const;  // every item accepted

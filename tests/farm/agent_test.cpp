@@ -5,12 +5,11 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <condition_variable>
 #include <fstream>
 #include <nlohmann/json.hpp>
-#include <set>
 
 #include "scene/model/error.h"
+#include "tests/farm/fake_runner.h"
 #include "tests/farm/wire_farm.h"
 
 namespace gleaner::test {
@@ -19,97 +18,6 @@ namespace {
 using coordinator::JobState;
 using coordinator::JobStatus;
 using testing::HasSubstr;
-
-// What a test sees of its devices, and how it holds them up.
-struct Stage {
-  std::atomic<int> scenes_loaded{0}, batches{0};
-  std::atomic<bool> fail{false};
-  std::mutex mutex;
-  std::condition_variable opened;
-  bool open = true;
-
-  void set_open(bool is_open) {
-    std::lock_guard lock(mutex);
-    open = is_open;
-    opened.notify_all();
-  }
-  void pass() {
-    std::unique_lock lock(mutex);
-    opened.wait(lock, [&] { return open; });
-  }
-};
-
-class FakeRunner final : public worker::Runner {
- public:
-  explicit FakeRunner(Stage& stage) : stage_(stage) {
-    info_.name = "arithmetic";
-    info_.tracer = "none";
-  }
-  const worker::DeviceInfo& info() const override { return info_; }
-  bool needs_bvh() const override { return false; }
-  bool holds_scene(const std::string& id) const override { return scenes_.count(id) != 0; }
-  void load_scene(const std::string& id, std::shared_ptr<const scene::Scene> scene,
-                  std::shared_ptr<const scene::Bvh>) override {
-    if (scene->triangle_count() != 1) throw Error::failed("another scene");
-    scenes_.insert(id);
-    ++stage_.scenes_loaded;
-  }
-  worker::BatchResult run(const worker::StageTask& task, std::uint64_t first, std::uint64_t count) override {
-    ++stage_.batches;
-    stage_.pass();
-    if (stage_.fail) throw Error::failed("the device is on fire");
-    if (!scenes_.count(task.scene)) throw Error::failed("no scene");
-    worker::BatchResult result;
-    if (task.kind == "fake-scatter")
-      result.records = fake_scatter(values_of<std::uint64_t>(task.parameters).at(0), first, count);
-    else
-      result.records = fake_gather(*task.inputs.at("hashes").load(), first, count);
-    result.counters.camera_rays = count;
-    return result;
-  }
-
- private:
-  Stage& stage_;
-  worker::DeviceInfo info_;
-  std::set<std::string> scenes_;
-};
-
-// A worker on a thread of its own.
-class RunningAgent {
- public:
-  RunningAgent(std::shared_ptr<grpc::Channel> channel, Stage& stage, const std::string& name, bool reconnect = true)
-      : agent_(std::move(channel), std::make_unique<FakeRunner>(stage), settings(name, reconnect)), thread_([this] {
-          try {
-            agent_.run();
-          } catch (const std::exception& error) {
-            error_ = error.what();
-          }
-          ended_ = true;
-        }) {}
-  ~RunningAgent() { stop(); }
-  void stop() {
-    agent_.stop();
-    if (thread_.joinable()) thread_.join();
-  }
-  void ask_to_stop() { agent_.stop(); }
-  bool ended() const { return ended_; }
-  std::string error() {
-    if (thread_.joinable()) thread_.join();
-    return error_;
-  }
-
- private:
-  static worker::AgentSettings settings(const std::string& name, bool reconnect) {
-    worker::AgentSettings agent;
-    agent.name = name;
-    agent.reconnect = reconnect;
-    return agent;
-  }
-  worker::Agent agent_;
-  std::atomic<bool> ended_{false};
-  std::string error_;
-  std::thread thread_;
-};
 
 class FarmAgent : public testing::Test {
  protected:

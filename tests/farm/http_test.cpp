@@ -78,6 +78,9 @@ class Http : public testing::Test {
     }
     void revoke(const coordinator::Lease&) override {}
     void drain() override {}
+    void release(const std::vector<coordinator::ArtifactId>&) override {}
+    void drop_part(const coordinator::ArtifactId&, std::uint64_t, const std::string&) override {}
+    void send_part(std::uint64_t, const coordinator::PartRange&) override {}
     void close(const std::string&) override {}
     coordinator::Lease last;
     int leases = 0;

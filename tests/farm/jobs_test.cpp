@@ -303,7 +303,11 @@ TEST_F(FarmJobs, APreviewThatIsNotDrawnTakesNoMemory) {
 
 TEST_F(FarmJobs, AnOversizedRecordDoesNotDriveOutAllOthers) {
   KeptRecords kept(100);
-  const auto record = [](std::size_t bytes) { return std::make_shared<const Bytes>(bytes); };
+  const auto record = [](std::size_t bytes) {
+    ArtifactData data;
+    data.records = std::make_shared<const Bytes>(bytes);
+    return std::make_shared<const ArtifactData>(std::move(data));
+  };
   kept.put("small", record(20));
   kept.put("large", record(90));
   EXPECT_FALSE(kept.find("large"));

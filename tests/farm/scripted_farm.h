@@ -40,6 +40,9 @@ class ScriptedWorker final : public WorkerSession {
     std::erase_if(offered_, [&](const Offered& offer) { return offer.lease.epoch == lease.epoch; });
   }
   void drain() override { drained = true; }
+  void release(const std::vector<ArtifactId>&) override {}
+  void drop_part(const ArtifactId&, std::uint64_t, const std::string&) override {}
+  void send_part(std::uint64_t, const PartRange&) override {}
   void close(const std::string& reason) override {
     std::lock_guard lock(mutex_);
     closed_ = reason;

@@ -548,14 +548,14 @@ TEST_F(Wire, RandomBytesDoNotHurt) {
 // Streams of workers that are slow, each on a farm of its own.
 class SlowWorker : public testing::Test {
  protected:
-  // Says hello; the stream is open then.
+  // Says hello. Where all places are taken, the stream may end before that is written: who joins looks for its welcome.
   auto join(WireFarm& farm, ClientContext& context) {
     context.set_deadline(std::chrono::system_clock::now() + std::chrono::seconds(60));
     auto stream = pb::WorkerHub::NewStub(farm.socket_channel())->Work(&context);
     pb::WorkerMessage hello;
     hello.mutable_hello()->set_name("slow");
     hello.mutable_hello()->set_protocol(gateway::protocol_version);
-    EXPECT_TRUE(stream->Write(hello));
+    stream->Write(hello);
     return stream;
   }
 

@@ -22,7 +22,7 @@ constexpr const char* kText = R"CL(
 #include "kernels/sampling.h"
 #include "kernels/path_records.h"
 
-// As path_generate makes it of seed, pixel and sequence.
+// As camera_generate makes it of seed, pixel and sequence.
 FN vu key_of(uint seed, vu pixel, vu sequence) {
   return hash_combine(hash_combine(hash_combine((vu)seed, (vu)0u), pixel), sequence);
 }
@@ -255,8 +255,8 @@ TEST_P(Sampling, StreamsAreDisjoint) {
   EXPECT_LT(static_cast<double>(collisions), expected + 5 * std::sqrt(2 * expected));
 }
 
-// path_generate's keys are those tested here; chunks go by turns to two sequences, and no two chunks of a pixel share a
-// sample.
+// camera_generate's keys are those tested here; chunks go by turns to two sequences, and no two chunks of a pixel share
+// a sample.
 TEST_P(Sampling, TheTracerUsesTheseKeys) {
   constexpr std::uint32_t width = 4, height = 2, pixels = width * height, samples = 2;
   // As many as two pairs of sequences hold, and one more.
@@ -273,7 +273,7 @@ TEST_P(Sampling, TheTracerUsesTheseKeys) {
   p.seed_low = 21;
   p.items_low = pixels * chunks;
   cl::Program program = bench_.build("#include \"kernels/path.cl\"\n");
-  cl::Kernel generate(program, "path_generate");
+  cl::Kernel generate(program, "camera_generate");
   cl::Buffer parameters = bench_.buffer(std::vector<kernels::PathParameters>{p});
   cl::Buffer paths = bench_.space(count * PATH_ROWS), slots = bench_.space((count + 1) * SLOT_WORDS);
   cl::Buffer nothing = bench_.space(4);

@@ -126,12 +126,10 @@ inline std::string load(worker::Executor& on, const std::shared_ptr<const Scene>
   return id;
 }
 
-inline Picture shoot(const Shot& shot) {
-  worker::Executor& on = executor(shot.trace);
+// Runs a task of the shot's items.
+inline Picture run(const Shot& shot, const worker::StageTask& task) {
   const std::uint64_t items = std::uint64_t{shot.width} * shot.height * shot.chunks;
-  worker::StageTask task = task_of(parameters_of(shot), load(on, shot.scene));
-  task.inputs["items"] = list_of(shot);
-  const worker::BatchResult result = on.run(task, 0, items);
+  const worker::BatchResult result = executor(shot.trace).run(task, 0, items);
   Picture picture{shot.width, shot.height, shot.chunks, {}, {}, result.counters};
   picture.direct.resize(items * 3);
   picture.indirect.resize(items * 3);
@@ -146,6 +144,12 @@ inline Picture shoot(const Shot& shot) {
   }
   EXPECT_EQ(result.counters.nonfinite, 0u);
   return picture;
+}
+
+inline Picture shoot(const Shot& shot) {
+  worker::StageTask task = task_of(parameters_of(shot), load(executor(shot.trace), shot.scene));
+  task.inputs["items"] = list_of(shot);
+  return run(shot, task);
 }
 
 // The camera of that name, else the scene's first.

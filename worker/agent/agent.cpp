@@ -14,10 +14,15 @@
 #include <thread>
 #include <utility>
 
+#include "gleaner/kernels_build.h"
 #include "gleaner/v1/worker.grpc.pb.h"
+#include "proto/sha256.h"
 #include "scene/model/error.h"
 #include "scene/model/names.h"
 #include "worker/agent/blob_client.h"
+#include "worker/agent/input_loader.h"
+#include "worker/agent/part_client.h"
+#include "worker/agent/part_server.h"
 
 namespace gleaner::worker {
 
@@ -27,7 +32,9 @@ namespace {
 
 constexpr std::uint32_t protocol_version = 2;
 constexpr std::size_t piece_bytes = std::size_t{1} << 20;
+constexpr std::size_t most_facts_bytes = std::size_t{64} << 10;
 constexpr std::size_t most_unsent = 2;  // results: a device faster than the network waits
+constexpr std::chrono::milliseconds unavailable_pause{200};
 constexpr double first_backoff_seconds = 0.2, longest_backoff_seconds = 10;
 
 using Clock = std::chrono::steady_clock;
@@ -48,17 +55,66 @@ pb::Device describe(const DeviceInfo& info) {
   return device;
 }
 
-// A batch that was computed, or a message that is small.
+// A batch that was computed, or why it was not.
 struct Outgoing {
-  std::optional<pb::WorkerMessage> message;
+  std::optional<pb::Failed> failed;
   pb::Lease lease;
-  BatchResult result;
-  std::uint64_t fetched_bytes = 0;
+  BatchResult result;                      // without its records where they are retained
+  std::shared_ptr<const StoredPart> part;  // retained: what is kept
+  std::uint64_t records = 0;               // how many
+  std::uint64_t fetched_bytes = 0, peer_bytes = 0;
 };
 
 using Stream = grpc::ClientReaderWriter<pb::WorkerMessage, pb::HubMessage>;
 
+// What the stage program made must have the shape that the lease asks for. Returns the number of records.
+std::uint64_t check_result(const pb::Lease& lease, const BatchResult& result) {
+  std::uint64_t records = lease.count();
+  if (lease.counted()) {
+    if (result.counts.size() != lease.count())
+      throw Error::failed("the stage program counted the records of " + std::to_string(result.counts.size()) +
+                          " items instead of " + std::to_string(lease.count()));
+    records = 0;
+    for (const std::uint32_t count : result.counts) {
+      if (count > lease.most_records())
+        throw Error::failed("the stage program made " + std::to_string(count) +
+                            " records of an item instead of at most " + std::to_string(lease.most_records()));
+      records += count;
+    }
+  }
+  if (result.records.size() != records * lease.record_bytes())
+    throw Error::failed("the stage program made " + std::to_string(result.records.size()) + " bytes instead of " +
+                        std::to_string(records * lease.record_bytes()));
+  if (result.facts.size() > most_facts_bytes)
+    throw Error::failed("the stage program told " + std::to_string(result.facts.size()) + " bytes instead of at most " +
+                        std::to_string(most_facts_bytes));
+  return records;
+}
+
+pb::BatchCost cost_of(const Outgoing& out) {
+  const BatchCounters& counters = out.result.counters;
+  pb::BatchCost cost;
+  cost.set_seconds(counters.seconds);
+  cost.set_trace_seconds(counters.trace_seconds);
+  cost.set_kernel_seconds(counters.kernel_seconds);
+  cost.set_camera_rays(counters.camera_rays);
+  cost.set_scatter_rays(counters.scatter_rays);
+  cost.set_shadow_rays(counters.shadow_rays);
+  cost.set_nonfinite(counters.nonfinite);
+  for (std::uint64_t item : counters.nonfinite_items) cost.add_nonfinite_items(item);
+  cost.set_fetched_bytes(out.fetched_bytes);
+  cost.set_peer_bytes(out.peer_bytes);
+  return cost;
+}
+
 }  // namespace
+
+std::string usual_peers(const std::string& coordinator) {
+  const std::string host = coordinator.substr(0, coordinator.rfind(':'));
+  if (host == "localhost" || host.rfind("127.", 0) == 0) return "127.0.0.1:0";
+  if (host == "[::1]") return "[::1]:0";
+  return {};
+}
 
 std::shared_ptr<grpc::Channel> dial(const std::string& address) {
   grpc::ChannelArguments arguments;
@@ -80,8 +136,14 @@ struct Agent::Impl {
         runner(std::move(the_runner)),
         settings(std::move(the_settings)),
         stub(pb::WorkerHub::NewStub(channel)),
-        blobs(channel, settings.cache_bytes) {
+        parts(settings.parts ? settings.parts : std::make_shared<PartStore>(settings.retained_bytes)),
+        cache(std::make_shared<ByteCache>(settings.cache_bytes)),
+        blobs(channel),
+        part_client(channel, parts, cache, [this](const pb::WrongPart& wrong) { report(wrong); }),
+        inputs(blobs, part_client, cache),
+        responder(channel, parts) {
     if (!settings.log) settings.log = [](const std::string&) {};
+    if (!settings.peers.empty()) peers = std::make_unique<PeerServer>(settings.peers, parts);
   }
 
   void run() {
@@ -127,15 +189,20 @@ struct Agent::Impl {
       work_ended = false;
       leases.clear();
       outgoing.clear();
+      notes.clear();
       revoked.clear();
       connection = &context;
     }
+    // The coordinator has given up what the last connection's worker held.
+    if (!settings.parts) parts->clear();
     auto stream = stub->Work(&context);
     pb::WorkerMessage hello;
     hello.mutable_hello()->set_protocol(protocol_version);
     hello.mutable_hello()->set_name(printable(settings.name));
     *hello.mutable_hello()->mutable_device() = describe(runner->info());
     hello.mutable_hello()->set_needs_bvh(runner->needs_bvh());
+    hello.mutable_hello()->set_kernels_build(kernels_build());
+    if (peers) hello.mutable_hello()->set_peer_address(peers->address());
     pb::HubMessage message;
     if (stream->Write(hello) && stream->Read(&message) && message.has_welcome()) {
       {
@@ -143,7 +210,11 @@ struct Agent::Impl {
         welcomed = true;
         heartbeat_seconds = std::clamp(message.welcome().heartbeat_seconds(), 0.1, 60.0);
       }
-      settings.log("connected as " + message.welcome().worker());
+      part_client.connected(message.welcome().token());
+      responder.connected(message.welcome().token());
+      if (peers) peers->connected(message.welcome().token());
+      settings.log("connected as " + message.welcome().worker() +
+                   (peers ? "; other workers reach it at " + peers->address() : ""));
       std::thread executor([&] { execute(); });
       std::thread sender([&] { send(*stream); });
       while (stream->Read(&message)) obey(message);
@@ -178,11 +249,39 @@ struct Agent::Impl {
         case pb::HubMessage::kDrain:
           drained = true;
           break;
+        case pb::HubMessage::kRelease:
+          release(message.release());
+          break;
+        case pb::HubMessage::kSendPart:
+          responder.answer(message.send_part());
+          break;
         default:
           break;  // a newer coordinator may say more than this worker knows
       }
     }
     changed.notify_all();
+  }
+
+  void release(const pb::Release& what) {
+    for (const std::string& artifact : what.artifacts())
+      if (what.digest().empty())
+        parts->drop(artifact);
+      else
+        parts->drop(artifact, what.first(), what.digest());
+  }
+
+  void report(const pb::WrongPart& wrong) {
+    settings.log("artifact " + wrong.artifact() + ": worker " + wrong.holder() + " sent bytes of another digest");
+    {
+      std::lock_guard lock(mutex);
+      *notes.emplace_back().mutable_wrong_part() = wrong;
+    }
+    changed.notify_all();
+  }
+
+  // A result that nobody wants.
+  void drop(const Outgoing& out) {
+    if (out.part) parts->drop(out.lease.artifact(), out.lease.first(), out.part->digest());
   }
 
   // The executor's thread: one lease after another.
@@ -208,56 +307,73 @@ struct Agent::Impl {
       lock.unlock();
       Outgoing done = run_lease(std::move(lease));
       lock.lock();
-      if (revoked.erase(done.lease.epoch()) == 0) outgoing.push_back(std::move(done));
+      // Whoever held the input may just have been lost: the coordinator is about to notice.
+      if (done.failed && done.failed->input_unavailable())
+        changed.wait_for(lock, unavailable_pause, [&] { return connection_ended || stopping; });
+      if (revoked.erase(done.lease.epoch()) == 0)
+        outgoing.push_back(std::move(done));
+      else
+        drop(done);
       changed.notify_all();
     }
   }
 
   Outgoing run_lease(pb::Lease lease) {
     Outgoing out;
-    std::uint64_t fetched_before = blobs.fetched_bytes();
+    const std::uint64_t fetched_before = blobs.fetched_bytes(), peer_before = part_client.peer_bytes();
     std::string failure;
+    bool unavailable = false;
     try {
-      StageTask task;
-      task.kind = lease.kind();
-      auto parameters = std::as_bytes(std::span(lease.parameters()));
-      task.parameters.assign(parameters.begin(), parameters.end());
-      task.scene = lease.scene_blob();
-      prepare_scene(lease);
-      for (const pb::StageInput& input : lease.inputs()) {
-        TaskInput& to = task.inputs[input.name()];
-        to = TaskInput(blobs.fetch_and_keep(input.artifact()));
-        to.artifact = input.artifact();
-      }
-      Clock::time_point begin = Clock::now();
-      out.result = runner->run(task, lease.first(), lease.count());
-      // The device's own clock leaves out what comes once, such as the kernels' compilation.
-      if (!(out.result.counters.seconds > 0)) out.result.counters.seconds = seconds_since(begin);
+      out.result = run_stage(lease);
+      out.records = check_result(lease, out.result);
+      if (lease.retain())
+        out.part = parts->put(lease.artifact(), lease.first(), lease.count(), out.result.counts,
+                              std::exchange(out.result.records, {}));
+    } catch (const Error& error) {
+      failure = error.what();
+      unavailable = error.kind() == ErrorKind::connection;
     } catch (const std::exception& error) {
       failure = error.what();
     }
     out.fetched_bytes = blobs.fetched_bytes() - fetched_before;
+    out.peer_bytes = part_client.peer_bytes() - peer_before;
     if (!failure.empty()) {
       settings.log("stage " + lease.stage() + ", items " + std::to_string(lease.first()) + " to " +
                    std::to_string(lease.first() + lease.count() - 1) + ": " + failure);
-      out.message.emplace();
-      out.message->mutable_failed()->set_lease(lease.lease());
-      out.message->mutable_failed()->set_epoch(lease.epoch());
-      out.message->mutable_failed()->set_message(printable(failure.substr(0, 4096)));
+      out.failed.emplace();
+      out.failed->set_lease(lease.lease());
+      out.failed->set_epoch(lease.epoch());
+      out.failed->set_message(printable(failure.substr(0, 4096)));
+      out.failed->set_input_unavailable(unavailable);
     }
     out.lease = std::move(lease);
     return out;
   }
 
+  BatchResult run_stage(const pb::Lease& lease) {
+    StageTask task;
+    task.kind = lease.kind();
+    auto parameters = std::as_bytes(std::span(lease.parameters()));
+    task.parameters.assign(parameters.begin(), parameters.end());
+    task.scene = lease.scene_blob();
+    prepare_scene(lease);
+    for (const pb::StageInput& input : lease.inputs()) task.inputs[input.name()] = inputs.load(input, lease);
+    Clock::time_point begin = Clock::now();
+    BatchResult result = runner->run(task, lease.first(), lease.count());
+    // The device's own clock leaves out what comes once, such as the kernels' compilation.
+    if (!(result.counters.seconds > 0)) result.counters.seconds = seconds_since(begin);
+    return result;
+  }
+
   void prepare_scene(const pb::Lease& lease) {
     const std::string& id = lease.scene_blob();
     if (runner->holds_scene(id)) return;
-    auto scene = std::make_shared<const scene::Scene>(scene::parse_scene(*blobs.fetch(id), "scene blob " + id));
+    auto scene = std::make_shared<const scene::Scene>(scene::parse_scene(*inputs.blob(id), "scene blob " + id));
     std::shared_ptr<const scene::Bvh> bvh;
     if (runner->needs_bvh()) {
       if (lease.bvh_blob().empty()) throw Error::failed("this worker traces in OpenCL, and the job came without a BVH");
       bvh = std::make_shared<const scene::Bvh>(
-          scene::parse_bvh(*blobs.fetch(lease.bvh_blob()), scene->triangle_count(), "BVH blob " + lease.bvh_blob()));
+          scene::parse_bvh(*inputs.blob(lease.bvh_blob()), scene->triangle_count(), "BVH blob " + lease.bvh_blob()));
     }
     runner->load_scene(id, std::move(scene), std::move(bvh));
   }
@@ -268,12 +384,15 @@ struct Agent::Impl {
     std::unique_lock lock(mutex);
     for (;;) {
       bool something = changed.wait_for(lock, std::chrono::duration<double>(heartbeat_seconds), [&] {
-        return connection_ended || !outgoing.empty() || work_ended || (stopping && !said_leaving);
+        return connection_ended || !outgoing.empty() || !notes.empty() || work_ended || (stopping && !said_leaving);
       });
       if (connection_ended) return;
       pb::WorkerMessage message;
       if (!something) {
         message.mutable_heartbeat();
+      } else if (!notes.empty()) {
+        message = std::move(notes.front());
+        notes.pop_front();
       } else if (stopping && !said_leaving) {
         said_leaving = true;
         message.mutable_leaving();
@@ -281,9 +400,10 @@ struct Agent::Impl {
         Outgoing out = std::move(outgoing.front());
         outgoing.pop_front();
         bool wanted = revoked.erase(out.lease.epoch()) == 0;
+        if (!wanted) drop(out);
         lock.unlock();
         changed.notify_all();
-        if (wanted && !(out.message ? stream.Write(*out.message) : send_result(stream, out))) return;
+        if (wanted && !send_outgoing(stream, out)) return;
         lock.lock();
         continue;
       } else {  // all work is done and sent
@@ -297,30 +417,42 @@ struct Agent::Impl {
     }
   }
 
+  static bool send_outgoing(Stream& stream, const Outgoing& out) {
+    if (!out.failed) return send_result(stream, out);
+    pb::WorkerMessage message;
+    *message.mutable_failed() = *out.failed;
+    return stream.Write(message);
+  }
+
   static bool send_result(Stream& stream, const Outgoing& out) {
-    const scene::Bytes& records = out.result.records;
     pb::WorkerMessage message;
     pb::Result& piece = *message.mutable_result();
     piece.set_lease(out.lease.lease());
     piece.set_epoch(out.lease.epoch());
+    if (out.part) {
+      piece.mutable_part()->set_bytes(out.part->bytes());
+      piece.mutable_part()->set_records(out.records);
+      piece.mutable_part()->set_digest(out.part->digest());
+      piece.mutable_part()->set_artifact(out.lease.artifact());
+      piece.mutable_part()->set_first(out.lease.first());
+      piece.mutable_part()->set_items(out.lease.count());
+    }
+    // The image: counts (of a fixed stride there are none), then records. A retained one has gone into its part.
+    const std::span<const std::byte> counts = std::as_bytes(std::span(out.result.counts));
+    const std::span<const std::byte> records = out.result.records;
+    const std::size_t total = out.part ? 0 : counts.size() + records.size();
     for (std::size_t offset = 0;;) {
-      std::size_t bytes = std::min(piece_bytes, records.size() - offset);
+      const bool in_counts = offset < counts.size();
+      const auto rest =
+          in_counts ? counts.subspan(offset) : records.subspan(std::min(records.size(), offset - counts.size()));
+      const auto now = rest.first(std::min({piece_bytes, rest.size(), total - offset}));
       piece.set_offset(offset);
-      piece.set_records(records.data() + offset, bytes);
-      offset += bytes;
-      bool last = offset == records.size();
+      piece.set_records(now.data(), now.size());
+      offset += now.size();
+      const bool last = offset == total;
       if (last) {
-        const BatchCounters& counters = out.result.counters;
-        pb::BatchCost& cost = *piece.mutable_cost();
-        cost.set_seconds(counters.seconds);
-        cost.set_trace_seconds(counters.trace_seconds);
-        cost.set_kernel_seconds(counters.kernel_seconds);
-        cost.set_camera_rays(counters.camera_rays);
-        cost.set_scatter_rays(counters.scatter_rays);
-        cost.set_shadow_rays(counters.shadow_rays);
-        cost.set_nonfinite(counters.nonfinite);
-        for (std::uint64_t item : counters.nonfinite_items) cost.add_nonfinite_items(item);
-        cost.set_fetched_bytes(out.fetched_bytes);
+        *piece.mutable_cost() = cost_of(out);
+        piece.set_facts(out.result.facts.data(), out.result.facts.size());
       }
       if (!stream.Write(message)) return false;
       if (last) return true;
@@ -342,7 +474,13 @@ struct Agent::Impl {
   std::unique_ptr<Runner> runner;
   AgentSettings settings;
   std::unique_ptr<pb::WorkerHub::Stub> stub;
-  BlobClient blobs;  // the executor's thread
+  std::shared_ptr<PartStore> parts;
+  std::shared_ptr<ByteCache> cache;
+  BlobClient blobs;
+  PartClient part_client;
+  InputLoader inputs;                 // the executor's thread
+  std::unique_ptr<PeerServer> peers;  // null: nobody reaches this worker
+  PartResponder responder;
 
   std::mutex mutex;  // guards what follows
   std::condition_variable changed;
@@ -352,7 +490,8 @@ struct Agent::Impl {
   grpc::ClientContext* connection = nullptr;
   std::deque<pb::Lease> leases;  // not begun
   std::deque<Outgoing> outgoing;
-  std::set<std::uint64_t> revoked;  // epochs of what was already begun
+  std::deque<pb::WorkerMessage> notes;  // short ones, which go before results
+  std::set<std::uint64_t> revoked;      // epochs of what was already begun
 };
 
 Agent::Agent(std::shared_ptr<grpc::Channel> channel, std::unique_ptr<Runner> runner, AgentSettings settings)

@@ -10,16 +10,27 @@
 #include <string>
 
 #include "worker/agent/runner.h"
+#include "worker/artifacts/part_store.h"
 
 namespace gleaner::worker {
 
 struct AgentSettings {
   std::string name;                                    // 1 to 64 of [A-Za-z0-9._-]
-  std::uint64_t cache_bytes = std::uint64_t{2} << 30;  // artifacts that are kept
-  std::function<void(const std::string&)> log;         // one line each; empty: silence
-  bool reconnect = true;                               // dial again when the connection is lost
-  double give_up_seconds = 0;                          // without a connection for so long: run() throws; 0 = never
+  std::uint64_t cache_bytes = std::uint64_t{2} << 30;  // of what was fetched and may be read again, all kinds together
+  // Of the parts that this worker retains, those in memory; what does not fit lies in temporary files.
+  std::uint64_t retained_bytes = std::uint64_t{1} << 30;
+  // Null: the worker has a store of its own. Workers of one process share one, and read each other's parts where they
+  // lie.
+  std::shared_ptr<PartStore> parts;
+  std::string peers;  // HOST:PORT on which other workers may fetch its parts; empty: through the coordinator alone
+  std::function<void(const std::string&)> log;  // one line each; empty: silence
+  bool reconnect = true;                        // dial again when the connection is lost
+  double give_up_seconds = 0;                   // without a connection for so long: run() throws; 0 = never
 };
+
+// Where a worker listens for others if nobody says: at any free port of loopback where the coordinator is there too
+// (all on one machine), else nowhere (empty).
+std::string usual_peers(const std::string& coordinator);
 
 // A channel to a coordinator that notices a dead connection within half a minute.
 std::shared_ptr<grpc::Channel> dial(const std::string& address);

@@ -1,11 +1,11 @@
 #include "worker/agent/blob_client.h"
 
 #include <grpcpp/client_context.h>
-#include <openssl/evp.h>
 
-#include <array>
-#include <span>
+#include <algorithm>
+#include <cstring>
 
+#include "proto/sha256.h"
 #include "scene/model/error.h"
 
 namespace gleaner::worker {
@@ -14,28 +14,23 @@ namespace pb = gleaner::v1;
 
 namespace {
 
-std::string sha256_hex(std::span<const std::byte> bytes) {
-  std::array<unsigned char, 32> digest{};
-  if (EVP_Digest(bytes.data(), bytes.size(), digest.data(), nullptr, EVP_sha256(), nullptr) != 1)
-    throw Error::failed("OpenSSL has no SHA-256");
-  std::string text;
-  for (unsigned char byte : digest) {
-    text += "0123456789abcdef"[byte >> 4];
-    text += "0123456789abcdef"[byte & 15];
+[[noreturn]] void fail(const std::string& id, const grpc::Status& status) {
+  const std::string what = "blob " + id + ": " + status.error_message();
+  switch (status.error_code()) {
+    case grpc::StatusCode::UNAVAILABLE:
+    case grpc::StatusCode::CANCELLED:
+    case grpc::StatusCode::RESOURCE_EXHAUSTED:
+      throw Error::connection(what);
+    default:
+      throw Error::failed(what);
   }
-  return text;
 }
 
 }  // namespace
 
-BlobClient::BlobClient(std::shared_ptr<grpc::Channel> channel, std::uint64_t cache_bytes)
-    : stub_(pb::WorkerHub::NewStub(channel)), cache_bytes_(cache_bytes) {}
+BlobClient::BlobClient(std::shared_ptr<grpc::Channel> channel) : stub_(pb::WorkerHub::NewStub(channel)) {}
 
 std::shared_ptr<const scene::Bytes> BlobClient::fetch(const std::string& id) {
-  if (auto found = cache_.find(id); found != cache_.end()) {
-    uses_.splice(uses_.begin(), uses_, found->second.use);
-    return found->second.blob;
-  }
   grpc::ClientContext context;
   pb::FetchBlobRequest request;
   request.set_id(id);
@@ -47,27 +42,36 @@ std::shared_ptr<const scene::Bytes> BlobClient::fetch(const std::string& id) {
     if (bytes->empty() && piece.total_bytes() <= (std::uint64_t{1} << 30)) bytes->reserve(piece.total_bytes());
     auto part = std::as_bytes(std::span(piece.data()));
     bytes->insert(bytes->end(), part.begin(), part.end());
+    fetched_bytes_ += part.size();
   }
-  if (grpc::Status status = reader->Finish(); !status.ok())
-    throw Error::failed("blob " + id + ": " + status.error_message());
-  fetched_bytes_ += bytes->size();
+  if (grpc::Status status = reader->Finish(); !status.ok()) fail(id, status);
   if (sha256_hex(*bytes) != id) throw Error::failed("blob " + id + ": the bytes that came are not those of its id");
   return bytes;
 }
 
-std::shared_ptr<const scene::Bytes> BlobClient::fetch_and_keep(const std::string& id) {
-  auto blob = fetch(id);
-  if (cache_.count(id) || blob->size() > cache_bytes_) return blob;
-  while (cached_bytes_ + blob->size() > cache_bytes_) {
-    auto oldest = cache_.find(uses_.back());
-    cached_bytes_ -= oldest->second.blob->size();
-    cache_.erase(oldest);
-    uses_.pop_back();
+void BlobClient::read(const std::string& id, std::uint64_t offset, std::span<std::byte> out) {
+  if (out.empty()) return;
+  grpc::ClientContext context;
+  pb::FetchBlobRequest request;
+  request.set_id(id);
+  request.set_offset(offset);
+  request.set_length(out.size());
+  auto reader = stub_->FetchBlob(&context, request);
+  pb::BlobPiece piece;
+  bool too_much = false;
+  while (!too_much && reader->Read(&piece)) {
+    fetched_bytes_ += piece.data().size();
+    too_much = piece.data().size() > out.size();
+    if (too_much) break;
+    std::memcpy(out.data(), piece.data().data(), piece.data().size());
+    out = out.subspan(piece.data().size());
   }
-  uses_.push_front(id);
-  cache_[id] = {blob, uses_.begin()};
-  cached_bytes_ += blob->size();
-  return blob;
+  if (too_much) context.TryCancel();
+  grpc::Status status = reader->Finish();
+  if (too_much) throw Error::failed("blob " + id + ": more bytes than were asked for");
+  if (!status.ok()) fail(id, status);
+  if (!out.empty())
+    throw Error::failed("blob " + id + ": " + std::to_string(out.size()) + " bytes less than were asked for");
 }
 
 }  // namespace gleaner::worker

@@ -1,12 +1,12 @@
 #pragma once
-// Blobs from the coordinator, checked against their ids, the last used ones kept.
+// Bytes from the coordinator: blobs, which are checked against their ids, and what lies there of a frame's artifacts.
 
 #include <grpcpp/channel.h>
 
+#include <atomic>
 #include <cstdint>
-#include <list>
-#include <map>
 #include <memory>
+#include <span>
 #include <string>
 
 #include "gleaner/v1/worker.grpc.pb.h"
@@ -14,26 +14,21 @@
 
 namespace gleaner::worker {
 
-// One thread uses it.
+// Thread-safe.
 class BlobClient {
  public:
-  BlobClient(std::shared_ptr<grpc::Channel> channel, std::uint64_t cache_bytes);
+  explicit BlobClient(std::shared_ptr<grpc::Channel> channel);
 
-  // Throws Error::failed where the coordinator does not have it, or sends other bytes than the id's.
+  // All of a blob whose id is the SHA-256 of its bytes. Throws Error::failed where the coordinator does not have it or
+  // sends other bytes than the id's, Error::connection where it cannot be asked.
   std::shared_ptr<const scene::Bytes> fetch(const std::string& id);
-  // As fetch(), and the next fetch() of it is from the cache until other blobs need its room.
-  std::shared_ptr<const scene::Bytes> fetch_and_keep(const std::string& id);
+  // Copies bytes [offset, offset + out.size()). Throws as fetch(); the bytes are taken as they come.
+  void read(const std::string& id, std::uint64_t offset, std::span<std::byte> out);
   std::uint64_t fetched_bytes() const { return fetched_bytes_; }  // so far
 
  private:
   std::unique_ptr<gleaner::v1::WorkerHub::Stub> stub_;
-  std::uint64_t cache_bytes_, cached_bytes_ = 0, fetched_bytes_ = 0;
-  struct Entry {
-    std::shared_ptr<const scene::Bytes> blob;
-    std::list<std::string>::iterator use;
-  };
-  std::map<std::string, Entry> cache_;
-  std::list<std::string> uses_;  // last used first
+  std::atomic<std::uint64_t> fetched_bytes_{0};
 };
 
 }  // namespace gleaner::worker

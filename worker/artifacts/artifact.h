@@ -15,10 +15,14 @@ class ArtifactSource {
  public:
   virtual ~ArtifactSource() = default;
   virtual std::uint64_t bytes() const = 0;
-  // Copies bytes [offset, offset + out.size()). Throws Error::failed where they cannot be had. Thread-safe.
+  // Copies bytes [offset, offset + out.size()). Throws Error::failed where there are fewer, Error::connection where
+  // they cannot be fetched (the batch is then tried again later: who catches it must throw it on). Thread-safe.
   virtual void read(std::uint64_t offset, std::span<std::byte> out) const = 0;
   // All bytes, where they lie in one piece of memory already; else empty.
   virtual std::span<const std::byte> in_memory() const { return {}; }
+
+ protected:
+  void check_range(std::uint64_t offset, std::uint64_t length) const;  // throws as read()
 };
 
 class MemoryArtifact final : public ArtifactSource {
@@ -27,6 +31,7 @@ class MemoryArtifact final : public ArtifactSource {
   std::uint64_t bytes() const override { return bytes_->size(); }
   void read(std::uint64_t offset, std::span<std::byte> out) const override;
   std::span<const std::byte> in_memory() const override { return *bytes_; }
+  const std::shared_ptr<const scene::Bytes>& shared() const { return bytes_; }
 
  private:
   std::shared_ptr<const scene::Bytes> bytes_;
@@ -48,7 +53,7 @@ struct TaskInput {
 
   std::uint64_t bytes() const { return source ? source->bytes() : 0; }
   std::span<const std::byte> in_memory() const { return source ? source->in_memory() : std::span<const std::byte>{}; }
-  // The bytes in one piece of memory, read (once) where they are not. For small inputs.
+  // The bytes in one piece of memory: where they lie, or read into a new one. For small inputs.
   std::shared_ptr<const scene::Bytes> load() const;
 };
 
