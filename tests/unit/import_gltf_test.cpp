@@ -12,6 +12,7 @@ namespace gleaner::scene {
 namespace {
 
 using nlohmann::json;
+using testing::AllOf;
 using testing::Contains;
 using testing::ElementsAre;
 using testing::FloatNear;
@@ -468,6 +469,22 @@ TEST_F(Gltf, UnknownExtensionsThatAreOnlyUsedGetAWord) {
   GltfFile file = triangle_file();
   file.json["extensionsUsed"] = {"KHR_materials_dispersion", "KHR_materials_ior"};
   EXPECT_THAT(warnings(read(file)), ElementsAre(HasSubstr("KHR_materials_dispersion")));
+}
+
+TEST_F(Gltf, BuffersWithoutDataAreInNobodysWay) {
+  GltfFile file = triangle_file();
+  const Scene s = [&] {
+    GltfFile with = file;
+    json document = json::parse(with.gltf());
+    document["buffers"].push_back({{"byteLength", 8}});
+    return import_text(folder_, "holder.gltf", document.dump());
+  }();
+  EXPECT_EQ(s.triangle_count(), 1u);
+  EXPECT_THAT(s.warnings, Contains(AllOf(HasSubstr("buffers[1]"), HasSubstr("neither a uri nor data"))));
+  // What reads from one is refused by name.
+  json document = json::parse(file.gltf());
+  document["buffers"][0].erase("uri");
+  EXPECT_THAT(refusal(folder_.write("bad.gltf", document.dump())), HasSubstr("buffers[0]"));
 }
 
 TEST_F(Gltf, WhatIsNotReadGetsAWord) {

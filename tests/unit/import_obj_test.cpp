@@ -178,9 +178,6 @@ TEST_F(Obj, BadOnesAreRefusedByLine) {
       {"mtllib ../m.mtl\n", "", {"line 1: mtllib", "inside the scene's folder"}},
       {"mtllib /etc/hostname\n", "", {"line 1: mtllib", "inside the scene's folder"}},
       {"mtllib\n", "", {"line 1: mtllib", "a file's name"}},
-      {"mtllib m.mtl\n" + kSquare + "usemtl m\nf 1 2 3\n",
-       "newmtl m\nmap_Kd none.png\n",
-       {"line 2: map_Kd", "none.png"}},
       {"mtllib m.mtl\n" + kSquare + "usemtl m\nf 1 2 3\n", "newmtl m\nmap_Kd ../t.png\n", {"line 2: map_Kd", "inside"}},
       {"mtllib m.mtl\n" + kSquare + "usemtl m\nf 1 2 3\n",
        "newmtl m\nmap_Kd ..\\..\\t.png\n",
@@ -194,6 +191,25 @@ TEST_F(Obj, BadOnesAreRefusedByLine) {
     for (const std::string& word : c.words) EXPECT_THAT(said, HasSubstr(word)) << c.text << c.mtl;
     EXPECT_THAT(said, HasSubstr("expected"));
   }
+}
+
+TEST_F(Obj, MissingTexturesAreLeftOut) {
+  folder_.write("m.mtl",
+                "newmtl a\nKd .5 .25 1\nmap_Kd none.png\nmap_Bump no/bump.png\nnewmtl b\nKd 0 0 0\nmap_Kd "
+                "C:\\art\\wood.png\nnewmtl c\nmap_Kd /art/that/is/elsewhere.png\nKe 1 2 3\nmap_Ke none.png\n"
+                "newmtl d\nKd 1 1 1\nmap_d none.png\n");
+  const std::string text =
+      "mtllib m.mtl\n" + kSquare + "usemtl a\nf 1 2 3\nusemtl b\nf 1 2 3\nusemtl c\nf 1 2 3\nusemtl d\nf 1 2 3\n";
+  const Scene s = import_text(folder_, "scene.obj", text);
+  EXPECT_TRUE(s.textures.empty());
+  EXPECT_THAT(s.warnings, Contains(AllOf(HasSubstr("line 3: map_Kd"), HasSubstr("there is no such file"))));
+  EXPECT_FLOAT_EQ(s.materials.at(0).base_color[1], 0.25f);
+  EXPECT_FLOAT_EQ(s.materials.at(1).base_color[1], 0.8f);  // not the black that the map's colours would have covered
+  EXPECT_FLOAT_EQ(s.materials.at(2).emission[2], 3);
+  EXPECT_EQ(s.materials.at(3).flags & GLEANER_MATERIAL_ALPHA_BLEND, 0u);
+  ImportOptions strict;
+  strict.strict = true;
+  EXPECT_THROW(import_scene(folder_.path("scene.obj"), strict), Error);
 }
 
 TEST_F(Obj, BadLibrariesAreRefusedByFileAndLine) {

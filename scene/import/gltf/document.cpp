@@ -241,7 +241,11 @@ void Document::read_buffers(std::span<const std::byte> binary_chunk) {
           .fail("at most " + std::to_string(kMaxFileBytes) + " bytes in all buffers", std::to_string(total));
     std::span<const std::byte> found;
     if (!uri) {
-      if (i != 0) buffer.fail("a uri", "none");
+      // Whoever exchanges such a file knows what belongs here; only what reads from it is in error.
+      if (i != 0 || binary_chunk.empty()) {
+        warnings_.add(buffer.name(), "neither a uri nor data: what reads from it is refused");
+        continue;
+      }
       found = binary_chunk;
     } else if (is_data_uri(uri->text())) {
       owned_[i] = data_uri_bytes(uri->text(), file_, uri->name());

@@ -97,6 +97,18 @@ class Textures {
   Textures(const std::string& file, TextureTable& table, Warnings& warnings)
       : file_(file), table_(table), warnings_(warnings) {}
 
+  // A map whose file is missing is left out, as a missing MTL file is. One outside the scene's folder stays an error.
+  void leave_out_missing(std::optional<TextureMap>& map) {
+    if (!map) return;
+    const std::string reference = near_scene(*map);
+    std::error_code code;
+    const bool is_elsewhere = is_absolute(reference) && !std::filesystem::exists(reference, code);
+    if (!is_elsewhere && std::filesystem::exists(resolve_reference(reference, file_, map->element, &warnings_), code))
+      return;
+    warnings_.add(map->element, "there is no such file: the material does without it");
+    map.reset();
+  }
+
   std::size_t image(const TextureMap& map) {
     const auto path = resolve_reference(near_scene(map), file_, map.element, &warnings_);
     file_bytes(path, file_, map.element);
@@ -118,10 +130,13 @@ class Textures {
   TextureTable& table() { return table_; }
 
  private:
+  static bool is_absolute(const std::string& path) {
+    return path.starts_with('/') || (path.size() > 2 && path[1] == ':' && path[2] == '/');
+  }
+
   // Absolute paths are another machine's; a file of that name may have come along beside the scene.
   std::string near_scene(const TextureMap& map) {
-    const bool has_drive = map.path.size() > 2 && map.path[1] == ':' && map.path[2] == '/';
-    if (!map.path.starts_with('/') && !has_drive) return map.path;
+    if (!is_absolute(map.path)) return map.path;
     const std::filesystem::path name = std::filesystem::path(map.path).filename();
     std::error_code code;
     if (name.empty() || !std::filesystem::exists(std::filesystem::path(file_).parent_path() / name, code))
@@ -212,10 +227,16 @@ void add_opacity(const MtlMaterial& mtl, Material& m, const std::string& where, 
 
 }  // namespace
 
-Material converted(const MtlMaterial& mtl, const std::string& file, const std::string& name, TextureTable& table,
+Material converted(const MtlMaterial& as_read, const std::string& file, const std::string& name, TextureTable& table,
                    Warnings& warnings) {
   Material m = blank_material();
   Textures textures(file, table, warnings);
+  MtlMaterial mtl = as_read;
+  for (std::optional<TextureMap>* map :
+       {&mtl.map_kd, &mtl.map_ke, &mtl.map_d, &mtl.map_roughness, &mtl.map_metallic, &mtl.map_bump, &mtl.map_normal})
+    textures.leave_out_missing(*map);
+  // A Kd of 0 with a map means the map's colours, and without its file the grey of what has none.
+  if (as_read.map_kd && !mtl.map_kd && mtl.kd && !has_color(*mtl.kd)) mtl.kd.reset();
   const std::string where = "material " + name;
   std::copy(mtl.ke.begin(), mtl.ke.end(), m.emission);
   if (mtl.map_ke) {
