@@ -148,6 +148,42 @@ TEST_F(Gltf, InterleavedAndNormalizedAttributes) {
   EXPECT_THAT(s.uvs, Pointwise(FloatNear(1e-6f), Floats{0, 1, 1, 0, 0.2f, 0}));
 }
 
+// Memory of views goes as soon as it is read: not that of views whose bytes others still need.
+TEST_F(Gltf, LargeViewsThatOverlapAreReadWhole) {
+  constexpr std::size_t count = 99999;  // whole triangles
+  GltfFile file = triangle_file();
+  struct Vertex {
+    float p[3], n[3];
+  };
+  std::vector<Vertex> vertices(count);
+  std::vector<std::uint32_t> corners(count);
+  for (std::size_t i = 0; i < count; ++i) vertices[i] = {{float(i), float(i % 7), 1}, {0, 0, 1}};
+  for (std::size_t i = 0; i < corners.size(); ++i) corners[i] = std::uint32_t(i);
+  const std::size_t view = file.add_view({reinterpret_cast<const char*>(vertices.data()), count * sizeof(Vertex)});
+  file.json["bufferViews"][view]["byteStride"] = sizeof(Vertex);
+  json shifted = file.json["bufferViews"][view];  // the same bytes from the first normal on
+  shifted["byteOffset"] = shifted["byteOffset"].get<std::size_t>() + 12;
+  shifted["byteLength"] = count * sizeof(Vertex) - 12;
+  file.json["bufferViews"].push_back(shifted);
+  for (const std::size_t v : {view, view + 1})
+    file.json["accessors"].push_back({{"bufferView", v}, {"componentType", 5126}, {"count", count}, {"type", "VEC3"}});
+  const std::size_t accessor = file.json["accessors"].size() - 2;
+  file.primitive()["attributes"]["POSITION"] = accessor;
+  file.primitive()["indices"] = file.add(corners, 5125, "SCALAR");
+  // Positions alone, then normals as well: by another primitive, after the first was read.
+  json second = file.primitive();
+  second["attributes"]["NORMAL"] = accessor + 1;
+  file.json["meshes"][0]["primitives"].push_back(second);
+  const Scene s = read(file);
+  ASSERT_EQ(s.vertex_count(), 2 * count);
+  for (std::size_t i = 0; i < count; ++i) {
+    ASSERT_EQ(s.positions[3 * i], float(i));
+    ASSERT_EQ(s.positions[3 * (count + i)], float(i));
+    ASSERT_EQ(s.normals[3 * (count + i) + 2], 1);
+  }
+  EXPECT_EQ(s.indices[corners.size() + 5], count + 5);
+}
+
 TEST_F(Gltf, SparseAccessors) {
   for (const bool has_base : {true, false}) {
     GltfFile file = triangle_file();

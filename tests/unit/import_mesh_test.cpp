@@ -198,6 +198,9 @@ TEST_F(PeoplesObj, WhatIsNotThereIsGrey) {
   EXPECT_THAT(s.materials[0].base_color, Each(0.8f));
   EXPECT_THAT(s.warnings, Contains(AllOf(HasSubstr("line 6: usemtl"), HasSubstr("\"blue\""))));
   EXPECT_THAT(s.warnings, Contains(HasSubstr("fewer than 3 corners")));
+  s = read(square_ + "f 1/1/1 2/2/2 3/3/3\n");
+  EXPECT_THAT(s.indices, ElementsAre(0, 1, 2));
+  EXPECT_THAT(s.warnings, Contains(HasSubstr("line 5: f: names texture vertices, of which the file has none")));
 }
 
 TEST_F(PeoplesObj, WhollyTransparentMaterialsAreSaid) {

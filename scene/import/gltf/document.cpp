@@ -1,5 +1,8 @@
 #include "scene/import/gltf/document.h"
 
+#include <sys/mman.h>
+#include <unistd.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -307,6 +310,27 @@ std::span<const std::byte> Document::buffer_view(const Element& reference) const
   const Element view = item("bufferViews", reference);
   if (const auto compression = view.extension("EXT_meshopt_compression")) return decompressed(view, *compression);
   return cut(view, buffers_);
+}
+
+void Document::release(std::size_t index, const std::vector<std::uint32_t>& uses) {
+  const Element view = item("bufferViews", index);
+  if (view.extension("EXT_meshopt_compression")) {
+    decompressed_.erase(view.name());
+    return;
+  }
+  constexpr std::size_t large = std::size_t(1) << 20;
+  const std::span<const std::byte> bytes = cut(view, buffers_);
+  if (bytes.size() < large) return;
+  for (std::size_t other = 0; other < uses.size(); ++other) {
+    if (uses[other] == 0 || item("bufferViews", other).extension("EXT_meshopt_compression")) continue;
+    const std::span<const std::byte> its = cut(item("bufferViews", other), buffers_);
+    if (its.data() < bytes.data() + bytes.size() && bytes.data() < its.data() + its.size()) return;
+  }
+  const auto page = static_cast<std::uintptr_t>(sysconf(_SC_PAGESIZE));
+  const auto begin = reinterpret_cast<std::uintptr_t>(bytes.data());
+  const std::uintptr_t first = (begin + page - 1) / page * page, last = (begin + bytes.size()) / page * page;
+  // The pages are anonymous memory of this process: they read as zeros from now on.
+  if (first < last) madvise(reinterpret_cast<void*>(first), last - first, MADV_DONTNEED);
 }
 
 std::span<const std::byte> Document::buffer_view(const Element& reference, std::uint64_t offset,

@@ -35,6 +35,9 @@ class Document {
 
   // The bytes of the buffer view that `reference` names, decompressed where it is compressed.
   std::span<const std::byte> buffer_view(const Element& reference) const;
+  // Gives the memory of a large view back to the system, unless it shares bytes with a view that `uses` (one number a
+  // view) still counts. Nobody reads it again.
+  void release(std::size_t view, const std::vector<std::uint32_t>& uses);
   // `count` bytes of it from `offset` on, or an error.
   std::span<const std::byte> buffer_view(const Element& reference, std::uint64_t offset, std::uint64_t count) const;
 

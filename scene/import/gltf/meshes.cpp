@@ -9,6 +9,28 @@
 namespace gleaner::scene::gltf {
 namespace {
 
+// Calls with(view) for the buffer views that a primitive's accessors name: of its corners, or of its vertices.
+template <typename With>
+void each_view(const Document& document, const Element& primitive, bool corners, const With& with) {
+  const std::size_t views = document.size("bufferViews");
+  const auto accessor = [&](const Element& reference) {
+    const Element element = document.item("accessors", reference);
+    if (const auto view = element.find("bufferView")) with(view->index(views));
+    if (const auto sparse = element.find("sparse"))
+      for (const char* part : {"indices", "values"}) with(sparse->at(part).at("bufferView").index(views));
+  };
+  if (corners) {
+    if (const auto indices = primitive.find("indices")) accessor(*indices);
+    return;
+  }
+  const auto all_of = [&](const Element& attributes) {
+    for (const auto& [name, unused] : attributes.json().items()) accessor(attributes.at(name.c_str()));
+  };
+  all_of(primitive.at("attributes"));
+  const auto targets = primitive.find("targets");
+  for (std::size_t t = 0; targets && t < targets->size(); ++t) all_of((*targets)[t]);
+}
+
 std::size_t vertex_at(const std::vector<std::uint32_t>& kept, std::size_t i) { return kept.empty() ? i : kept[i]; }
 
 // The vertices that triangles name, in order, where those are few: files may share one long accessor among many
@@ -42,6 +64,7 @@ Box Meshes::place() {
       if (size_of(document_, primitives[p]).triangles == 0) continue;
       const Primitive primitive(document_, primitives[p], weights_of(instance.node, mesh_of(instance)), draco_meshes_,
                                 warnings_);
+      count_uses(primitives[p]);
       all.enclose(box_of(primitive, instance));
     }
   }
@@ -135,6 +158,19 @@ std::vector<Matrix> Meshes::joint_matrices(const Element& skin) {
   return matrices;
 }
 
+void Meshes::count_uses(const Element& primitive) {
+  uses_of_view_.resize(document_.size("bufferViews"));
+  for (const bool corners : {false, true})
+    each_view(document_, primitive, corners, [&](std::size_t view) { ++uses_of_view_[view]; });
+}
+
+// A file's memory goes as the scene's comes.
+void Meshes::release(const Element& primitive, bool corners) {
+  each_view(document_, primitive, corners, [&](std::size_t view) {
+    if (--uses_of_view_[view] == 0) document_.release(view, uses_of_view_);
+  });
+}
+
 // Of the morph targets at rest: the node's go before the mesh's.
 std::vector<double> Meshes::weights_of(std::size_t node, const Element& mesh) const {
   std::optional<Element> weights = nodes_.node(node).find("weights");
@@ -195,7 +231,7 @@ void Meshes::add(std::optional<std::size_t> variant) {
   scene_.triangle_material.reserve(total_.triangles);
   for (const Instance& instance : instances_) add_instance(instance, variant);
   const bool all_white = std::all_of(scene_.colors.begin(), scene_.colors.end(), [](auto c) { return c == 65535; });
-  if (all_white) scene_.colors = {};
+  if (all_white) std::vector<std::uint16_t>().swap(scene_.colors);
 }
 
 void Meshes::add_instance(const Instance& instance, std::optional<std::size_t> variant) {
@@ -220,11 +256,12 @@ void Meshes::add_instance(const Instance& instance, std::optional<std::size_t> v
       warnings_.add(element.name(), "JOINTS_0 without a skin: it stands where its node does");
     const std::uint32_t material = materials_.material_of(element, variant);
     if (instance.skinned && primitive.has_joints())
-      add_primitive(primitive, material, instance, kIdentity);
+      add_primitive(primitive, material, instance, kIdentity, true);
     else if (instance.skinned)
-      add_primitive(primitive, material, {instance.node, {}, false}, nodes_.to_world(instance.node));
+      add_primitive(primitive, material, {instance.node, {}, false}, nodes_.to_world(instance.node), true);
     else
-      for (const Matrix& placement : instance.placements) add_primitive(primitive, material, instance, placement);
+      for (const Matrix& placement : instance.placements)
+        add_primitive(primitive, material, instance, placement, &placement == &instance.placements.back());
   }
   if (const std::size_t count = scene_.triangle_count() - first)
     scene_.meshes.push_back(
@@ -232,17 +269,25 @@ void Meshes::add_instance(const Instance& instance, std::optional<std::size_t> v
 }
 
 void Meshes::add_primitive(const Primitive& primitive, std::uint32_t material, const Instance& instance,
-                           const Matrix& placement) {
+                           const Matrix& placement, bool is_last) {
   const std::vector<std::uint32_t> kept = kept_vertices(primitive);
   const std::size_t count = kept.empty() ? primitive.vertices() : kept.size();
   const auto first = static_cast<std::uint32_t>(scene_.vertex_count());
+  const bool mirrored =
+      is_mirror(instance.skinned ? skinned(primitive, instance, primitive.triangle(0)[0]) : placement);
   add_vertices(primitive, kept, count, instance, placement);
   add_colors(primitive, kept, count);
   if (materials_.needs_channel(0)) add_uvs(primitive, kept, count, material, 0, scene_.uvs);
   if (materials_.needs_channel(1)) add_uvs(primitive, kept, count, material, 1, scene_.second_uvs);
-  // A transform that mirrors turns triangles inside out; swapping two corners keeps the front in front.
-  const bool mirrored =
-      is_mirror(instance.skinned ? skinned(primitive, instance, primitive.triangle(0)[0]) : placement);
+  if (is_last) release(primitive.element(), false);
+  add_triangles(primitive, kept, first, mirrored);
+  if (is_last) release(primitive.element(), true);
+  scene_.triangle_material.resize(scene_.triangle_count(), material);
+}
+
+// A transform that mirrors turns triangles inside out; swapping two corners keeps the front in front.
+void Meshes::add_triangles(const Primitive& primitive, const std::vector<std::uint32_t>& kept, std::uint32_t first,
+                           bool mirrored) {
   for (std::size_t i = 0; i < primitive.triangles(); ++i) {
     std::array<std::uint32_t, 3> corners = primitive.triangle(i);
     if (mirrored) std::swap(corners[1], corners[2]);
@@ -252,7 +297,6 @@ void Meshes::add_primitive(const Primitive& primitive, std::uint32_t material, c
       scene_.indices.push_back(first + corner);
     }
   }
-  scene_.triangle_material.resize(scene_.triangle_count(), material);
 }
 
 Matrix Meshes::skinned(const Primitive& primitive, const Instance& instance, std::size_t vertex) const {

@@ -16,7 +16,7 @@ namespace gleaner::scene::gltf {
 
 class Meshes {
  public:
-  Meshes(const Document& document, Scene& scene, Materials& materials, Nodes& nodes, Warnings& warnings)
+  Meshes(Document& document, Scene& scene, Materials& materials, Nodes& nodes, Warnings& warnings)
       : document_(document), scene_(scene), materials_(materials), nodes_(nodes), warnings_(warnings) {}
 
   // Finds what stands where, and the box around all of it in the file's coordinates.
@@ -40,8 +40,13 @@ class Meshes {
   Box box_of(const Primitive& primitive, const Instance& instance);
 
   void add_instance(const Instance& instance, std::optional<std::size_t> variant);
+  // `is_last`: the primitive's vertices are not read after this.
   void add_primitive(const Primitive& primitive, std::uint32_t material, const Instance& instance,
-                     const Matrix& placement);
+                     const Matrix& placement, bool is_last);
+  void add_triangles(const Primitive& primitive, const std::vector<std::uint32_t>& kept, std::uint32_t first,
+                     bool mirrored);
+  void count_uses(const Element& primitive);
+  void release(const Element& primitive, bool corners);
   void add_vertices(const Primitive& primitive, const std::vector<std::uint32_t>& kept, std::size_t count,
                     const Instance& instance, const Matrix& placement);
   void add_colors(const Primitive& primitive, const std::vector<std::uint32_t>& kept, std::size_t count);
@@ -49,12 +54,13 @@ class Meshes {
                std::uint32_t material, std::size_t channel, std::vector<float>& to);
   Matrix skinned(const Primitive& primitive, const Instance& instance, std::size_t vertex) const;
 
-  const Document& document_;
+  Document& document_;
   Scene& scene_;
   Materials& materials_;
   Nodes& nodes_;
   Warnings& warnings_;
   std::vector<Instance> instances_;
+  std::vector<std::uint32_t> uses_of_view_;      // by primitives that are still to be added
   PrimitiveSize total_;                          // of all instances
   std::map<std::string, Box> box_of_primitive_;  // in the mesh's space
   DracoMeshes draco_meshes_;

@@ -36,7 +36,7 @@ std::optional<std::size_t> chosen_variant(const Document& document, const std::s
 }  // namespace
 
 Scene read_gltf(const std::string& path, const ImportOptions& options, Warnings& warnings) {
-  const Document document(path, warnings);
+  Document document(path, warnings);
   if (document.size("animations") > 0) warnings.add("animations are not played: everything stands as at rest");
   Scene scene;
   const auto variant = chosen_variant(document, options.variant, scene);

@@ -412,7 +412,7 @@ class PlyReader {
              std::to_string(relative));
       scene_.positions.push_back(static_cast<float>(relative));
     }
-    points_ = {};
+    std::vector<double>().swap(points_);  // assigning {} would keep its memory
     scene_.normals.resize(scene_.positions.size());
     if (!colors_.empty()) scene_.colors = linear_colors(colors_);
     Material m = grey_material();
@@ -431,7 +431,7 @@ class PlyReader {
     std::error_code code;
     if (!std::filesystem::exists(image, code)) {
       warnings_.add(element, "there is no such file: the mesh does without it");
-      scene_.uvs = {};
+      std::vector<float>().swap(scene_.uvs);
       return;
     }
     TextureTable textures;

@@ -138,7 +138,10 @@ class ObjReader {
     for (int k = 0; k < 3; ++k) {
       const std::size_t slash = std::min(word.find('/'), word.size());
       const std::string_view part = word.substr(0, slash);
-      if (k == 0 || !part.empty()) *parts[k] = resolve(lines, part, counts[k], names[k]);
+      if (k > 0 && counts[k] == 0 && !part.empty())
+        warnings_.add(lines.here() + ": f", std::string("names ") + names[k] + ", of which the file has none");
+      else if (k == 0 || !part.empty())
+        *parts[k] = resolve(lines, part, counts[k], names[k]);
       if (slash == word.size()) return c;
       word.remove_prefix(slash + 1);
     }
@@ -226,14 +229,14 @@ class ObjReader {
         scene_.positions.push_back(static_cast<float>(relative));
       }
     }
-    vertices_ = {};
+    std::vector<double>().swap(vertices_);  // assigning {} would keep its memory
     scene_.normals.reserve(3 * uses_.size());
     constexpr float zero[3] = {};
     for (const Use& use : uses_) {
       const float* normal = use.corner.vn < 0 ? zero : &normals_[3 * static_cast<std::size_t>(use.corner.vn)];
       scene_.normals.insert(scene_.normals.end(), normal, normal + 3);
     }
-    normals_ = {};
+    std::vector<float>().swap(normals_);
     if (!colors_.empty()) add_colors();
   }
 
