@@ -112,7 +112,6 @@ def arm():
     column.modifiers.new("rig", "ARMATURE").object = rig
     rig.location = (1.2, 0.1, 0)
     rig.pose.bones["high"].rotation_mode = "XYZ"
-    rig.pose.bones["high"].rotation_euler = (0, 0, math.radians(-55))
     rig.pose.bones["high"].rotation_euler = (math.radians(50), 0, 0)
 
 
@@ -150,10 +149,13 @@ def cycles(path, samples):
 
 
 def pixels(path):
-    image = bpy.data.images.load(str(path))
-    image.colorspace_settings.name = "Non-Color"
-    a = np.array(image.pixels[:], dtype=np.float64).reshape(image.size[1], image.size[0], -1)
-    return a[::-1, :, :3]
+    """R, G, B; row 0 at the top. By Blender's own OpenImageIO: its images do not take files of many layers."""
+    beside = pathlib.Path(bpy.__file__).parents[3] / "python" / "lib"
+    sys.path.append(str(next(beside.glob("python3*/site-packages"))))
+    import OpenImageIO as oiio
+    buffer = oiio.ImageBuf(str(path))
+    names = list(buffer.spec().channelnames)
+    return buffer.get_pixels(oiio.FLOAT)[:, :, [names.index(c) for c in "RGB"]].astype(np.float64)
 
 
 def write_png(path, rgb):
