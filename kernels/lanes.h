@@ -76,7 +76,8 @@ FN void transpose16(float16* x) {
   STEP(2, 3)
   STEP(4, 5)
   STEP(6, 7)
-  STEP(8, 9) STEP(10, 11) STEP(12, 13) STEP(14, 15)
+  STEP(8, 9)
+  STEP(10, 11) STEP(12, 13) STEP(14, 15)
 #undef STEP
 #define STEP(i, j) SHUFFLE_PAIR(x, i, j, LOW_2, HIGH_2)
       STEP(0, 2) STEP(1, 3) STEP(4, 6) STEP(5, 7) STEP(8, 10) STEP(9, 11) STEP(12, 14) STEP(13, 15)
