@@ -12,6 +12,7 @@
 #include "cli/commands.h"
 #include "cli/embedded.h"
 #include "cli/frame_options.h"
+#include "cli/kernel_compiler.h"
 #include "cli/progress.h"
 #include "cli/signals.h"
 #include "scene/bvh/build.h"
@@ -64,6 +65,7 @@ int render(const RenderOptions& options) {
   settings.workers = options.workers;
   settings.device.device = options.device;
   settings.device.trace = worker::parse_trace_kind(options.trace);
+  settings.device.compiler = kernel_compiler();
   settings.batch_items = options.batch_items;
 
   Signals signals;
