@@ -36,7 +36,7 @@ items_done() { gleaner show "$1" --json | grep -o '"items_done":[0-9]*' | awk -F
 has_begun() { (($(items_done "$1") > 0)); }
 health_is() { [[ $(inspect "$coordinator" '{{.State.Health.Status}}') == "$1" ]]; }
 main_pid() { inspect "$1" '{{.State.Pid}}'; }
-logged() { docker logs "$1" 2>&1 | grep -q -- "$2"; }
+logged() { [[ $(docker logs "$1" 2>&1) == *"$2"* ]]; }
 frame() { printf '%s ' "$place/box.glb" --size 256x256 --spp "$1" --seed 7; }
 # The same frame in one process inside one container.
 alone() { # alone SPP
