@@ -42,12 +42,14 @@ TEST_F(RetainedProcesses, AKilledHolderCostsTimeAndNoByte) {
   EXPECT_LT(again, blocks) << "and nothing else";
   EXPECT_GT(outcome.peers, artifact_bytes / 2);
   EXPECT_LT(outcome.uploaded + outcome.downloaded, artifact_bytes / 100) << "the coordinator sees sums alone";
-  // A part of a 4 MiB batch in flight and gRPC's buffers beside the two bounds: far less than a worker's share of the
-  // artifact, which it would hold if nothing were bounded.
+#ifndef __SANITIZE_ADDRESS__
+  // The two bounds, some batches of 4 MiB and gRPC's buffers: less than half of the artifact, which the one that reads
+  // all of it would hold if it were not read in ranges.
   for (const auto& [process, peak] : outcome.peak_bytes) {
     RecordProperty(process + "_peak_mib", static_cast<int>(peak / mebibyte));
-    EXPECT_LT(peak, 112 * mebibyte) << process;
+    EXPECT_LT(peak, 100 * mebibyte) << process;
   }
+#endif
 }
 
 TEST_F(RetainedProcesses, WorkersThatCannotReachEachOtherReadThroughTheCoordinator) {
