@@ -7,6 +7,7 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 
+#include "cli/kernel_compiler.h"
 #include "cli/program.h"
 #include "cli/signals.h"
 #include "gleaner/version.h"
@@ -44,6 +45,7 @@ int work(const WorkerOptions& options) {
   worker::DeviceChoice choice;
   choice.device = options.device;
   choice.threads = options.threads;
+  choice.compiler = kernel_compiler();
   choice.trace = worker::parse_trace_kind(options.trace);
   auto runner = worker::open_device(choice);
   log->info("device " + runner->info().name + ", traces with " + runner->info().tracer);
@@ -72,6 +74,7 @@ int work(const WorkerOptions& options) {
 
 int main(int argc, char** argv) {
   using namespace gleaner::cli;
+  if (served_as_kernel_compiler(argc, argv)) return 0;
   silence_grpc();
   CLI::App app{"Runs a farm's batches on one OpenCL device", "gleaner-worker"};
   app.set_version_flag("--version", std::string("gleaner-worker ") + gleaner::version);

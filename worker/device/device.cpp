@@ -90,6 +90,9 @@ std::uint64_t fingerprint(std::uint64_t hash, std::string_view text) {
   return hash;
 }
 
+// Processes that compile beside this one, at most.
+constexpr unsigned kMostCompilers = 4;
+
 std::filesystem::path cache_folder() {
   if (const char* folder = std::getenv("GLEANER_CACHE")) return folder;
   if (const char* folder = std::getenv("XDG_CACHE_HOME")) return std::filesystem::path(folder) / "gleaner";
@@ -115,6 +118,13 @@ void flatten(const std::string& file, std::set<std::string>& seen, std::string& 
     return;
   }
   throw Error::failed("no kernel source named " + file);
+}
+
+std::string program_text(const std::string& file) {
+  std::string text;
+  std::set<std::string> seen;
+  flatten(file, seen, text);
+  return text;
 }
 
 }  // namespace
@@ -172,6 +182,51 @@ Device::Device(const DeviceChoice& choice) {
   if (choice.trace != TraceKind::automatic) info_.trace = choice.trace;
   info_.tracer = tracer_description(info_.trace);
   context_ = cl::Context(device_);
+  // Beside this process: one a further core, of which more than a few find nothing to do.
+  const unsigned others = std::min(info_.threads ? info_.threads - 1 : 0, kMostCompilers);
+  if (info_.platform == kPoclPlatform && !choice.compiler.empty() && others > 0)
+    compilers_ = std::make_unique<KernelCompilers>(
+        choice.compiler, info_.index, others,
+        [this](const std::string& file, const std::string& options) { remember_compiled(file, options); });
+}
+
+namespace {
+
+std::vector<std::string> kernel_names(const KernelDeclarations& kernels) {
+  std::vector<std::string> names;
+  for (auto one = kernels.begin(); one != kernels.end(); one = kernels.upper_bound(one->first))
+    names.push_back(one->first);
+  return names;
+}
+
+}  // namespace
+
+void Device::compile_ahead(const std::string& file, const std::string& options) const {
+  if (!compilers_ || was_compiled(file, options)) return;
+  compilers_->ask(file, options, kernel_names(parse_kernels(program_text(file), file)));
+}
+
+// An empty file in our cache folder stands for a program of which PoCL's holds every kernel. Where PoCL's has been
+// emptied since, this process compiles alone once more.
+std::filesystem::path Device::compiled_mark(const std::string& file, const std::string& options) const {
+  const std::filesystem::path folder = cache_folder();
+  if (folder.empty()) return {};
+  const char* pocl = std::getenv("POCL_CACHE_DIR");
+  return folder / (build_name(program_text(file), options + (pocl ? pocl : "")) + ".compiled");
+}
+
+bool Device::was_compiled(const std::string& file, const std::string& options) const {
+  std::error_code ignored;
+  const auto mark = compiled_mark(file, options);
+  return !mark.empty() && std::filesystem::exists(mark, ignored);
+}
+
+void Device::remember_compiled(const std::string& file, const std::string& options) const {
+  const auto mark = compiled_mark(file, options);
+  if (mark.empty()) return;
+  std::error_code ignored;
+  std::filesystem::create_directories(mark.parent_path(), ignored);
+  std::ofstream touched(mark);
 }
 
 cl::Buffer Device::make_buffer(std::size_t bytes, cl_mem_flags flags) const {
@@ -184,11 +239,11 @@ Program Device::build(const std::string& file, const std::string& options) const
   auto [program, fresh] = programs_.try_emplace(file + " " + options);
   if (fresh) {
     try {
-      std::string text;
-      std::set<std::string> seen;
-      flatten(file, seen, text);
-      program->second = {file, compile(file, text, options),
-                         std::make_shared<const KernelDeclarations>(parse_kernels(text, file))};
+      const std::string text = program_text(file);
+      const auto kernels = std::make_shared<const KernelDeclarations>(parse_kernels(text, file));
+      if (compilers_) compilers_->claim(file, options);
+      program->second = {file, options, compile(file, text, options), kernels};
+      if (compilers_ && !was_compiled(file, options)) compilers_->ask_kernels(file, options, kernel_names(*kernels));
     } catch (...) {
       programs_.erase(program);
       throw;
@@ -197,19 +252,24 @@ Program Device::build(const std::string& file, const std::string& options) const
   return program->second;
 }
 
+// Names what this device's driver makes of a program.
+std::string Device::build_name(const std::string& text, const std::string& options) const {
+  std::uint64_t hash = 0xcbf29ce484222325ull;
+  for (const std::string& part : {info_.platform, info_.name, info_.driver, info_.version, options, text})
+    hash = fingerprint(fingerprint(hash, part), std::string_view("\0", 1));
+  char name[40];
+  std::snprintf(name, sizeof name, "%016llx", static_cast<unsigned long long>(hash));
+  return name;
+}
+
 cl::Program Device::compile(const std::string& file, const std::string& text, const std::string& options) const {
   const std::string all_options = "-cl-std=CL1.2 " + options;
-  std::uint64_t hash = 0xcbf29ce484222325ull;
-  for (const std::string& part : {info_.platform, info_.name, info_.driver, info_.version, all_options, text})
-    hash = fingerprint(fingerprint(hash, part), std::string_view("\0", 1));
   std::filesystem::path cached;
   // PoCL has a cache of its own. To be asked for a binary makes it compile every kernel once more, for a launch that
   // never comes: half of a first frame's wait.
   const bool keeps_its_own = info_.platform == kPoclPlatform;
   if (auto folder = cache_folder(); !folder.empty() && !keeps_its_own) {
-    char name[40];
-    std::snprintf(name, sizeof name, "%016llx.clbin", static_cast<unsigned long long>(hash));
-    cached = folder / name;
+    cached = folder / (build_name(text, all_options) + ".clbin");
     std::ifstream in(cached, std::ios::binary);
     if (in) {
       std::vector<unsigned char> binary((std::istreambuf_iterator<char>(in)), {});

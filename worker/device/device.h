@@ -1,6 +1,7 @@
 #pragma once
 // One OpenCL device: its context, what it is, and the programs built for it.
 
+#include <filesystem>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -8,6 +9,7 @@
 #include <vector>
 
 #include "worker/device/device_info.h"
+#include "worker/device/kernel_compilers.h"
 #include "worker/device/kernel_profile.h"
 #include "worker/device/opencl.h"
 #include "worker/device/program.h"
@@ -34,10 +36,19 @@ class Device {
   // Thread-safe. Throws Error::failed with the compiler's log.
   Program build(const std::string& file, const std::string& options) const;
 
+  // Says that this program will be built, some time later: where the device has compilers, they begin.
+  void compile_ahead(const std::string& file, const std::string& options) const;
+  // Null where the driver keeps no compiled kernels of its own, or no other process is to compile.
+  KernelCompilers* compilers() const { return compilers_.get(); }
+
   // A buffer of at least one byte. On CPU devices it lies in memory that host and kernels share.
   cl::Buffer make_buffer(std::size_t bytes, cl_mem_flags flags = CL_MEM_READ_WRITE) const;
 
  private:
+  std::string build_name(const std::string& text, const std::string& options) const;
+  std::filesystem::path compiled_mark(const std::string& file, const std::string& options) const;
+  bool was_compiled(const std::string& file, const std::string& options) const;
+  void remember_compiled(const std::string& file, const std::string& options) const;
   cl::Program compile(const std::string& file, const std::string& text, const std::string& options) const;
 
   DeviceInfo info_;
@@ -46,6 +57,7 @@ class Device {
   mutable std::map<std::string, Program> programs_;  // by file and options
   cl::Device device_;
   cl::Context context_;
+  std::unique_ptr<KernelCompilers> compilers_;
 };
 
 // "clEnqueueNDRangeKernel failed: CL_OUT_OF_RESOURCES (-5)".

@@ -16,6 +16,8 @@ struct DeviceChoice {
   int threads = 0;  // CPU devices: kernels and tracing; 0 = all of the device's
   TraceKind trace = TraceKind::automatic;
   unsigned lanes = 0;  // things that a work-item does at once: 16 or 1; 0 = what suits the device
+  // Starts a process that compiles kernels (worker/device/kernel_compilers.h); empty: this process alone compiles.
+  std::vector<std::string> compiler{};
 };
 
 struct DeviceInfo {

@@ -34,6 +34,8 @@ const std::vector<KernelParameter>& declaration(const Program& program, const st
 Kernel::Kernel(const Device& device, const Program& program, const std::string& name)
     : device_(device),
       name_(name),
+      file_(program.file),
+      options_(program.options),
       kernel_(program.handle, name.c_str()),
       parameters_(declaration(program, name, kernel_)),
       set_(parameters_.size()),
@@ -74,6 +76,7 @@ void Kernel::launch(cl::CommandQueue& queue, const Grid& grid) {
     throw Error::failed("kernel " + name_ + " was launched without " +
                         parameters_[static_cast<std::size_t>(missing)].name);
   }
+  if (!std::exchange(launched_, true) && device_.compilers()) device_.compilers()->claim(file_, options_, name_);
   const bool cpu = device_.info().cpu;
   const std::size_t items = ((cpu ? grid.capacity : grid.work) + grid.per_item - 1) / grid.per_item;
   const std::size_t group = grid.group ? grid.group : cpu ? 8 : 64;
@@ -82,6 +85,20 @@ void Kernel::launch(cl::CommandQueue& queue, const Grid& grid) {
   queue.enqueueNDRangeKernel(kernel_, cl::NullRange, cl::NDRange((items + group - 1) / group * group),
                              cl::NDRange(group), nullptr, timed ? &event : nullptr);
   if (timed) device_.profile().add(name_, event, grid.work);
+}
+
+void Kernel::launch_idle(cl::CommandQueue& queue) {
+  constexpr std::size_t room = 4096;
+  const std::vector<std::byte> zeros(room);
+  cl::Buffer nothing = device_.make_buffer(room);
+  queue.enqueueWriteBuffer(nothing, CL_TRUE, 0, room, zeros.data());
+  for (const KernelParameter& parameter : parameters_) {
+    if (parameter.kind == KernelParameter::Kind::buffer) set(parameter.name, nothing);
+    if (parameter.kind == KernelParameter::Kind::uint) set(parameter.name, cl_uint{0});
+    if (parameter.kind == KernelParameter::Kind::real) set(parameter.name, 0.0f);
+  }
+  launch(queue, {.work = 1, .capacity = 1});
+  queue.finish();
 }
 
 }  // namespace gleaner::worker

@@ -39,11 +39,16 @@ class Kernel {
   // to do.
   void launch(cl::CommandQueue& queue, const Grid& grid);
 
+  // Launches one group that has nothing to do, every number being 0: compiles the kernel. Kernels return at once where
+  // they are told of no work. Blocks.
+  void launch_idle(cl::CommandQueue& queue);
+
  private:
   unsigned index_of(std::string_view name, KernelParameter::Kind kind);
 
   const Device& device_;
-  std::string name_;
+  std::string name_, file_, options_;
+  bool launched_ = false;
   cl::Kernel kernel_;
   std::vector<KernelParameter> parameters_;
   std::vector<bool> set_;

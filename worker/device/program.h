@@ -26,7 +26,7 @@ using KernelDeclarations = std::multimap<std::string, std::vector<KernelParamete
 KernelDeclarations parse_kernels(std::string_view text, const std::string& file);
 
 struct Program {
-  std::string file;
+  std::string file, options;
   cl::Program handle{};
   std::shared_ptr<const KernelDeclarations> kernels{};
 };

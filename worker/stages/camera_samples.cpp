@@ -70,7 +70,7 @@ void resolve(const StageRun& run, cl::CommandQueue& queue, const SamplePart& par
   // In pieces of one size (Kernel::launch says why).
   for (std::uint32_t base = 0; base < part.item_count; base += kResolveItems) {
     kernel.set("base", base);
-    kernel.launch(queue, {.work = kResolveItems, .capacity = kResolveItems, .group = 64});
+    kernel.launch(queue, {.work = kResolveItems, .capacity = kResolveItems});
   }
   ThreadCounters own;
   report.add_to(own, queue, part.first_item);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <list>
+#include <set>
 
 #include "scene/model/error.h"
 #include "worker/stages/stage_table.h"
@@ -33,10 +34,20 @@ struct Executor::Impl {
     throw Error::failed("scene " + id + " was not loaded");
   }
 
+  // Once for each scene and kind.
+  void compile_later(const StageKind& kind, const std::string& scene_id) {
+    if (kind.later.empty() || !foreseen.emplace(scene_id, kind.kind).second) return;
+    for (const LaterProgram& one : kind.later)
+      device.compile_ahead(
+          std::string(one.file),
+          (one.plain ? plain_options(device) : scene(scene_id).kernel_options()) + std::string(one.options));
+  }
+
   Device device;
   Workspace workspace;
   KeptTables tables;
   std::list<std::pair<std::string, std::unique_ptr<DeviceScene>>> scenes;  // the latest used first
+  std::set<std::pair<std::string, std::string_view>> foreseen;
 };
 
 Executor::Executor(const DeviceChoice& choice) {
@@ -91,6 +102,7 @@ BatchResult Executor::run(const StageTask& task, std::uint64_t first, std::uint6
                        .programs = kind.programs,
                        .first = first,
                        .count = count};
+  impl_->compile_later(kind, task.scene);
   try {
     BatchResult result = kind.run(batch);
     impl_->workspace.end_batch();

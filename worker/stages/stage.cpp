@@ -21,8 +21,10 @@ Program StageRun::build(std::string_view file, const std::string& options) const
 }
 
 Program StageRun::build_plain(std::string_view file, const std::string& options) const {
-  return device.build(path_of(file), "-D LANES=" + std::to_string(device.lanes()) + options);
+  return device.build(path_of(file), plain_options(device) + options);
 }
+
+std::string plain_options(const Device& device) { return "-D LANES=" + std::to_string(device.lanes()); }
 
 void StageRun::check_parameter_bytes(std::size_t expected) const {
   if (task.parameters.size() != expected)

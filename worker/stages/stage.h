@@ -53,6 +53,9 @@ struct StageRun {
   void check_parameter_bytes(std::size_t expected) const;
 };
 
+// Options of StageRun::build_plain().
+std::string plain_options(const Device& device);
+
 inline std::uint64_t wide(std::uint32_t high, std::uint32_t low) { return (std::uint64_t{high} << 32) | low; }
 
 }  // namespace gleaner::worker

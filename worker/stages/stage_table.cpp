@@ -14,7 +14,17 @@ const std::vector<StageKind>& stage_table() {
   static const std::vector<StageKind> table = {
       {"path", run_path_stage, {"kernels/path.cl"}, {{.name = "items", .required = false, .own_items = true}}},
       {"ao", run_ao_stage, {"kernels/ao.cl"}, {{.name = "items", .required = false, .own_items = true}}},
-      {"vpl_trace", run_vpl_trace_stage, {"kernels/vpl/trace.cl"}, {}},
+      {"vpl_trace",
+       run_vpl_trace_stage,
+       {"kernels/vpl/trace.cl"},
+       {},
+       {{.file = "kernels/vpl/points.cl"},
+        {.file = "kernels/path.cl", .options = " -D PATH_FILTER=1"},
+        {.file = "kernels/cluster.cl", .options = " -D FUZZINESS=1", .plain = true},
+        {.file = "kernels/vpl/visibility.cl", .plain = true},
+        // With the usual fuzziness.
+        {.file = "kernels/vpl/gather.cl", .options = " -D FUZZINESS=6"},
+        {.file = "kernels/vpl/residual.cl", .options = " -D FUZZINESS=6"}}},
       {"vpl_cluster", run_cluster_stage, {"kernels/cluster.cl"}, {{.name = "lights"}}},
       {"vpl_points", run_vpl_points_stage, {"kernels/vpl/points.cl"}, {}},
       {"point_cluster", run_cluster_stage, {"kernels/cluster.cl"}, {{.name = "points"}}},

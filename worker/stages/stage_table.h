@@ -16,11 +16,19 @@ struct StageInputRule {
   bool own_items = false;  // a batch may be given the records of its own items alone
 };
 
+// A program that a later stage of the same frame builds.
+struct LaterProgram {
+  std::string_view file;
+  std::string_view options{};
+  bool plain = false;  // as StageRun::build_plain()
+};
+
 struct StageKind {
   std::string_view kind;
   StageProgram run;
   std::vector<std::string_view> programs;  // files of kernels that it builds
   std::vector<StageInputRule> inputs;
+  std::vector<LaterProgram> later{};  // of a frame's first stage: in the order in which they will be needed
 };
 
 const std::vector<StageKind>& stage_table();
