@@ -201,6 +201,7 @@ TEST_F(AgentArtifacts, WhatAHolderHasLostItselfIsComputedAgain) {
     store->clear(1);
     stage_.set_open(true);
     const auto json = expect_right(job);
+    ASSERT_FALSE(json.is_null());
     std::uint64_t again = 0;
     for (const auto& stage : json["stages"])
       if (stage["name"] == "spread (again)") again += stage["items"].get<std::uint64_t>();

@@ -107,7 +107,7 @@ TEST_F(FarmAgent, ABlobThatCannotBeFetchedIsNotTheItemsFault) {
   // Far more often than items may fail.
   EXPECT_TRUE(eventually([&] { return farm_.farm().totals().batches_failed >= 8; }));
   EXPECT_EQ(farm_.farm().status(job)->state, JobState::running);
-  EXPECT_THAT(farm_.farm().why(job)->back(), HasSubstr("no blob"));
+  EXPECT_THAT(*farm_.farm().why(job), testing::Contains(HasSubstr("no blob")));
   std::filesystem::rename(aside, file);
   const JobStatus status = end_of(job);
   EXPECT_EQ(status.state, JobState::done) << status.message;
