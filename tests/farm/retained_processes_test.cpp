@@ -37,6 +37,7 @@ TEST_F(RetainedProcesses, AKilledHolderCostsTimeAndNoByte) {
   const BlockFarmOutcome outcome = run_block_farm(settings());
   ASSERT_TRUE(outcome.killed) << "INCONCLUSIVE: the frame had ended";
   expect_right(outcome);
+  if (HasFatalFailure()) return;
   const std::uint64_t again = outcome.stage_items.at("blocks (again)");
   EXPECT_GT(again, blocks / 20) << "what the worker held";
   EXPECT_LT(again, blocks) << "and nothing else";
@@ -58,6 +59,7 @@ TEST_F(RetainedProcesses, WorkersThatCannotReachEachOtherReadThroughTheCoordinat
   const BlockFarmOutcome outcome = run_block_farm(relayed);
   ASSERT_TRUE(outcome.killed) << "INCONCLUSIVE: the frame had ended";
   expect_right(outcome);
+  if (HasFatalFailure()) return;
   EXPECT_EQ(outcome.peers, 0u);
   EXPECT_GT(outcome.downloaded, artifact_bytes / 2);
 }
