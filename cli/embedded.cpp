@@ -4,7 +4,6 @@
 #include <exception>
 #include <iostream>
 
-#include "cli/kernel_compiler.h"
 #include "cli/machine_memory.h"
 #include "scene/model/error.h"
 
@@ -33,8 +32,8 @@ EmbeddedFarm::EmbeddedFarm(const EmbeddedSettings& settings)
   unsigned threads = std::max(1u, std::thread::hardware_concurrency() / std::max(1u, settings.workers));
   for (unsigned number = 1; number <= settings.workers; ++number) {
     worker::DeviceChoice choice = settings.device;
-    // One for all of them: they build the same.
-    if (number == 1) choice.compiler = kernel_compiler();
+    // One compiler for all of them: they build the same.
+    if (number > 1) choice.compiler.clear();
     if (choice.threads == 0 && settings.workers > 1) choice.threads = static_cast<int>(threads);
     auto runner = worker::open_device(choice);
     needs_bvh_ = needs_bvh_ || runner->needs_bvh();

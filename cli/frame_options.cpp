@@ -11,7 +11,7 @@
 
 #include "coordinator/jobs/job.h"
 #include "coordinator/plan/methods.h"
-#include "coordinator/plan/way_points.h"
+#include "coordinator/plan/trajectory.h"
 #include "scene/model/error.h"
 #include "scene/model/names.h"
 
@@ -224,7 +224,7 @@ LoadedFrame load_frame(const FrameOptions& options) {
       moved.half_width = moved.half_height * static_cast<float>(settings.width) / static_cast<float>(settings.height);
       frame.cameras.push_back(moved);
     }
-  settings.way = coordinator::way_of(frame.cameras);
+  settings.trajectory = coordinator::trajectory_of(frame.cameras);
   scene::SceneNeeds needs = scene::needs_of(frame.scene);
   if (!needs.punctual_lights && !needs.emissive_triangles && !needs.environment && !needs.unlit)
     words.push_back(options.files.scene + ": no light; the picture will be black (--environment FILE lights a scene)");

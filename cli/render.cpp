@@ -12,6 +12,7 @@
 #include "cli/commands.h"
 #include "cli/embedded.h"
 #include "cli/frame_options.h"
+#include "cli/kernel_compiler.h"
 #include "cli/progress.h"
 #include "cli/signals.h"
 #include "scene/bvh/build.h"
@@ -62,8 +63,10 @@ int render(const RenderOptions& options) {
   check_folder(options.report);
   EmbeddedSettings settings;
   settings.workers = options.workers;
+  settings.device.compiler = kernel_compiler();
   settings.device.device = options.device;
   settings.device.trace = worker::parse_trace_kind(options.trace);
+  settings.device.compiler = kernel_compiler();
   settings.batch_items = options.batch_items;
 
   Signals signals;

@@ -318,7 +318,7 @@ void Farm::Impl::take_part(const RunningStage& stage, Worker& worker, const Item
 
 // Nothing that it made counts any more: its parts are lost, its leases go to others, and it gets none.
 void Farm::Impl::put_aside(WorkerId id, const std::string& why) {
-  settings.log("worker " + name_of(id) + " is put aside: " + why);
+  settings.log("worker " + name_of(id) + " is quarantined: " + why);
   const auto found = workers.find(id);
   if (found == workers.end()) return;
   Worker& worker = found->second;

@@ -23,10 +23,11 @@ constexpr double kShareAtOnce = 0.5;
 // How many leases an idle worker compares before it gives up finding one that it would finish sooner.
 constexpr int kDuplicateCandidates = 4;
 
-// A worker that is put aside again and again waits twice as long each time, but at most so many times the first wait.
+// A worker that is quarantined again and again waits twice as long each time, but at most so many times the first wait.
 constexpr double kLongestAside = 32;
 
-// A batch that runs so many times as long as expected is late: what waits behind it goes to others.
+// A batch that runs so many times as long as expected makes its worker a straggler: what waits behind it goes to
+// others.
 constexpr double kLate = 3;
 
 // Leases are numbered from here on in the run of the coordinator that `incarnation` counts.
@@ -39,7 +40,7 @@ enum class Standing { none, running, waiting };  // of a lease among those that 
 struct LiveLease {
   Lease lease;
   bool cut_short = false;  // smaller than the worker's throughput asked for
-  Seconds planned = 0;     // when it should be finished, as estimated when the worker's hand last changed
+  Seconds planned = 0;     // when it should be finished, as estimated when the worker's leases last changed
   Standing standing = Standing::none;
   Seconds listed = 0;  // its place in the list of candidates
 };
@@ -90,16 +91,16 @@ struct Stage {
 struct Worker {
   WorkerId id = 0;
   bool draining = false;
-  bool aside = false;
-  Seconds aside_until = 0;
-  std::vector<LeaseId> hand;       // the first one runs, the others wait
-  Seconds hand_start = 0;          // when the first one began to run
-  bool late = false;               // the first one takes far longer than it should
-  std::optional<Seconds> late_at;  // when that would be so, while something waits behind it
+  bool quarantined = false;
+  Seconds quarantined_until = 0;
+  std::vector<LeaseId> in_flight;       // the first one runs, the others wait
+  Seconds in_flight_since = 0;          // when the first one began to run
+  bool straggles = false;               // the first one takes far longer than it should
+  std::optional<Seconds> straggler_at;  // when that would be so, while something waits behind it
   unsigned failures_in_row = 0, expiries_in_row = 0;
   std::map<Kind, Throughput> throughput;
 
-  bool serves() const { return !draining && !aside; }
+  bool serves() const { return !draining && !quarantined; }
 };
 
 // What the workers that serve can do together, per kind of stage.
@@ -108,7 +109,7 @@ struct KindTotals {
   std::uint64_t known = 0;
 };
 
-enum class TimerKind { lease, late, aside, preferred };
+enum class TimerKind { lease, straggler, quarantine, preferred };
 using Timer = std::tuple<Seconds, TimerKind, std::uint64_t>;
 
 // Why a worker gets none of a stage's unleased items.
@@ -116,9 +117,9 @@ using Timer = std::tuple<Seconds, TimerKind, std::uint64_t>;
 enum class Refusal {
   none,
   drains,
-  aside,
+  quarantined,
   runs_solo,
-  late,
+  straggler,
   full,
   failed_it,
   others_preferred,
@@ -189,12 +190,12 @@ struct Scheduler::Impl {
 
   // -- Who serves ----------------------------------------------------------------------------------------------------
 
-  // Every change of a worker's standing or hand is bracketed by these two, which keep the sums over workers.
+  // Every change of a worker's standing or leases is bracketed by these two, which keep the sums over workers.
   void leave_sums(const Worker& worker) {
     if (worker.draining) --draining;
     if (!worker.serves()) return;
     --serving;
-    if (worker.hand.empty()) --idle;
+    if (worker.in_flight.empty()) --idle;
     for (const auto& [kind, throughput] : worker.throughput) {
       ++steps;
       if (!throughput.known()) continue;
@@ -208,7 +209,7 @@ struct Scheduler::Impl {
     if (worker.draining) ++draining;
     if (!worker.serves()) return;
     ++serving;
-    if (worker.hand.empty()) ++idle;
+    if (worker.in_flight.empty()) ++idle;
     for (const auto& [kind, throughput] : worker.throughput) {
       ++steps;
       if (!throughput.known()) continue;
@@ -217,8 +218,8 @@ struct Scheduler::Impl {
     }
   }
 
-  // May get leases: when nobody serves, those that were put aside are better than nobody.
-  bool usable(const Worker& worker) const { return !worker.draining && (!worker.aside || serving == 0); }
+  // May get leases: when nobody serves, those that were quarantined are better than nobody.
+  bool usable(const Worker& worker) const { return !worker.draining && (!worker.quarantined || serving == 0); }
   std::uint64_t usable_workers() const { return serving > 0 ? serving : joined - draining; }
 
   // A range goes to a worker that has not failed it, or to any where all have.
@@ -233,21 +234,21 @@ struct Scheduler::Impl {
     return failed_it >= usable_workers();
   }
 
-  void put_aside(Worker& worker, unsigned times, Seconds now) {
+  void quarantine(Worker& worker, unsigned times, Seconds now) {
     const double wait = std::min(std::ldexp(1.0, static_cast<int>(std::min(times, 30u)) - 1), kLongestAside);
     leave_sums(worker);
-    if (worker.aside) timers.erase({worker.aside_until, TimerKind::aside, worker.id});
-    worker.aside = true;
-    worker.aside_until = now + settings.lease_floor * wait;
-    timers.insert({worker.aside_until, TimerKind::aside, worker.id});
+    if (worker.quarantined) timers.erase({worker.quarantined_until, TimerKind::quarantine, worker.id});
+    worker.quarantined = true;
+    worker.quarantined_until = now + settings.lease_floor * wait;
+    timers.insert({worker.quarantined_until, TimerKind::quarantine, worker.id});
     enter_sums(worker);
     ++steps;
   }
   void take_back_in(Worker& worker) {
-    if (!worker.aside) return;
+    if (!worker.quarantined) return;
     leave_sums(worker);
-    timers.erase({worker.aside_until, TimerKind::aside, worker.id});
-    worker.aside = false;
+    timers.erase({worker.quarantined_until, TimerKind::quarantine, worker.id});
+    worker.quarantined = false;
     enter_sums(worker);
     ++steps;
   }
@@ -305,28 +306,28 @@ struct Scheduler::Impl {
 
   // Brings the estimates of the worker's leases up to date, and their places among the candidates for duplication.
   void replan(Worker& worker) {
-    Seconds at = worker.hand_start;
-    for (const LeaseId id : worker.hand) {
+    Seconds at = worker.in_flight_since;
+    for (const LeaseId id : worker.in_flight) {
       ++steps;
       LiveLease& lease = live.at(id);
       Stage& stage = stages.at(lease.lease.stage);
       const Seconds duration = expected_seconds(worker, stage, lease.lease.count);
       at += duration > 0 ? duration : settings.target_batch;
       lease.planned = at;
-      list_candidate(stage, lease, id == worker.hand.front());
+      list_candidate(stage, lease, id == worker.in_flight.front());
     }
     watch_lateness(worker);
   }
 
   void watch_lateness(Worker& worker) {
-    if (worker.late_at) timers.erase({*worker.late_at, TimerKind::late, worker.id});
-    worker.late_at.reset();
-    if (worker.hand.size() < 2 || worker.late) return;
-    const LiveLease& first = live.at(worker.hand.front());
-    const Seconds expected = first.planned - worker.hand_start;
+    if (worker.straggler_at) timers.erase({*worker.straggler_at, TimerKind::straggler, worker.id});
+    worker.straggler_at.reset();
+    if (worker.in_flight.size() < 2 || worker.straggles) return;
+    const LiveLease& first = live.at(worker.in_flight.front());
+    const Seconds expected = first.planned - worker.in_flight_since;
     // Short batches are late by little: what it costs to wait is a batch at most.
-    worker.late_at = worker.hand_start + std::max(kLate * expected, expected + settings.target_batch);
-    timers.insert({*worker.late_at, TimerKind::late, worker.id});
+    worker.straggler_at = worker.in_flight_since + std::max(kLate * expected, expected + settings.target_batch);
+    timers.insert({*worker.straggler_at, TimerKind::straggler, worker.id});
     ++steps;
   }
 
@@ -368,8 +369,8 @@ struct Scheduler::Impl {
     range.leases[range.leases[0] == 0 ? 0 : 1] = id;
 
     leave_sums(worker);
-    if (worker.hand.empty()) worker.hand_start = now;
-    worker.hand.push_back(id);
+    if (worker.in_flight.empty()) worker.in_flight_since = now;
+    worker.in_flight.push_back(id);
     enter_sums(worker);
     replan(worker);
 
@@ -401,17 +402,17 @@ struct Scheduler::Impl {
     }
 
     Worker& worker = workers.at(lease.lease.worker);
-    const bool ran = worker.hand.front() == id;
+    const bool ran = worker.in_flight.front() == id;
     leave_sums(worker);
-    std::erase(worker.hand, id);
+    std::erase(worker.in_flight, id);
     enter_sums(worker);
     if (ran) {
-      worker.hand_start = now;
-      worker.late = false;
+      worker.in_flight_since = now;
+      worker.straggles = false;
     }
     // The next one's time begins now, but only if the worker shows signs of life.
-    if (ran && delivered && !worker.hand.empty()) {
-      LiveLease& next = live.at(worker.hand.front());
+    if (ran && delivered && !worker.in_flight.empty()) {
+      LiveLease& next = live.at(worker.in_flight.front());
       const Stage& next_stage_of = stages.at(next.lease.stage);
       const Seconds expected = expected_seconds(worker, next_stage_of, next.lease.count);
       set_expiry(next, std::max(next.lease.expires, now + lease_length(next_stage_of, expected)));
@@ -419,21 +420,21 @@ struct Scheduler::Impl {
     replan(worker);
   }
 
-  // The worker is late: what waits for it is cut anew for the others.
+  // The worker is a straggler: what waits for it is cut anew for the others.
   void recall_waiting(Worker& worker, Seconds now, std::vector<Lease>& recalled) {
-    worker.late_at.reset();
+    worker.straggler_at.reset();
     if (usable_workers() < 2) {
       // Nobody else could have it: look again when it took twice as long.
-      worker.late_at = now + (now - worker.hand_start);
-      timers.insert({*worker.late_at, TimerKind::late, worker.id});
+      worker.straggler_at = now + (now - worker.in_flight_since);
+      timers.insert({*worker.straggler_at, TimerKind::straggler, worker.id});
       return;
     }
-    worker.late = true;
-    const Lease running = live.at(worker.hand.front()).lease;
+    worker.straggles = true;
+    const Lease running = live.at(worker.in_flight.front()).lease;
     learn(worker, stages.at(running.stage).kind,
-          [&](Throughput& t) { t.overran(running.count, now - worker.hand_start, settings); });
-    while (worker.hand.size() > 1) {
-      const Lease lease = live.at(worker.hand.back()).lease;
+          [&](Throughput& t) { t.overran(running.count, now - worker.in_flight_since, settings); });
+    while (worker.in_flight.size() > 1) {
+      const Lease lease = live.at(worker.in_flight.back()).lease;
       end_lease(lease.id, LeaseEnd::taken_back, false, now);
       give_back(stages.at(lease.stage), lease.first);
       recalled.push_back(lease);
@@ -448,7 +449,7 @@ struct Scheduler::Impl {
     ++steps;
     if (!range.free()) {
       LiveLease& other = live.at(range.leases[0] != 0 ? range.leases[0] : range.leases[1]);
-      list_candidate(stage, other, workers.at(other.lease.worker).hand.front() == other.lease.id);
+      list_candidate(stage, other, workers.at(other.lease.worker).in_flight.front() == other.lease.id);
       return;
     }
     stage.held_items -= range.count;
@@ -472,7 +473,7 @@ struct Scheduler::Impl {
   // -- Handing out ---------------------------------------------------------------------------------------------------
 
   bool holds_solo(const Worker& worker) const {
-    return std::any_of(worker.hand.begin(), worker.hand.end(),
+    return std::any_of(worker.in_flight.begin(), worker.in_flight.end(),
                        [&](LeaseId id) { return stages.at(live.at(id).lease.stage).spec.solo; });
   }
 
@@ -497,9 +498,9 @@ struct Scheduler::Impl {
     return std::min<std::uint64_t>(tiles * stage.spec.tile, piece.count);
   }
 
-  std::uint64_t items_in_hand(const Worker& worker, StageId stage) const {
+  std::uint64_t items_in_flight(const Worker& worker, StageId stage) const {
     std::uint64_t items = 0;
-    for (const LeaseId id : worker.hand) {
+    for (const LeaseId id : worker.in_flight) {
       ++steps;
       if (live.at(id).lease.stage == stage) items += live.at(id).lease.count;
     }
@@ -522,11 +523,11 @@ struct Scheduler::Impl {
   Offer offer(const Worker& worker, const Stage& stage, Seconds now) const {
     Offer out;
     if (worker.draining) return out.refuse(Refusal::drains);
-    if (!usable(worker)) return out.refuse(Refusal::aside);
+    if (!usable(worker)) return out.refuse(Refusal::quarantined);
     // Nobody knows how long a solo stage takes: whatever waited behind it would be late.
     if (holds_solo(worker)) return out.refuse(Refusal::runs_solo);
-    if (worker.late && usable_workers() > 1) return out.refuse(Refusal::late);
-    if (worker.hand.size() >= settings.in_flight) return out.refuse(Refusal::full);
+    if (worker.straggles && usable_workers() > 1) return out.refuse(Refusal::straggler);
+    if (worker.in_flight.size() >= settings.in_flight) return out.refuse(Refusal::full);
 
     out.piece = stage.pool.front([&](const FailureHistory& f) { return may_run(worker, f); }, steps);
     if (out.piece.count == 0) return out.refuse(Refusal::failed_it);
@@ -538,7 +539,7 @@ struct Scheduler::Impl {
       if (prefers(stage, worker.id)) return out;
       if (preferred_may_come(stage, out.piece.failures, now)) return out.refuse(Refusal::others_preferred);
       // Whoever is idle begins at once; here it would wait.
-      if (idle > 0 && !worker.hand.empty()) return out.refuse(Refusal::has_its_share);
+      if (idle > 0 && !worker.in_flight.empty()) return out.refuse(Refusal::has_its_share);
       return out;
     }
     if (settings.fixed_batch_items > 0) {
@@ -546,11 +547,11 @@ struct Scheduler::Impl {
       return out;
     }
 
-    const std::uint64_t in_hand = items_in_hand(worker, stage.id);
+    const std::uint64_t held_items = items_in_flight(worker, stage.id);
     const auto known = worker.throughput.find(stage.kind);
     const Throughput throughput = known == worker.throughput.end() ? Throughput{} : known->second;
     // The first measure decides how much this worker should get: do not give more before it is in.
-    if (!throughput.known() && in_hand > 0) return out.refuse(Refusal::not_measured);
+    if (!throughput.known() && held_items > 0) return out.refuse(Refusal::not_measured);
 
     const double part = share(worker, stage.kind);
     const double target = throughput.target_items(settings);
@@ -561,7 +562,8 @@ struct Scheduler::Impl {
 
     // A waiting lease beyond the fair share of all that is left would be missed by a worker that idles sooner.
     const double all_left = static_cast<double>(stage.pool.items() + stage.held_items);
-    if (!worker.hand.empty() && usable_workers() > 1 && static_cast<double>(in_hand + out.count) > part * all_left) {
+    if (!worker.in_flight.empty() && usable_workers() > 1 &&
+        static_cast<double>(held_items + out.count) > part * all_left) {
       return out.refuse(Refusal::has_its_share);
     }
     return out;
@@ -578,16 +580,16 @@ struct Scheduler::Impl {
   // When a lease should be finished, seen from `now`. One that is overdue is expected to take as long again as it took.
   Seconds expected_finish(const LiveLease& lease, Seconds now) const {
     if (lease.planned >= now) return lease.planned;
-    return now + (now - std::min(now, workers.at(lease.lease.worker).hand_start));
+    return now + (now - std::min(now, workers.at(lease.lease.worker).in_flight_since));
   }
 
   Seconds when_free(const Worker& worker, Seconds now) const {
-    return worker.hand.empty() ? now : std::max(now, live.at(worker.hand.back()).planned);
+    return worker.in_flight.empty() ? now : std::max(now, live.at(worker.in_flight.back()).planned);
   }
 
   // The most overdue lease, if it would outlast all the rest of the stage and so would its second copy if it began any
   // later: the longest work must not begin last.
-  std::optional<Lease> rescue(Worker& worker, Stage& stage, Seconds now) {
+  std::optional<Lease> speculate(Worker& worker, Stage& stage, Seconds now) {
     if (stage.running.empty() || stage.running.begin()->first >= now) return std::nullopt;
     const LiveLease& slow = live.at(stage.running.begin()->second);
     const double all = totals[stage.kind].items_per_second;
@@ -639,13 +641,13 @@ struct Scheduler::Impl {
     return "workers " + ids + " " + many;
   }
 
-  std::string describe_aside(const std::vector<WorkerId>& who) const {
-    if (who.size() > 1) return describe(who, "", "are put aside after failures or leases that ran out");
+  std::string describe_quarantined(const std::vector<WorkerId>& who) const {
+    if (who.size() > 1) return describe(who, "", "are quarantined after failures or leases that ran out");
     const Worker& worker = workers.at(who.front());
     const bool failures = worker.failures_in_row >= settings.strikes;
     return describe(who,
-                    failures ? "is put aside after " + std::to_string(worker.failures_in_row) + " failures"
-                             : std::string("is put aside after a lease ran out"),
+                    failures ? "is quarantined after " + std::to_string(worker.failures_in_row) + " failures"
+                             : std::string("is quarantined after a lease ran out"),
                     "");
   }
 };
@@ -711,13 +713,13 @@ void Scheduler::worker_lost(WorkerId id, Seconds now) {
   const auto at = m.workers.find(id);
   if (at == m.workers.end()) return;
   Worker& worker = at->second;
-  while (!worker.hand.empty()) {
-    const Lease lease = m.live.at(worker.hand.back()).lease;
+  while (!worker.in_flight.empty()) {
+    const Lease lease = m.live.at(worker.in_flight.back()).lease;
     m.end_lease(lease.id, LeaseEnd::taken_back, false, now);
     m.give_back(m.stages.at(lease.stage), lease.first);
   }
   m.leave_sums(worker);
-  if (worker.aside) m.timers.erase({worker.aside_until, TimerKind::aside, id});
+  if (worker.quarantined) m.timers.erase({worker.quarantined_until, TimerKind::quarantine, id});
   --m.joined;
   m.workers.erase(at);
 }
@@ -743,13 +745,13 @@ std::optional<Lease> Scheduler::next_lease(WorkerId id, Seconds now) {
     if (stage.pool.items() == 0 || stage.paused) continue;
     const Offer offer = m.offer(worker, stage, now);
     if (offer.why_not == Refusal::none) {
-      if (auto lease = m.rescue(worker, stage, now)) return lease;
+      if (auto lease = m.speculate(worker, stage, now)) return lease;
       return m.hand_out(worker, stage, offer, now);
     }
     if (offer.why_not <= Refusal::full) return std::nullopt;  // whatever the stage
   }
   if (!m.usable(worker)) return std::nullopt;
-  if (!worker.hand.empty()) return std::nullopt;
+  if (!worker.in_flight.empty()) return std::nullopt;
   for (const auto& [priority, stage_id] : m.order) {
     ++m.steps;
     Stage& stage = m.stages.at(stage_id);
@@ -864,7 +866,7 @@ FailureOutcome Scheduler::failed(WorkerId id, LeaseId lease_id, Epoch epoch, Sec
   Worker& worker = m.workers.at(id);
   worker.expiries_in_row = 0;
   if (++worker.failures_in_row >= m.settings.strikes) {
-    m.put_aside(worker, worker.failures_in_row - m.settings.strikes + 1, now);
+    m.quarantine(worker, worker.failures_in_row - m.settings.strikes + 1, now);
   } else {
     m.take_back_in(worker);
   }
@@ -881,23 +883,24 @@ std::vector<Lease> Scheduler::expire(Seconds now) {
     const auto [time, kind, id] = *m.timers.begin();
     m.timers.erase(m.timers.begin());
     if (kind == TimerKind::preferred) continue;
-    if (kind == TimerKind::aside) {
+    if (kind == TimerKind::quarantine) {
       m.take_back_in(m.workers.at(id));
       continue;
     }
-    if (kind == TimerKind::late) {
+    if (kind == TimerKind::straggler) {
       m.recall_waiting(m.workers.at(id), now, out);
       continue;
     }
     const Lease lease = m.live.at(id).lease;
     Stage& stage = m.stages.at(lease.stage);
     Worker& worker = m.workers.at(lease.worker);
-    if (worker.hand.front() == id) {
-      m.learn(worker, stage.kind, [&](Throughput& t) { t.overran(lease.count, now - worker.hand_start, m.settings); });
+    if (worker.in_flight.front() == id) {
+      m.learn(worker, stage.kind,
+              [&](Throughput& t) { t.overran(lease.count, now - worker.in_flight_since, m.settings); });
     }
     m.end_lease(id, LeaseEnd::taken_back, false, now);
     m.give_back(stage, lease.first);
-    m.put_aside(worker, ++worker.expiries_in_row, now);
+    m.quarantine(worker, ++worker.expiries_in_row, now);
     out.push_back(lease);
   }
   return out;
@@ -965,13 +968,13 @@ std::string Scheduler::why_waiting(StageId id, Seconds now) const {
       case Refusal::drains:
         line += m.describe(who, "drains", "drain");
         break;
-      case Refusal::aside:
-        line += m.describe_aside(who);
+      case Refusal::quarantined:
+        line += m.describe_quarantined(who);
         break;
       case Refusal::runs_solo:
         line += m.describe(who, "runs a solo stage", "run solo stages");
         break;
-      case Refusal::late:
+      case Refusal::straggler:
         line += m.describe(who, "is late with its batch", "are late with their batches");
         break;
       case Refusal::full:

@@ -60,7 +60,7 @@ struct SchedulerSettings {
   std::uint64_t first_batch_items = 4096;  // for a worker whose throughput is not known
   std::uint64_t fixed_batch_items = 0;     // tests: every batch of this size (rounded to tiles); 0 = adaptive
   unsigned strikes = 3;            // failures of one range on different workers before the stage fails; failures of
-                                   // one worker in a row before it is put aside
+                                   // one worker in a row before it is quarantined
   Seconds solo_lease_floor = 300;  // as lease_floor, for solo stages: nobody can tell how long the first one takes
   // Another number at every start of the coordinator (below 2^32, e.g. the journal's count of starts): it leads all
   // lease ids and epochs, so that what was handed out before a restart is told from what is handed out now.
@@ -128,8 +128,8 @@ class Scheduler {
   // Leases that ran out by `now`, and those that waited behind a batch that takes far longer than it should: their
   // items are in the pool again, their epochs are stale, their workers can be told.
   std::vector<Lease> expire(Seconds now);
-  // When expire() has something to do next: a lease runs out, a worker that was put aside may work again, a solo stage
-  // gives up on its preferred workers. None = never. Call expire() then, though it may return no lease.
+  // When expire() has something to do next: a lease runs out, a worker that was quarantined may work again, a solo
+  // stage gives up on its preferred workers. None = never. Call expire() then, though it may return no lease.
   std::optional<Seconds> next_expiry() const;
 
   bool complete(StageId stage) const;  // every item accepted

@@ -311,7 +311,7 @@ TEST_F(FarmRetained, CollectedCountedRecordsComeWithTheirCounts) {
       {"a record less than counted", [](Bytes& image) { image.resize(image.size() - 8); }},
       {"a byte more than counted", [](Bytes& image) { image.push_back(std::byte{1}); }},
   };
-  // A worker that errs is set aside after three failures: each comes from a worker of its own.
+  // A worker that errs is quarantined after three failures: each comes from a worker of its own.
   for (const auto& [what, change] : attacks) {
     BatchOutput wrong = right;
     change(wrong.image);
@@ -458,7 +458,7 @@ TEST_F(FarmRetained, RecordsThatDifferWhenComputedAgainAreDecidedByAThirdWorker)
     EXPECT_THAT(bob.dropped(), Contains(again->lease.first));
     serve(farm, {&eve, &bob}, job);
     expect_right(farm, job);
-    EXPECT_THAT(log(), HasSubstr(std::string("worker ") + (first_lied ? "ada" : "bob") + " is put aside"));
+    EXPECT_THAT(log(), HasSubstr(std::string("worker ") + (first_lied ? "ada" : "bob") + " is quarantined"));
     EXPECT_EQ(bob.drained, !first_lied);
     // Nothing that the liar made counts: what it held is computed again, too.
     std::map<std::string, std::uint64_t> items, of_bob;

@@ -772,7 +772,7 @@ TEST(Failures, OfOneWorkerPutItAside) {
   for (int i = 0; i < 3; ++i) fail(farm, take(farm, kAda));
   EXPECT_FALSE(farm.next_lease(kAda, 0).has_value());
   const Lease first = take(farm, kBob), second = take(farm, kBob);
-  EXPECT_EQ(farm.why_waiting(stage, 0), "worker 11 is put aside after 3 failures; worker 12 holds 2 leases");
+  EXPECT_EQ(farm.why_waiting(stage, 0), "worker 11 is quarantined after 3 failures; worker 12 holds 2 leases");
   deliver(farm, first, 0.5, 0.5);
   deliver(farm, second, 0.5, 1);
   EXPECT_EQ(farm.next_expiry(), 10.0) << "nobody would ask again";
