@@ -108,7 +108,7 @@ std::vector<LookAt> parse_way(const FrameOptions& options) {
   std::vector<LookAt> way;
   for (const std::string& text : options.look_at) way.push_back(parse_look_at(text));
   if (way.size() > 1 && options.frames.empty())
-    throw Error::usage("--look-at: several of them are a camera's way, and need --frames A-B");
+    throw Error::usage("--look-at: several of them are a camera trajectory, and need --frames A-B");
   return way;
 }
 
