@@ -1,12 +1,12 @@
 // Flicker of point clusters: how much their error changes from frame to frame while the camera moves, where the frames
-// of its way share their clusters, and where each frame is clustered for itself.
+// of its trajectory share their clusters, and where each frame is clustered for itself.
 //
 //   build/bench/bench_vpl_flicker SCENE WIDTHxHEIGHT FRAMES STEP [KEY=VALUE ...]
 //
 // The scene's first camera moves to its right, STEP metres a frame; KEY=VALUE are settings of the method. The error is
-// the light that clusters let VPLs bring to the camera, less what they bring where every point asks for itself
+// the light of VPLs with clusters, less their light where every point queries all of them
 // (vpl.point_clusters=0); all else is the same bit by bit. Figures are RMS over the mean of that light: over pixels,
-// and over means of blocks of 8x8 pixels, some cluster's part of the picture: the noise of what points ask by lot
+// and over means of blocks of 8x8 pixels, some cluster's part of the picture: the noise of residual samples
 // (vpl.residual_threshold), which pixels do not share, is mostly gone from these.
 
 #include <cmath>
@@ -16,7 +16,7 @@
 #include <vector>
 
 #include "cli/local_frame.h"
-#include "coordinator/plan/way_points.h"
+#include "coordinator/plan/trajectory.h"
 #include "scene/import/import.h"
 
 namespace {
@@ -24,7 +24,7 @@ namespace {
 using namespace gleaner;
 using Values = std::vector<float>;
 
-// What the frame's VPLs bring to each pixel, RGB.
+// The VPLs' light in each pixel, RGB.
 Values light_of(const coordinator::FrameSettings& settings, worker::Executor& executor,
                 const coordinator::SceneSummary& summary) {
   Values light;
@@ -110,17 +110,17 @@ int main(int argc, char** argv) {
     worker::Executor executor({});
     executor.load_scene("scene", scene, nullptr);
     const auto summary = coordinator::summarize(*scene);
-    const std::vector<scene::Camera> way = coordinator::way_of(cameras);
+    const std::vector<scene::Camera> trajectory = coordinator::trajectory_of(cameras);
     Errors alone, shared, alone_blocks, shared_blocks;
     double light = 0;
     for (const scene::Camera& camera : cameras) {
       settings.camera = camera;
-      settings.way.clear();
+      settings.trajectory.clear();
       const Values each = light_of(settings, executor, summary);
       coordinator::FrameSettings pairs = settings;
       pairs.set["vpl.point_clusters"] = std::to_string(0);
       const Values exact = light_of(pairs, executor, summary);
-      settings.way = way;
+      settings.trajectory = trajectory;
       const Values common = light_of(settings, executor, summary);
       const auto blocks = [&](const Values& values) { return blocks_of(values, settings.width, settings.height); };
       alone.add(each, exact);
@@ -133,8 +133,9 @@ int main(int argc, char** argv) {
     std::printf("%s %s, %d frames, %g m a frame:\n", argv[1], argv[2], frames, static_cast<double>(step));
     const auto print = [&](const char* what, const Errors& each, const Errors& common) {
       std::printf(
-          "  %-10s error %.3f %%, on the way %.3f %%; its change %.3f %%, on the way %.3f %%: %.2f times less\n", what,
-          100 * each.rms() / mean, 100 * common.rms() / mean, 100 * each.flicker() / mean,
+          "  %-10s error %.3f %%, on the trajectory %.3f %%; its change %.3f %%, on the trajectory %.3f %%: %.2f times "
+          "less\n",
+          what, 100 * each.rms() / mean, 100 * common.rms() / mean, 100 * each.flicker() / mean,
           100 * common.flicker() / mean, each.flicker() / common.flicker());
     };
     print("pixels:", alone, shared);

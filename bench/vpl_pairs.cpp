@@ -1,12 +1,13 @@
-// Clusters against all pairs: how far the light of virtual point lights is from what every pixel gets that asks every
+// Clusters against all pairs: how far the light of virtual point lights is from that of pixels which query every
 // VPL, and how much sooner it is there. The same VPLs, the same points, the same bound of the geometry term; nothing is
 // compensated.
 //
-//   build/bench/bench_vpl_pairs SCENE WIDTHxHEIGHT VPLS VPL_CLUSTERS POINT_CLUSTERS [PART [ROUNDS [CLAMP [DOUBT]]]]
+//   build/bench/bench_vpl_pairs SCENE WIDTHxHEIGHT VPLS VPL_CLUSTERS POINT_CLUSTERS [PART [ROUNDS [CLAMP
+//   [RESIDUAL_THRESHOLD]]]]
 //
-// All pairs are asked on every PART-th row of the picture (1: all; the width a multiple of 16), and their time is
+// All pairs are queried on every PART-th row of the picture (1: all; the width a multiple of 16), and their time is
 // multiplied by PART. Time: the stages of the indirect light, each whole on one device; medians of the rounds. Errors
-// are of the radiance that the VPLs bring to the camera: MSE with both pictures clamped to [0, 1] as the paper has it,
+// are of the radiance of the VPLs' light: MSE with both pictures clamped to [0, 1] as the paper has it,
 // and RMSE over the mean, not clamped.
 
 #include <algorithm>
@@ -54,9 +55,9 @@ bool is_indirect(const std::string& name) { return name.starts_with("vpl."); }
 
 int main(int argc, char** argv) {
   if (argc < 6) {
-    std::fprintf(
-        stderr,
-        "usage: bench_vpl_pairs SCENE WIDTHxHEIGHT VPLS VPL_CLUSTERS POINT_CLUSTERS [PART [ROUNDS [CLAMP [DOUBT]]]]\n");
+    std::fprintf(stderr,
+                 "usage: bench_vpl_pairs SCENE WIDTHxHEIGHT VPLS VPL_CLUSTERS POINT_CLUSTERS [PART [ROUNDS [CLAMP "
+                 "[RESIDUAL_THRESHOLD]]]]\n");
     return 2;
   }
   try {

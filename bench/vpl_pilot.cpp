@@ -5,9 +5,10 @@
 //
 // RMSE over the mean radiance of the VPLs' light, on every PART-th row of the picture (the width a multiple of 16), at
 // one bound of the geometry term. VPLs: between two seeds, over the root of two. Clusters of VPLs: against all of them.
-// Clusters of points: against points that ask for themselves.
+// Clusters of points: against points that query all lights.
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -17,6 +18,7 @@
 #include <vector>
 
 #include "cli/local_frame.h"
+#include "coordinator/plan/graph.h"
 #include "coordinator/plan/vpl_pilot.h"
 #include "kernels/cluster_records.h"
 #include "kernels/path_records.h"
@@ -27,6 +29,9 @@ namespace {
 
 using namespace gleaner;
 using Settings = std::map<std::string, std::string>;
+using Shape = kernels::VplPilotShape;
+
+constexpr std::size_t kThird = 2;  // of the pilot's bounds
 
 std::vector<float> floats(const scene::Bytes& bytes) {
   std::vector<float> values(bytes.size() / 4);
@@ -82,9 +87,47 @@ class Bench {
     return made;
   }
 
-  worker::Executor& executor() { return executor_; }
+  // What the pilot's stages tell of these lights and points; without paths.
+  kernels::VplPilotFacts measure(const Shaded& made, const std::array<double, Shape::bounds>& bounds) {
+    const auto lights = run("vpl_pilot_lights", kernels::VplPilotRowsParameters{}, {{"lights", made.lights}}, 1);
+    const auto points = run("vpl_pilot_points", kernels::VplPilotRowsParameters{}, {{"points", made.points}}, 1);
+    const std::vector<float> queried_lights = floats(lights.records), queried_points = floats(points.records);
+    if (queried_lights.empty() || queried_points.empty()) throw Error::failed("no light reaches the picture");
+    kernels::VisibilityParameters p{};
+    p.clusters = Shape::lights;
+    p.point_clusters = static_cast<std::uint32_t>(queried_points.size() / POINT_WORDS);
+    p.clamp = static_cast<float>(bounds[kThird]);
+    const auto visibility =
+        run("vpl_visibility", p, {{"lights", queried_lights}, {"points", queried_points}}, p.point_clusters);
+    kernels::VplPilotParameters parameters;
+    std::ranges::copy(bounds, parameters.bounds);
+    const std::vector<float> no_paths(2 * (sizeof(kernels::PathRecord) / 4 + 3));
+    const auto measured_facts = run("vpl_pilot", parameters,
+                                    {{"lights", made.lights},
+                                     {"points", made.points},
+                                     {"queried_lights", queried_lights},
+                                     {"queried_points", queried_points},
+                                     {"visibility", floats(visibility.records)},
+                                     {"paths.0", no_paths},
+                                     {"paths.1", no_paths}},
+                                    1);
+    kernels::VplPilotFacts facts;
+    std::memcpy(&facts, measured_facts.facts.data(), sizeof facts);
+    return facts;
+  }
 
  private:
+  template <typename Parameters>
+  worker::BatchResult run(const char* kind, const Parameters& parameters,
+                          const std::map<std::string, std::vector<float>>& inputs, std::uint64_t items) {
+    worker::StageTask task;
+    task.kind = kind;
+    task.scene = "scene";
+    task.parameters = coordinator::bytes_of(parameters);
+    for (const auto& [name, rows] : inputs) task.inputs[name] = worker::TaskInput(coordinator::bytes_of(rows));
+    return executor_.run(task, 0, items);
+  }
+
   std::shared_ptr<const scene::Scene> scene_;
   worker::Executor executor_;
   coordinator::FrameSettings settings_;
@@ -100,9 +143,9 @@ double rms(const Shaded& a, const Shaded& b) {
   return std::sqrt(sum / static_cast<double>(a.radiance.size()));
 }
 
-void print(const char* what, const std::string& counts, double foreseen, double measured, double mean) {
-  std::printf("  %-14s %-28s foreseen %6.2f %%  measured %6.2f %%  ratio %.2f\n", what, counts.c_str(),
-              100 * foreseen / mean, 100 * measured / mean, foreseen / measured);
+void print(const char* what, const std::string& counts, double predicted, double measured, double mean) {
+  std::printf("  %-14s %-28s predicted %6.2f %%  measured %6.2f %%  ratio %.2f\n", what, counts.c_str(),
+              100 * predicted / mean, 100 * measured / mean, predicted / measured);
   std::fflush(stdout);
 }
 
@@ -131,90 +174,69 @@ int main(int argc, char** argv) {
     const double factor = argc > 4 ? std::atof(argv[4]) : 0.05;
     if (!(factor > 0)) throw Error::usage(std::string("bound: expected a number above 0, found ") + argv[4]);
     const double bound = factor * first.density;
-    coordinator::VplPilot pilot(first.lights, first.points, {bound});
-    if (pilot.empty()) throw Error::failed("no light reaches the picture");
-    worker::StageTask task;
-    task.kind = "vpl_visibility";
-    task.scene = "scene";
-    const auto bytes = [](const std::vector<float>& rows) {
-      auto to = std::make_shared<scene::Bytes>(rows.size() * 4);
-      std::memcpy(to->data(), rows.data(), to->size());
-      return to;
-    };
-    task.inputs["lights"] = bytes(pilot.asked_lights());
-    task.inputs["points"] = bytes(pilot.asked_points());
-    kernels::VisibilityParameters p{};
-    p.clusters = coordinator::VplPilot::kLights;
-    p.point_clusters = static_cast<std::uint32_t>(pilot.asked_points().size() / POINT_WORDS);
-    p.clamp = static_cast<float>(bound);
-    task.parameters.resize(sizeof p);
-    std::memcpy(task.parameters.data(), &p, sizeof p);
-    pilot.answer(bench.executor().run(task, 0, p.point_clusters).records);
-    coordinator::VplWish wish;
-    wish.pixels = static_cast<double>(width) * height;
-    wish.points = static_cast<double>(first.points.size() / POINT_WORDS);
-    wish.spp = 16;
-    wish.made = kCount;
-    wish.samples = 16;
-    wish.usual_point_clusters = points;
-    {
-      // What it takes the host with as many bounds as the plan has.
-      const auto begun = std::chrono::steady_clock::now();
-      coordinator::VplPilot whole(first.lights, first.points, {bound / 2, bound, 2 * bound, 4 * bound});
-      const auto measured = std::chrono::steady_clock::now();
-      whole.answer(bench.executor().run(task, 0, p.point_clusters).records);
-      const auto answered = std::chrono::steady_clock::now();
-      const coordinator::PathForecast some{whole.mean(0) * whole.mean(0), whole.mean(0)};
-      choose_vpl(whole, {some, some, some, some}, wish);
-      const auto chosen = std::chrono::steady_clock::now();
-      const auto ms = [](auto from, auto to) { return 1e3 * std::chrono::duration<double>(to - from).count(); };
-      std::printf("%s: pilot %.1f ms before it asks, %.1f ms with its %u rays, %.1f ms to choose\n", argv[1],
-                  ms(begun, measured), ms(measured, answered), p.point_clusters * p.clusters, ms(answered, chosen));
-    }
-    const auto foreseen = [&](std::uint32_t count, std::uint32_t clusters, std::uint32_t point_clusters, double doubt) {
-      return coordinator::forecast_vpl(pilot, {{}}, wish, {count, clusters, point_clusters, 1, doubt, 0});
+    // The pilot's bounds, of which the third is this one.
+    const std::array<double, Shape::bounds> bounds = {bound / 4, bound / 2, bound, 2 * bound};
+    const auto begun = std::chrono::steady_clock::now();
+    const kernels::VplPilotFacts facts = bench.measure(first, bounds);
+    const coordinator::VplPilot pilot(facts, bounds);
+    const auto measured = std::chrono::steady_clock::now();
+    coordinator::VplTarget target;
+    target.pixels = static_cast<double>(width) * height;
+    target.points = static_cast<double>(first.points.size() / POINT_WORDS);
+    target.spp = 16;
+    target.made = kCount;
+    target.samples = 16;
+    target.usual_point_clusters = points;
+    choose_vpl(pilot, target);
+    const auto chosen = std::chrono::steady_clock::now();
+    const auto ms = [](auto from, auto to) { return 1e3 * std::chrono::duration<double>(to - from).count(); };
+    std::printf("%s: pilot %.1f ms to measure, %.1f ms to choose\n", argv[1], ms(begun, measured),
+                ms(measured, chosen));
+    const auto predicted = [&](std::uint32_t count, std::uint32_t clusters, std::uint32_t point_clusters,
+                               double threshold) {
+      return predict_vpl(pilot, target, {count, clusters, point_clusters, 1, threshold, kThird});
     };
     // Lights grow denser in proportion to their number; the bound stays.
-    const auto with = [&](Settings set, double count = kCount, double doubt = 0.2) {
+    const auto with = [&](Settings set, double count = kCount, double threshold = 0.2) {
       set["vpl.clamp"] = std::to_string(factor * kCount / count);
-      set["vpl.residual_threshold"] = std::to_string(doubt);
+      set["vpl.residual_threshold"] = std::to_string(threshold);
       return set;
     };
     const Shaded exact = bench.shade(with(none), 1);
     double mean = 0;
     for (const float value : exact.radiance) mean += value / static_cast<double>(exact.radiance.size());
-    std::printf("%s %ux%u, one row in %u: mean foreseen %.4g, measured %.4g\n", argv[1], width, height, part,
-                pilot.mean(0), mean);
+    std::printf("%s %ux%u, one row in %u: mean predicted %.4g, measured %.4g\n", argv[1], width, height, part,
+                pilot.mean(kThird), mean);
     for (const std::uint32_t count : {1000u, 4000u}) {
       Settings set = none;
       set["vpl.count"] = std::to_string(count);
       const Shaded a = bench.shade(with(set, count), 1), b = bench.shade(with(set, count), 2);
-      print("VPLs", set["vpl.count"], std::sqrt(foreseen(count, 0, 0, 0).lights), rms(a, b) / std::sqrt(2), mean);
+      print("VPLs", set["vpl.count"], std::sqrt(predicted(count, 0, 0, 0).lights), rms(a, b) / std::sqrt(2), mean);
     }
     for (const std::uint32_t clusters : {256u, 768u, 1536u, 4096u}) {
       Settings set = none;
       set["vpl.clusters"] = std::to_string(clusters);
-      const double told = std::sqrt(foreseen(kCount, clusters, 0, 0).clusters);
-      print("VPL clusters", set["vpl.clusters"], told, rms(bench.shade(with(set), 1), exact), mean);
+      const double estimate = std::sqrt(predicted(kCount, clusters, 0, 0).clusters);
+      print("VPL clusters", set["vpl.clusters"], estimate, rms(bench.shade(with(set), 1), exact), mean);
       if (clusters != 768) continue;
       set["vpl.random_representative"] = std::string("1");
-      const double drawn = pilot.clusters_error(0, clusters, true) * (1 - clusters / double{kCount});
-      print("", "768, one drawn by lot", std::sqrt(drawn), rms(bench.shade(with(set), 1), exact), mean);
+      const double drawn = pilot.clusters_error(kThird, clusters, true) * (1 - clusters / double{kCount});
+      print("", "768, one at random", std::sqrt(drawn), rms(bench.shade(with(set), 1), exact), mean);
     }
-    // Of lights that are not clustered: points that ask for themselves mend what clusters of lights have wrong, too.
+    // Of lights that are not clustered: residual samples correct errors of VPL clusters, too.
     constexpr std::uint32_t kFew = 1600;
     Settings few = none;
     few["vpl.count"] = std::to_string(kFew);
-    const Shaded asked = bench.shade(with(few, kFew), 1);
+    const Shaded exact_points = bench.shade(with(few, kFew), 1);
     for (const double portion : {0.25, 1.0, 2.0})
-      for (const double doubt : {0.0, 0.2, 0.02}) {
+      for (const double threshold : {0.0, 0.2, 0.02}) {
         Settings set = few;
         const auto some = static_cast<std::uint32_t>(points * portion);
         set["vpl.point_clusters"] = std::to_string(some);
         char words[64];
-        std::snprintf(words, sizeof words, "%u, doubt %.2f", some, doubt);
-        print("point clusters", words, std::sqrt(foreseen(kFew, 0, some, doubt).points),
-              rms(bench.shade(with(set, kFew, doubt), 1), asked), mean);
+        std::snprintf(words, sizeof words, "%u, threshold %.2f", some, threshold);
+        print("point clusters", words, std::sqrt(predicted(kFew, 0, some, threshold).points),
+              rms(bench.shade(with(set, kFew, threshold), 1), exact_points), mean);
       }
     return 0;
   } catch (const std::exception& error) {

@@ -32,7 +32,7 @@ EmbeddedFarm::EmbeddedFarm(const EmbeddedSettings& settings)
   unsigned threads = std::max(1u, std::thread::hardware_concurrency() / std::max(1u, settings.workers));
   for (unsigned number = 1; number <= settings.workers; ++number) {
     worker::DeviceChoice choice = settings.device;
-    // One for all of them: they build the same.
+    // One compiler for all of them: they build the same.
     if (number > 1) choice.compiler.clear();
     if (choice.threads == 0 && settings.workers > 1) choice.threads = static_cast<int>(threads);
     auto runner = worker::open_device(choice);

@@ -15,7 +15,8 @@ namespace gleaner::cli {
 
 struct EmbeddedSettings {
   unsigned workers = 1;
-  worker::DeviceChoice device;    // threads 0: the machine's, shared out among the workers
+  // threads 0: the machine's, shared out among the workers; compiler: the first worker's.
+  worker::DeviceChoice device;
   std::uint64_t batch_items = 0;  // 0 = adaptive
   std::function<coordinator::FramePaths(const std::string& job, std::uint32_t frame)> paths;
 };

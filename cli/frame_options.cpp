@@ -11,7 +11,7 @@
 
 #include "coordinator/jobs/job.h"
 #include "coordinator/plan/methods.h"
-#include "coordinator/plan/way_points.h"
+#include "coordinator/plan/trajectory.h"
 #include "scene/model/error.h"
 #include "scene/model/names.h"
 
@@ -108,7 +108,7 @@ std::vector<LookAt> parse_way(const FrameOptions& options) {
   std::vector<LookAt> way;
   for (const std::string& text : options.look_at) way.push_back(parse_look_at(text));
   if (way.size() > 1 && options.frames.empty())
-    throw Error::usage("--look-at: several of them are a camera's way, and need --frames A-B");
+    throw Error::usage("--look-at: several of them are a camera trajectory, and need --frames A-B");
   return way;
 }
 
@@ -224,7 +224,7 @@ LoadedFrame load_frame(const FrameOptions& options) {
       moved.half_width = moved.half_height * static_cast<float>(settings.width) / static_cast<float>(settings.height);
       frame.cameras.push_back(moved);
     }
-  settings.way = coordinator::way_of(frame.cameras);
+  settings.trajectory = coordinator::trajectory_of(frame.cameras);
   scene::SceneNeeds needs = scene::needs_of(frame.scene);
   if (!needs.punctual_lights && !needs.emissive_triangles && !needs.environment && !needs.unlit)
     words.push_back(options.files.scene + ": no light; the picture will be black (--environment FILE lights a scene)");

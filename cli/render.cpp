@@ -66,6 +66,7 @@ int render(const RenderOptions& options) {
   settings.device.compiler = kernel_compiler();
   settings.device.device = options.device;
   settings.device.trace = worker::parse_trace_kind(options.trace);
+  settings.device.compiler = kernel_compiler();
   settings.batch_items = options.batch_items;
 
   Signals signals;

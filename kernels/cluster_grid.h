@@ -52,7 +52,7 @@ FN void nearest_seeds(v3 p, v3 n, vi active, global const float* grid, global co
         vf r = dot3(d, d);
         here = here & (dot3(words3(s, SEED_NORMAL), n) > (vf)least_cosine) & (r < best[FUZZINESS - 1]);
 #ifdef SAME_SURFACE
-        // A ledge above a wall is no part of it, however near: what lies between them stands in other light's way.
+        // A ledge above a wall is no part of it, however near: what lies between them blocks other light.
         vf above = dot3(d, n);
         here = here & (above * above <= (vf)(SAME_SURFACE * SAME_SURFACE) * r);
 #endif

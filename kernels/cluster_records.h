@@ -9,7 +9,7 @@ namespace gleaner::kernels {
 #endif
 
 // Stage kinds "vpl_cluster" (input "lights": rows of VPL_WORDS) and "point_cluster" (input "points"); solo. An item is
-// a cluster; its record is a row of VPL_WORDS or POINT_WORDS words, of flux 0 or triangle GLEANER_NONE where empty.
+// a cluster; its record is a row of VPL_WORDS words, of flux 0 where empty, or of POINT_WORDS words, none where empty.
 // vpl_cluster says behind its clusters which one each of the lights is in: uints, in the lights' order, in rows of
 // VPL_WORDS.
 typedef struct {

@@ -71,22 +71,20 @@ FN void scatter_u(global uint* p, vu i, vu v) {
 #define LOW_8 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23
 #define HIGH_8 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31
 FN void transpose16(float16* x) {
+  // clang-format off
 #define STEP(i, j) SHUFFLE_PAIR(x, i, j, LOW_1, HIGH_1)
-  STEP(0, 1)
-  STEP(2, 3)
-  STEP(4, 5)
-  STEP(6, 7)
-  STEP(8, 9) STEP(10, 11) STEP(12, 13) STEP(14, 15)
+  STEP(0, 1) STEP(2, 3) STEP(4, 5) STEP(6, 7) STEP(8, 9) STEP(10, 11) STEP(12, 13) STEP(14, 15)
 #undef STEP
 #define STEP(i, j) SHUFFLE_PAIR(x, i, j, LOW_2, HIGH_2)
-      STEP(0, 2) STEP(1, 3) STEP(4, 6) STEP(5, 7) STEP(8, 10) STEP(9, 11) STEP(12, 14) STEP(13, 15)
+  STEP(0, 2) STEP(1, 3) STEP(4, 6) STEP(5, 7) STEP(8, 10) STEP(9, 11) STEP(12, 14) STEP(13, 15)
 #undef STEP
 #define STEP(i, j) SHUFFLE_PAIR(x, i, j, LOW_4, HIGH_4)
-          STEP(0, 4) STEP(1, 5) STEP(2, 6) STEP(3, 7) STEP(8, 12) STEP(9, 13) STEP(10, 14) STEP(11, 15)
+  STEP(0, 4) STEP(1, 5) STEP(2, 6) STEP(3, 7) STEP(8, 12) STEP(9, 13) STEP(10, 14) STEP(11, 15)
 #undef STEP
 #define STEP(i, j) SHUFFLE_PAIR(x, i, j, LOW_8, HIGH_8)
-              STEP(0, 8) STEP(1, 9) STEP(2, 10) STEP(3, 11) STEP(4, 12) STEP(5, 13) STEP(6, 14) STEP(7, 15)
+  STEP(0, 8) STEP(1, 9) STEP(2, 10) STEP(3, 11) STEP(4, 12) STEP(5, 13) STEP(6, 14) STEP(7, 15)
 #undef STEP
+  // clang-format on
 }
 // One whole vector at any float's address. PoCL's vload16 and vstore16 are written in pairs of floats, which its
 // compiler puts together again: that was half of all it had to do.

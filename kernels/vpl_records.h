@@ -18,7 +18,7 @@ namespace gleaner::kernels {
 #define VPL_TABLE 12u     // uint: the albedo table of the lobe above the diffuse layer, or GLEANER_NONE
 #define VPL_ROW 13u       // its fractional row
 #define VPL_RADIUS 14u    // clusters: of the sphere about the position that holds every member
-#define VPL_DEPTH 15u     // VPLs: scatterings on the light's way, this one included (float)
+#define VPL_DEPTH 15u     // VPLs: scatterings on the light path, this one included (float)
 #define VPL_FIRST \
   15u                  // clusters: row of the first of their members, which follow each other; members: their
                        // cluster's row (uint)
@@ -35,7 +35,7 @@ namespace gleaner::kernels {
 // Most VPLs of a light path: where it would leave more, it leaves half as many of twice the flux.
 #define VPL_PATH_SLOTS 8u
 
-// Stage kind "vpl_trace". An item is a light path; its record is VPL_PATH_SLOTS rows of VPL_WORDS.
+// Stage kind "vpl_trace". An item is a light path; it has up to VPL_PATH_SLOTS records, rows of VPL_WORDS.
 typedef struct {
   gl_uint items_low, items_high;
   gl_uint depth;  // most scatterings that end in a VPL; 0 = until Russian roulette ends the path
@@ -75,29 +75,30 @@ typedef struct {
   gl_uint pass;
   gl_uint seed_low, seed_high;
   gl_uint items_low, items_high;
-  gl_uint depth;           // most scatterings on a light's way; 0 = without end
+  gl_uint depth;           // most scatterings on a light path; 0 = unlimited
   gl_uint stride;          // vpl_points: item i is pixel i * stride, sample i % samples
   gl_uint clusters;        // vpl_shade: rows of the input "lights", a multiple of 32 * samples; sample j of a pixel
-                           // sees one slice of clusters / samples rows. The input "members" (maybe of no rows) goes on
-                           // where those rows end: clusters' members
-  gl_uint point_clusters;  // vpl_shade: rows of the input "points"; 0: every point asks for itself
+                           // sees one slice of clusters / samples rows. Behind them lie the members of those that
+                           // are clusters
+  gl_uint point_clusters;  // vpl_shade: rows of the input "points"; 0: every point queries all lights
   gl_uint fuzziness;       // clusters a point belongs to
   gl_uint equal_weights;   // 1: eq. 8, else eq. 9-10
   gl_float clamp;          // bound of the geometry term, 1/m^2; infinity: none
-  // A point asks itself for a light that would bring it more than this share of its light, for lesser ones at random
-  // (kernels/vpl/residual.cl); 0: none, and points near no cluster ask for every light.
+  // A point queries a light that would contribute more than this share of its light, and lesser ones at random
+  // (kernels/vpl/residual.cl); 0: none, and points near no cluster query every light.
   gl_float residual_threshold;
 } VplPointParameters;
 GLEANER_SIZE(VplPointParameters, 128);
 
 // Stage kind "vpl_visibility" (inputs "lights", "points"). An item is a point cluster; its record is a bit a light, 32
-// to a word, then how many were not asked because they face away, and how many because they bring next to nothing.
+// to a word, then how many were not queried because they face away, and how many because they contribute next to
+// nothing.
 #define VISIBILITY_COUNTS 2u
 typedef struct {
   gl_uint clusters;        // rows of "lights", a multiple of 32
   gl_uint point_clusters;  // rows of "points"
   gl_float clamp;          // bound of the geometry term, 1/m^2
-  gl_float cutoff;  // share of what an unshadowed light would bring in the mean: what can bring less is not asked
+  gl_float cutoff;         // share of the mean contribution of unshadowed lights: lights below it are not queried
 } VisibilityParameters;
 GLEANER_SIZE(VisibilityParameters, 16);
 
@@ -112,7 +113,7 @@ GLEANER_SIZE(VisibilityParameters, 16);
 #define MAX_FUZZINESS 8u
 #define MAX_RESIDUAL_SAMPLES 128u  // of a point
 // A residual sample: a light's row, and why it was selected.
-#define RESIDUAL_LIGHT 0xffffffu         // in "lights", or behind them in "members"
+#define RESIDUAL_LIGHT 0xffffffu         // of the input "lights", members included
 #define RESIDUAL_STOCHASTIC 0x80000000u  // its answer corrects what clusters said of many
 #define RESIDUAL_CERTAIN 0x40000000u     // it would have been selected whatever the random number
 #define RESIDUAL_AGREED 0x20000000u      // the point's clusters agree on it

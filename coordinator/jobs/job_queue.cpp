@@ -7,7 +7,7 @@
 
 #include "coordinator/jobs/engine.h"
 #include "coordinator/jobs/job_id.h"
-#include "coordinator/plan/way_points.h"
+#include "coordinator/plan/trajectory.h"
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {
@@ -45,7 +45,7 @@ std::shared_ptr<Job> Farm::Impl::accept(const JobRequest& request) {
   auto job = std::make_shared<Job>();
   job->request = request;
   job->request.scene.blob = request.scene_blob;
-  if (!request.cameras.empty()) job->request.settings.way = way_of(request.cameras);
+  if (!request.cameras.empty()) job->request.settings.trajectory = trajectory_of(request.cameras);
   job->memory = settings.check(settings_of(job->request, request.first_frame), request.scene);
   if (job->memory > settings.memory_bytes)
     throw Error::usage("a frame of " + std::to_string(request.settings.width) + "x" +
@@ -92,7 +92,7 @@ JobRemains Farm::Impl::end_job(Job& job, JobState state, const std::string& mess
   for (const auto& stage : job.stages) job.last_stages.push_back(status_of(*stage, job.ended));
   remains.stages = std::exchange(job.stages, {});
   remains.cameras = std::exchange(job.request.cameras, {});
-  job.request.settings.way = {};
+  job.request.settings.trajectory = {};
   settings.log("job " + job.id + " " + job_state_name(state) + (message.empty() ? "" : ": " + message));
   changed(job);
   ended_jobs.push_back(jobs.at(job.id));

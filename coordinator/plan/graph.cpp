@@ -7,7 +7,7 @@
 
 namespace gleaner::coordinator {
 
-// As long as an artifact may be read. Its end is told to the farm, once.
+// As long as an artifact may be read. At its end the farm is asked to forget it, once.
 struct Graph::Life {
   ArtifactId id;
   bool handed_out = false;  // the farm knows of it
@@ -198,8 +198,14 @@ Step Graph::take_step() {
     if (ready(node)) hand_out(node);
   std::erase_if(waiting_stages_, ready);
   Step step = std::exchange(step_, {});
-  step.released = std::exchange(*released_, {});
   std::erase_if(lives_, [](const auto& entry) { return entry.second.expired(); });
+  step.released = std::exchange(*released_, {});
+  // What was asked for again meanwhile, under the same id, is still read.
+  std::erase_if(step.released, [&](const ArtifactId& id) {
+    const auto found = lives_.find(id);
+    const auto life = found == lives_.end() ? nullptr : found->second.lock();
+    return life && life->handed_out;
+  });
   return step;
 }
 

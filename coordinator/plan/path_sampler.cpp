@@ -119,7 +119,7 @@ void PathSampler::ask(Asked asked) {
   // The records of a whole stage of a large film are larger than all that the film holds.
   spec.output = {.record_bytes = static_cast<std::uint32_t>(record_bytes(asked)), .placement = Placement::stream};
   std::vector<Graph::Input> inputs;
-  if (asked.list) inputs.push_back({"items", graph_.data(asked.list), Extent::whole});
+  if (asked.list) inputs.push_back({"items", graph_.data(asked.list), Extent::own_items});
   spec.parameters = bytes_of(p);
   spec.parameters.insert(spec.parameters.end(), program_.method_parameters.begin(), program_.method_parameters.end());
   asked.artifact = graph_.add(std::move(spec), std::move(inputs));

@@ -46,9 +46,9 @@ struct FrameSettings {
   std::uint32_t depth = 0;  // most scatterings on a light's way, 0 = until Russian roulette ends it
   std::uint64_t seed = 0;
   scene::Camera camera{};  // aspect already that of the film
-  // Cameras that stand for the way on which `camera` is one place (way_of()): what a plan makes for all frames of the
-  // way is made for these. Empty: a single camera.
-  std::vector<scene::Camera> way;
+  // Cameras that stand for the trajectory on which `camera` is one place (trajectory_of()): what a plan makes for all
+  // frames of the trajectory is made for these. Empty: a single camera.
+  std::vector<scene::Camera> trajectory;
   double target_error = 0;                 // 0 = none
   std::map<std::string, std::string> set;  // --set KEY=VALUE
 };

@@ -13,7 +13,7 @@ std::vector<Setting> vpl_setting_rules() {
   using enum SettingType;
   return {
       {"vpl.count", whole, 1, 1u << 22, "chosen*", "VPLs of a pass"},
-      {"vpl.clusters", whole, 0, 1u << 20, "chosen*", "clusters of a pass's VPLs; 0: every VPL stands for itself"},
+      {"vpl.clusters", whole, 0, 1u << 20, "chosen*", "clusters of a pass's VPLs; 0: every VPL is its own cluster"},
       {"vpl.point_clusters", whole, 0, 1u << 22, "chosen*",
        "clusters of shaded points (on a camera trajectory: for what one of its cameras sees); 0: every point traces "
        "its own shadow rays"},
@@ -26,15 +26,18 @@ std::vector<Setting> vpl_setting_rules() {
       {"vpl.clamp", real, 0, 1e6, "chosen*; else 0.05",
        "bound of the geometry term, in units of the VPLs' density (VPLs a square metre); 0: none"},
       {"vpl.residual_threshold", real, 0, 1, "chosen*; else 1.6 / `--spp`, 0.02 to 0.2",
-       "a point traces a shadow ray of its own to a VPL that would bring it more than this share of its light, and to "
+       "a point traces a shadow ray of its own to a VPL that would contribute more than this share of its light, and "
+       "to "
        "lesser ones at random; 0: to none, and points near no cluster to all",
        "vpl.doubt"},
       {"vpl.contribution_cutoff", real, 0, 1, "0.05",
-       "no visibility query for a VPL that can bring a point cluster less than this share of what a VPL would bring on "
-       "average if nothing were in the way; 0: all are queried",
+       "no visibility query for a VPL that can contribute less to a point cluster than this share of what a VPL would "
+       "contribute on "
+       "average if nothing blocked it; 0: all are queried",
        "vpl.least"},
       {"vpl.random_representative", flag, 0, 1, "1 with several passes, else 0",
-       "1: the VPL that stands for a cluster is drawn at random, so that the mean over passes has no bias of clusters; "
+       "1: the VPL that represents a cluster is chosen at random, so that the mean over passes has no bias of "
+       "clusters; "
        "0: the one in its middle",
        "vpl.draw"},
       {"vpl.compensate", flag, 0, 1, "1", "0: what the bound takes is lost, not traced by paths"},
@@ -76,7 +79,7 @@ VplSettings make_vpl_settings(const FrameSettings& settings) {
                .random_representative = settings.set.contains("vpl.random_representative")};
   // What a bound takes is an error where nothing gives it back: the pilot knows of none.
   if (!vpl.compensate) vpl.given.clamp = vpl.clamp;
-  vpl.piloted = !(vpl.given.count && vpl.given.clusters && vpl.given.point_clusters) && settings.way.empty();
+  vpl.piloted = !(vpl.given.count && vpl.given.clusters && vpl.given.point_clusters) && settings.trajectory.empty();
   return vpl;
 }
 

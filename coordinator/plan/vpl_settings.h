@@ -1,5 +1,5 @@
 #pragma once
-// What the method `vpl` was told, and what it settles for itself.
+// Settings of method `vpl`, as given or by default.
 
 #include <cstdint>
 #include <optional>
@@ -10,14 +10,14 @@ namespace gleaner::coordinator {
 
 struct VplSettings {
   std::uint32_t count = 0;           // VPLs of a pass
-  std::uint32_t clusters = 0;        // of them; 0: every VPL stands for itself
+  std::uint32_t clusters = 0;        // of them; 0: every VPL is its own cluster
   std::uint32_t point_clusters = 0;  // 0: every point traces its own shadow rays
   std::uint32_t fuzziness = 6;
   bool equal_weights = false;  // eq. 8 instead of eq. 9-10
   bool compensate = true;      // what the clamp takes is given back by paths
   // Share of a point's light beyond which it traces a shadow ray of its own to a light; to lesser ones at random.
   double residual_threshold = 0;
-  // Of what lights bring a point cluster on average: those that can bring less are not queried.
+  // Share of the lights' mean contribution to a point cluster: lights that can contribute less are not queried.
   double contribution_cutoff = 0;
   double clamp = 0;                    // bound of the geometry term in units of the VPLs' density; 0: none
   bool random_representative = false;  // of a cluster, not the member in its middle
@@ -25,7 +25,7 @@ struct VplSettings {
   std::uint32_t passes = 1;
 
   // Of what is above, that which was set. A pilot (coordinator/plan/vpl_pilot.h) chooses the rest, unless the three
-  // counts are all set; the values above are then where it begins.
+  // counts are all set; the values above are then its starting point.
   struct Given {
     std::optional<std::uint32_t> count, clusters, point_clusters, passes;
     std::optional<double> residual_threshold, clamp;

@@ -26,7 +26,8 @@ constexpr int kDuplicateCandidates = 4;
 // A worker that is quarantined again and again waits twice as long each time, but at most so many times the first wait.
 constexpr double kLongestAside = 32;
 
-// A batch that runs so many times as long as expected makes its worker a straggler: what waits behind it goes to others.
+// A batch that runs so many times as long as expected makes its worker a straggler: what waits behind it goes to
+// others.
 constexpr double kLate = 3;
 
 // Leases are numbered from here on in the run of the coordinator that `incarnation` counts.

@@ -1,4 +1,4 @@
-// Light that virtual point lights bring to points. Stage kind "vpl_shade".
+// Light from virtual point lights at points. Stage kind "vpl_shade".
 //
 //   vpl_memberships   the FUZZINESS nearest point clusters of each point, with weights by distance   (eq. 9-10)
 //   vpl_gather        for each light that one of them sees
@@ -8,7 +8,7 @@
 //   residual samples  how far the clusters' visibility is off, measured and corrected     (kernels/vpl/residual.cl)
 //   vpl_resolve       a pixel's samples -> its record
 //
-// A point near no cluster is unclustered: it asks for lights itself.
+// A point near no cluster is unclustered: it queries lights itself.
 
 // How steeply a cluster's place may rise above a point's plane (as a sine) for the two to be of one surface.
 #define SAME_SURFACE 0.25f
@@ -93,7 +93,7 @@ FN v3 lobes_bring(const Scene* scene, global const float* light, v3 flux, v3 p, 
 }
 #endif
 
-// What an unshadowed light would bring to a point: to the diffuse layer, and to `glossy` what the point's rough lobe
+// Contribution of an unshadowed light to a point: to the diffuse layer, and to `glossy` what the point's rough lobe
 // makes of it. The geometry term is bounded (eq. 4), together with the lobes' gain at both ends; lobes take their part
 // from the layers below them.
 FN v3 plain_light_brings(const Scene* scene, global const float* light, v3 p, v3 n, const PointLobe* lobe, vf clamp_to,
@@ -129,7 +129,7 @@ FN v3 light_brings(const Scene* scene, global const float* light, v3 p, v3 n, co
   return brought;
 }
 
-// A point in deep shadow is as exact as one that gets this much of what the lights its clusters see would bring it.
+// A point in deep shadow is as exact as one that gets this share of the contributions of the lights its clusters see.
 #define LEAST_LIT_SHARE 0.1f
 
 // Over one slice of the lights, which the sixteen points of a block share. `own`: point `chosen[i]` reads row i of
@@ -178,10 +178,10 @@ kernel WIDE void vpl_gather(global const VplPointParameters* restrict parameters
         seen[f] = visible_lights(bits, row[f] + word, active & (weight[f] > zero_f()));
         any |= seen[f];
       }
-      uint asked = any_bits(any);
+      uint pending = any_bits(any);
       global const float* l = lights + (ulong)VPL_WORDS * (slice * width + 32u * word);
-      for (; asked; asked &= asked - 1u) {
-        uint k = 31u - clz(asked & (0u - asked));
+      for (; pending; pending &= pending - 1u) {
+        uint k = 31u - clz(pending & (0u - pending));
         global const float* light = l + VPL_WORDS * k;
         vf visible = zero_f();
         for (uint f = 0; f < FUZZINESS; ++f) visible += pick(zero_f(), weight[f], (seen[f] & (1u << k)) != 0u);
@@ -217,7 +217,7 @@ kernel WIDE void vpl_gather(global const VplPointParameters* restrict parameters
 }
 
 // A pixel's samples, in their order, each of which saw a slice of the lights: their sum saw all of them. What was
-// sampled of the clusters' error is taken off as far as it stands out of its own noise (James & Stein 1961).
+// sampled of the clusters' error is subtracted as far as it exceeds its own noise (James & Stein 1961).
 kernel void vpl_resolve(global const VplPointParameters* restrict parameters, uint count,
                         global const float* restrict radiance, global const float* restrict sampled,
                         global float* restrict records, global uint* restrict report) {

@@ -1,4 +1,4 @@
-// What a virtual point light brings to a point: both may have a rough specular lobe over a diffuse layer (bsdf.h).
+// Contribution of a virtual point light to a point: both may have a rough specular lobe over a diffuse layer (bsdf.h).
 #ifndef GLEANER_KERNELS_VPL_LOBES_H
 #define GLEANER_KERNELS_VPL_LOBES_H
 

@@ -21,8 +21,8 @@
 #define SUBSAMPLING 4u
 #define SUBSAMPLED_BITS 0x11111111u
 
-// The most that any of the 32 lights in `box` can bring to a point: both cosines are at most 1, the point's at most
-// what its plane leaves.
+// Upper bound of the contribution of any of the 32 lights in `box` to a point: both cosines are at most 1, the point's
+// at most what its plane leaves.
 FN vf most_of_box(global const float* box, v3 p, v3 n, vf clamp_to) {
   v3 beyond = make3(max_f(fabs(p.x - box[0]) - box[3], zero_f()), max_f(fabs(p.y - box[1]) - box[4], zero_f()),
                     max_f(fabs(p.z - box[2]) - box[5], zero_f()));
@@ -55,7 +55,7 @@ FN vu disputed_lights(global const uint* bits, const vu* row, const vf* weight, 
   return any & ~all;
 }
 
-// At most MAX_RESIDUAL_SAMPLES a point; `counts` tells how many. `level`: each point's light by its clusters.
+// At most MAX_RESIDUAL_SAMPLES a point; `counts`: how many. `level`: each point's light by its clusters.
 kernel WIDE void vpl_residual_select(global const VplPointParameters* restrict parameters,
                                      global const float* restrict points, uint count,
                                      global const float* restrict lights, global const float* restrict boxes,
@@ -110,9 +110,10 @@ kernel WIDE void vpl_residual_select(global const VplPointParameters* restrict p
       uint subsampled = SUBSAMPLED_BITS << (any_bits(hash_u((vu)(shared_random + word))) & (SUBSAMPLING - 1u));
       global const float* l = first_light + VPL_WORDS * 32u * word;
       vf most = most_of_box(boxes + LIGHT_BOX_WORDS * (slice * words + word), p, n, clamp_to);
-      vi thin = most * (vf)(float)SUBSAMPLING <= spacing;
-      vf stands_for = pick(one_f(), (vf)(float)SUBSAMPLING, thin);
-      for (uint looked = any_lane(open & none(thin)) ? 0xffffffffu : subsampled; looked; looked &= looked - 1u) {
+      vi is_subsampled = most * (vf)(float)SUBSAMPLING <= spacing;
+      vf represents = pick(one_f(), (vf)(float)SUBSAMPLING, is_subsampled);
+      for (uint looked = any_lane(open & none(is_subsampled)) ? 0xffffffffu : subsampled; looked;
+           looked &= looked - 1u) {
         uint bit = looked & (0u - looked), k = 31u - clz(bit);
         global const float* light = l + VPL_WORDS * k;
         vf at_point, side, inverse;
@@ -131,8 +132,8 @@ kernel WIDE void vpl_residual_select(global const VplPointParameters* restrict p
             g *= light_luminance(light);
           }
           vi eligible = open & (m ? near : none(near));
-          vf contribution = pick(zero_f(), g * pick((vf)AGREED, one_f(), disputed) * stands_for, eligible);
-          if (!(subsampled & bit)) contribution = pick(contribution, zero_f(), thin);
+          vf contribution = pick(zero_f(), g * pick((vf)AGREED, one_f(), disputed) * represents, eligible);
+          if (!(subsampled & bit)) contribution = pick(contribution, zero_f(), is_subsampled);
           vi certain = contribution >= spacing;
           passed += pick(contribution, zero_f(), certain);
           vi here = eligible & (certain | (passed > threshold));
@@ -141,11 +142,12 @@ kernel WIDE void vpl_residual_select(global const VplPointParameters* restrict p
           found += pick_u((vu)0u, (vu)1u, here);
           here = here & (found <= MAX_RESIDUAL_SAMPLES);
           vu at = pick_u((vu)behind, lane * MAX_RESIDUAL_SAMPLES + found - 1u, here);
-          // Where no cluster has told anything, the answer corrects nothing, and is not held against its noise.
-          vu stochastic = pick_u((vu)RESIDUAL_STOCHASTIC, (vu)0u, unclustered | (certain & none(thin)));
+          // Without an answer of a cluster there is nothing to correct, and no noise to weigh it against.
+          vu stochastic = pick_u((vu)RESIDUAL_STOCHASTIC, (vu)0u, unclustered | (certain & none(is_subsampled)));
           vu agreed = pick_u((vu)RESIDUAL_AGREED, (vu)0u, disputed);
           vu sure =
-              pick_u((vu)0u, pick_u((vu)RESIDUAL_CERTAIN, (vu)(RESIDUAL_CERTAIN | RESIDUAL_SUBSAMPLED), thin), certain);
+              pick_u((vu)0u, pick_u((vu)RESIDUAL_CERTAIN, (vu)(RESIDUAL_CERTAIN | RESIDUAL_SUBSAMPLED), is_subsampled),
+                     certain);
           scatter_u(selected, at, (vu)row_of | stochastic | agreed | sure);
         }
       }
@@ -218,7 +220,7 @@ kernel WIDE void vpl_residual_rays(global const VplPointParameters* restrict par
   vf at_point, side, inverse;
   vf g = bounded_geometry(p, n, q, light_normal, words3(l, VPL_GEOMETRIC), clamp_to, &at_point, &side, &inverse);
   vf contribution = g * luminance(flux) * pick(one_f(), (vf)AGREED, (sample & RESIDUAL_AGREED) != 0u);
-  // One selected at random stands for as much as lies between two thresholds.
+  // One selected at random represents as much as lies between two thresholds.
   vf times = pick(gather_f(spacings, point) / contribution,
                   pick(one_f(), (vf)(float)SUBSAMPLING, (sample & RESIDUAL_SUBSAMPLED) != 0u),
                   (sample & RESIDUAL_CERTAIN) != 0u);
@@ -249,8 +251,8 @@ kernel WIDE void vpl_residual_rays(global const VplPointParameters* restrict par
   set_visibility_ray(rays, block, start, direction, active, triangle);
 }
 
-// What the answers change, point by point, sample by sample: at once where the light was certain to be asked. What was
-// selected at random goes to `sampled`, its sum and the sum of its squared luminance.
+// What the answers change, point by point, sample by sample: at once where the light was certain to be queried. What
+// was selected at random goes to `sampled`, its sum and the sum of its squared luminance.
 kernel void vpl_residual_apply(uint count, global const uint* restrict firsts, global const uint* restrict counts,
                                global const uint* restrict selected, global const float* restrict terms,
                                global const uint* restrict answers, global const float* restrict lights, uint clusters,
@@ -264,7 +266,7 @@ kernel void vpl_residual_apply(uint count, global const uint* restrict firsts, g
   for (uint k = 0; k < counts[point]; ++k) {
     uint place = point * MAX_RESIDUAL_SAMPLES + k;
     uint sample = selected[place], row = sample & RESIDUAL_LIGHT;
-    // A member has the visibility that the point's clusters told of its VPL cluster.
+    // A member has the visibility that the point's clusters have of its VPL cluster.
     if (row >= clusters) row = ((global const uint*)lights)[(ulong)VPL_WORDS * row + VPL_FIRST];
     float interpolated = 0;
     for (uint f = 0; f < FUZZINESS; ++f) {

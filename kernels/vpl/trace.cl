@@ -8,7 +8,7 @@
 //                      flux scatter                                                (kernels/transport/scattering.h)
 //   until no path is left
 //
-// The thresholds begin at a random offset, so that VPLs stand for the light without bias; all of a path's VPLs have one
+// The thresholds begin at a random offset, so that VPLs represent the light without bias; all of a path's VPLs have one
 // luminance, however long it is. A path whose slots are full keeps every second VPL at twice the flux, and doubles its
 // spacing.
 #include "kernels/transport/emission.h"
@@ -34,7 +34,8 @@
 
 #ifdef NEED_LIGHTS
 
-// What decides how many VPLs stand for some flux: its luminance, or a trace of it all where it has next to none.
+// What decides how many VPLs represent some flux: its luminance, or a small share of the sum of its channels where that
+// is nearly 0.
 FN vf vpl_weight(v3 flux) { return max_f(luminance(flux), (flux.x + flux.y + flux.z) * 1e-3f); }
 
 kernel WIDE void vpl_emit(global const VplTraceParameters* restrict parameters, SCENE_PARAMETERS,
@@ -112,7 +113,7 @@ FN Reflection reflect_flux(const Vertex* v, v3 flux, vf correction) {
 // Of the VPLs in a path's slots every second one is dropped, and the others carry twice as much.
 FN void halve_vpls(global float* records, vu slot, vu odd) {
   vu first = slot * VPL_PATH_SLOTS;
-  // Loops as they stand: this is rare, and written out it would be most of the kernel.
+  // Loops, not unrolled: this is rare, and unrolled it would be most of the kernel.
   __attribute__((opencl_unroll_hint(1))) for (uint k = 0; k < VPL_PATH_SLOTS / 2u; ++k) {
     vu from = (first + 2u * k + odd) * VPL_WORDS, to = (first + k) * VPL_WORDS;
     vf w[VPL_WORDS];

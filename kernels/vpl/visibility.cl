@@ -1,9 +1,10 @@
 // Which lights each point (or point cluster) sees, as bits. Stage kind "vpl_visibility"; "vpl_shade" for points that
-// ask for every light.
+// query every light.
 //
 //   for each point
-//     vpl_visibility_cutoff   a share of what an unshadowed light would bring it in the mean
-//     vpl_visibility_rays     a ray to each light, unless the two face away from each other or the light cannot bring
+//     vpl_visibility_cutoff   a share of the mean contribution of the lights, unshadowed
+//     vpl_visibility_rays     a ray to each light, unless the two face away from each other or the light cannot
+//     contribute
 //                             as much as the cutoff
 //     trace                   any hit
 //     visibility_pack         answers -> bits
@@ -30,14 +31,14 @@ kernel WIDE void vpl_visibility_cutoff(global const float* restrict points, uint
     vf g = geometry_of(light, p, n, (vf)clamp_to, &at_point, &side, &inverse);
     sum += g * light_luminance(light);
   }
-  // A point on a light without a bound asks for all.
+  // A point on a light, without a bound, queries all.
   store_f(cutoff + first_lane, 0, pick(zero_f(), sum * (share / (float)width), sum < (vf)INFINITY));
 }
 
-// Rays from points to lights: `rows` points, each asked for `width` lights (a multiple of 32) from its own first one
+// Rays from points to lights: `rows` points, each queries `width` lights (a multiple of 32) from its own first one
 // on; ray r is point r / width, light r % width of it. Clusters of points and of lights are judged by the cones and
 // spheres that hold their members. A triangle has triangle_words words, more in some scenes than in others: this
-// program is one for all. `left_out`: for each row, how many pairs face away, then how many bring too little.
+// program is one for all. `left_out`: for each row, how many pairs face away, then how many contribute too little.
 kernel WIDE void vpl_visibility_rays(global const float* restrict triangles, uint triangle_words,
                                      global const float* restrict points, global const uint* restrict chosen,
                                      uint listed, global const float* restrict lights, uint width, uint slices,
@@ -80,21 +81,21 @@ kernel WIDE void vpl_visibility_rays(global const float* restrict triangles, uin
   vf at_point = dot3(n, w) + safe_sqrt(one_f() - cone_p * cone_p) + reach;
   vf at_light = -dot3(words3(l, VPL_NORMAL), w) + safe_sqrt(one_f() - cone_q * cone_q) + reach;
   vi facing = (at_point > zero_f()) & (at_light > zero_f()) & (d2 > zero_f());
-  // The most that a member could bring: as near as the members' sphere comes.
+  // Upper bound of a member's contribution: as near as the members' sphere comes.
   vf nearest = max_f(one_f() - reach, zero_f());
   vf most = min_f(min_f(at_point, one_f()) * min_f(at_light, one_f()) * inverse * inverse / (nearest * nearest),
                   (vf)clamp_to) *
             luminance(words3(l, VPL_FLUX));
   vi enough = most > (vf)cutoff[row];
-  uint away, little, asked;
+  uint away, little, queried;
   rank_lanes(active & none(facing), &away);
   active = active & facing;
   rank_lanes(active & none(enough), &little);
   active = active & enough;
-  rank_lanes(active, &asked);
+  rank_lanes(active, &queried);
   if (away) atomic_add(left_out + 2u * row, away);
   if (little) atomic_add(left_out + 2u * row + 1u, little);
-  if (asked) atomic_add(counters, asked);
+  if (queried) atomic_add(counters, queried);
   uint t_row = triangle == GLEANER_NONE ? 0u : triangle;
   global const float* t = triangles + (ulong)triangle_words * t_row;
   v3 p0 = uniform3(t[TRIANGLE_P0], t[TRIANGLE_P0 + 1], t[TRIANGLE_P0 + 2]);

@@ -116,10 +116,11 @@ class BadRows : public testing::Test {
     ASSERT_LE((row + 1) * row_words * 4, bytes.size());
     std::memcpy(&bytes[(row * row_words + word) * 4], &value, 4);
   }
-  // The first row whose word fits.
+  // The first row, from `from` on, whose word fits.
   template <typename T, typename Fits>
-  static std::size_t find_row(const scene::Bytes& bytes, unsigned row_words, unsigned word, Fits fits) {
-    for (std::size_t row = 0; row < bytes.size() / 4 / row_words; ++row) {
+  static std::size_t find_row(const scene::Bytes& bytes, unsigned row_words, unsigned word, Fits fits,
+                              std::size_t from) {
+    for (std::size_t row = from; row < bytes.size() / 4 / row_words; ++row) {
       T value;
       std::memcpy(&value, &bytes[(row * row_words + word) * 4], 4);
       if (fits(value)) return row;
@@ -131,16 +132,23 @@ class BadRows : public testing::Test {
   // Puts `value` in the first row that `fits` says holds something; the error must name input and row.
   template <typename T, typename Fits>
   void refuses(const std::string& kind, const std::string& input, unsigned row_words, unsigned word, T value,
-               unsigned seen_word, Fits fits) {
+               unsigned seen_word, Fits fits, std::size_t from = 0) {
     std::size_t row = 0;
     const worker::StageTask task = changed(kind, input, [&](scene::Bytes& bytes) {
-      row = find_row<std::uint32_t>(bytes, row_words, seen_word, fits);
+      row = find_row<std::uint32_t>(bytes, row_words, seen_word, fits, from);
       set_word(bytes, row, row_words, word, value);
     });
     EXPECT_THAT(refusal([&] { executor_->run(task, 0, seen_.items.at(kind)); }),
                 AllOf(HasSubstr("stage " + kind), HasSubstr("input " + input + "[" + std::to_string(row) + "]")))
         << "word " << word << " = " << value;
     ++refused_;
+  }
+
+  // Rows of clusters of lights that vpl_shade reads.
+  std::uint32_t clusters() const {
+    kernels::VplPointParameters p;
+    std::memcpy(&p, seen_.tasks.at("vpl_shade").parameters.data(), sizeof p);
+    return p.clusters;
   }
 
   void still_runs(const std::string& kind) {
@@ -185,15 +193,14 @@ TEST_F(BadRows, OfAlbedoTables) {
     refuses(kind, "lights", VPL_WORDS, VPL_TABLE, 0x7fffffffu, VPL_TABLE, any);
     still_runs(kind);
   }
-  refuses("vpl_shade", "members", VPL_WORDS, VPL_TABLE, 0x7fffffffu, VPL_TABLE, any);
+  refuses("vpl_shade", "lights", VPL_WORDS, VPL_TABLE, 0x7fffffffu, VPL_TABLE, any, clusters());
   still_runs("vpl_shade");
 }
 
 TEST_F(BadRows, OfMembers) {
-  const auto clusters =
-      static_cast<std::uint32_t>(seen_.tasks.at("vpl_shade").inputs.at("lights").bytes() / 4 / VPL_WORDS);
-  refuses("vpl_shade", "members", VPL_WORDS, VPL_FIRST, clusters, VPL_FIRST, any);
-  refuses("vpl_shade", "members", VPL_WORDS, VPL_RADIUS, 1.0f, VPL_FIRST, any);
+  // Members stand behind the clusters.
+  refuses("vpl_shade", "lights", VPL_WORDS, VPL_FIRST, clusters(), VPL_FIRST, any, clusters());
+  refuses("vpl_shade", "lights", VPL_WORDS, VPL_RADIUS, 1.0f, VPL_FIRST, any, clusters());
   refuses("vpl_shade", "lights", VPL_WORDS, VPL_FIRST, 0u, VPL_RADIUS, positive);
   refuses("vpl_shade", "lights", VPL_WORDS, VPL_FIRST, 0xfffffff0u, VPL_RADIUS, positive);
   for (const float count : {1e9f, -1.0f, kNan, std::numeric_limits<float>::infinity()})

@@ -4,10 +4,11 @@
 #include <cstdio>
 #include <functional>
 #include <nlohmann/json.hpp>
+#include <numeric>
 
 #include "cli/local_frame.h"
 #include "coordinator/plan/plan.h"
-#include "coordinator/plan/way_points.h"
+#include "coordinator/plan/trajectory.h"
 #include "kernels/cluster_records.h"
 #include "kernels/path_records.h"
 #include "kernels/vpl_records.h"
@@ -47,7 +48,9 @@ struct Rendered {
   Film film;
   std::map<std::string, std::vector<float>> records;  // by stage
   std::map<std::string, worker::StageTask> tasks;
-  double forecast = 0;  // of the error that the VPLs' light has, over the picture's mean
+  std::map<std::string, coordinator::StageSpec> specs;
+  std::map<std::string, std::vector<std::uint32_t>> counts;  // of counted records
+  double predicted = 0;                                      // error of the VPLs' light over the picture's mean
 };
 
 Rendered render(const Frame& frame) {
@@ -59,11 +62,13 @@ Rendered render(const Frame& frame) {
       *plan, on, id,
       [&](const auto& stage, const worker::StageTask& task) {
         made.tasks[stage.name] = task;
+        made.specs[stage.name] = stage;
         return true;
       },
       [&](const auto& stage, const worker::BatchResult& result) {
         EXPECT_EQ(result.counters.nonfinite, 0u) << stage.name;
         if (!stage.name.starts_with("vpl.")) return;
+        made.counts[stage.name] = result.counts;
         auto& values = made.records[stage.name];
         values.resize(result.records.size() / 4);
         std::memcpy(values.data(), result.records.data(), result.records.size());
@@ -71,7 +76,7 @@ Rendered render(const Frame& frame) {
   made.film = plan->film();
   const auto parameters = nlohmann::json::parse(plan->parameters_json());
   if (parameters.contains("vpl") && parameters["vpl"].contains("pilot"))
-    made.forecast = parameters["vpl"]["pilot"]["error"];
+    made.predicted = parameters["vpl"]["pilot"]["error"];
   return made;
 }
 
@@ -226,7 +231,7 @@ TEST(Vpl, RoughLobesMeetThePathTracer) {
   expect_mean(boxes, box_truth, "on the metal box", kFamily / 2, 0.05, 0.01 * box_truth);
 }
 
-// Clusters, and what points ask themselves, light rough lobes as all pairs do.
+// Clusters and residual samples light rough lobes as all pairs do.
 TEST(Vpl, ClustersLightRoughLobes) {
   const Settings base = {{"vpl.count", "800"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}};
   Frame frame = frame_of("cornell-glossy", {}, {}, 32, 1, base);
@@ -302,16 +307,16 @@ TEST(Vpl, FuzzinessOfOneIsHardClustering) {
             equal.records.at("vpl.shade.0"));
 }
 
-// Points that ask for the lights their clusters disagree on come nearer to all pairs.
-TEST(Vpl, DoubtsAreSettled) {
+// Residual samples bring points nearer to all pairs.
+TEST(Vpl, ResidualSamplesCorrectClusters) {
   const Settings base = {{"vpl.count", "200"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "60"}};
   Settings pairs = base;
   pairs["vpl.point_clusters"] = "0";
   const auto exact = render(frame_of("cornell-box", {}, {}, 32, 1, pairs)).records.at("vpl.shade.0");
   std::vector<double> errors;
-  for (const char* doubt : {"0", "0.02", "0.001"}) {
+  for (const char* threshold : {"0", "0.02", "0.001"}) {
     Settings set = base;
-    set["vpl.residual_threshold"] = doubt;
+    set["vpl.residual_threshold"] = threshold;
     const auto shaded = render(frame_of("cornell-box", {}, {}, 32, 1, set)).records.at("vpl.shade.0");
     double square = 0, mean = 0;
     for (std::size_t i = 0; i < exact.size(); ++i) {
@@ -320,14 +325,14 @@ TEST(Vpl, DoubtsAreSettled) {
     }
     const auto n = static_cast<double>(exact.size());
     errors.push_back(std::sqrt(square / n) / (mean / n));
-    std::printf("  doubt %5s: RMSE over the mean %.4f\n", doubt, errors.back());
+    std::printf("  threshold %5s: RMSE over the mean %.4f\n", threshold, errors.back());
   }
   EXPECT_LT(errors[1], errors[0]);
   EXPECT_LT(errors[2], errors[1] / 2);
 }
 
-// Lights that could bring a point cluster next to nothing are not asked for, each is counted, and none is missed.
-TEST(Vpl, PairsThatCarryNextToNothingAreNotAsked) {
+// Lights that could contribute next to nothing to a point cluster are not queried; each is counted, and none is missed.
+TEST(Vpl, NegligiblePairsAreNotQueried) {
   const auto shade = [](const char* least, std::uint64_t& little) {
     const Rendered made = render(frame_of("cornell-box", {}, {}, 32, 1,
                                           {{"vpl.count", "960"},
@@ -364,7 +369,7 @@ TEST(Vpl, PairsThatCarryNextToNothingAreNotAsked) {
 
 // What is near a cluster is lit by all its members: clusters are no spots. Lit by their representatives alone, points
 // are 0.099 off.
-TEST(Vpl, NearClustersShineFromTheirMembersPlaces) {
+TEST(Vpl, NearClustersShineFromAllMembers) {
   const Settings pairs = {
       {"vpl.count", "1000"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}, {"vpl.clamp", "0.01"}};
   Settings clustered = pairs;
@@ -432,8 +437,8 @@ double squared_difference(const Film& film, const Film& truth, const std::string
   return square / values;
 }
 
-// With nothing set, an error that is wished for is met, and the pilot's forecast is near what the lights leave.
-TEST(Vpl, WishedErrorIsMet) {
+// With nothing set, a target error is met, and the pilot's prediction is near the lights' error.
+TEST(Vpl, TargetErrorIsMet) {
   Frame frame = frame_of("cornell-box", {}, {}, 64, 4096, {});
   frame.settings.method = "path";
   const Film truth = render(frame).film;
@@ -450,13 +455,13 @@ TEST(Vpl, WishedErrorIsMet) {
       worst = std::max(worst, error);
       met += error <= target;
     }
-    std::printf("  wished %.2f: worst of four %.4f\n", target, worst);
+    std::printf("  target %.2f: worst of four %.4f\n", target, worst);
     EXPECT_EQ(met, 4) << "target " << target << ", worst " << worst;
     EXPECT_GT(worst, 0.2 * target) << "by doing many times too much";
   }
 }
 
-TEST(Vpl, ForecastIsNearWhatTheLightsLeave) {
+TEST(Vpl, PredictionIsNearTheLightsError) {
   // The lights' part alone: many samples take the paths' noise away, but for what shows in the truth as well.
   Frame frame = frame_of("cornell-box", {}, {}, 48, 4096, {});
   frame.settings.method = "path";
@@ -464,19 +469,19 @@ TEST(Vpl, ForecastIsNearWhatTheLightsLeave) {
   frame.settings.method = "vpl";
   frame.settings.spp = 2048;
   const double whole = (mean_of(truth, "R") + mean_of(truth, "G") + mean_of(truth, "B")) / 3;
-  double measured = 0, foreseen = 0;
+  double measured = 0, predicted = 0;
   for (const std::uint64_t seed : {1, 2, 3}) {
     frame.settings.seed = seed;
     frame.settings.set = {
         {"vpl.passes", "1"}, {"vpl.clusters", "384"}, {"vpl.count", "4000"}, {"vpl.residual_threshold", "0.2"}};
     const Rendered made = render(frame);
     measured += squared_difference(made.film, truth, "indirect.") / (whole * whole) / 3;
-    foreseen += std::pow(made.forecast, 2) / 3;
+    predicted += std::pow(made.predicted, 2) / 3;
   }
-  std::printf("  RMSE of the indirect light over the picture's mean: foreseen %.4f, measured %.4f\n",
-              std::sqrt(foreseen), std::sqrt(measured));
-  EXPECT_GT(foreseen, measured / 4);
-  EXPECT_LT(foreseen, measured * 4);
+  std::printf("  RMSE of the indirect light over the picture's mean: predicted %.4f, measured %.4f\n",
+              std::sqrt(predicted), std::sqrt(measured));
+  EXPECT_GT(predicted, measured / 4);
+  EXPECT_LT(predicted, measured * 4);
 }
 
 // --- Conservation ---
@@ -492,7 +497,7 @@ TEST(Vpl, ClustersCarryTheirMembersLight) {
   };
   const auto luminance = [](const std::array<double, 3>& c) { return 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2]; };
   const auto& traced = made.records.at("vpl.trace.0");
-  const double paths = static_cast<double>(traced.size() / (VPL_WORDS * VPL_PATH_SLOTS));
+  const auto paths = static_cast<double>(made.specs.at("vpl.trace.0").items);
   const auto held = made.tasks.at("vpl.cluster.0").inputs.at("lights").load();
   const auto& bytes = *held;
   std::vector<float> kept(bytes.size() / 4);
@@ -594,10 +599,10 @@ TEST(Vpl, ScaleIsNothing) {
   }
 }
 
-// --- A camera's way ---
+// --- A camera trajectory ---
 
 // How much the clusters' error changes from frame to frame: RMS over the mean of the VPLs' light. The error is what
-// clusters make of that light, less what it is where every point asks for itself.
+// clusters make of that light, less what it is where every point queries all lights.
 double flicker(const std::vector<Frame>& frames) {
   double square = 0, light = 0, values = 0;
   std::vector<float> before;
@@ -617,7 +622,7 @@ double flicker(const std::vector<Frame>& frames) {
   return std::sqrt(square / changes) / (light / values);
 }
 
-std::vector<Frame> move(const char* scene, float step, bool way) {
+std::vector<Frame> move(const char* scene, float step, bool trajectory) {
   std::vector<Frame> frames;
   std::vector<scene::Camera> cameras;
   for (int k = 0; k < 6; ++k) {
@@ -631,18 +636,19 @@ std::vector<Frame> move(const char* scene, float step, bool way) {
     frames.back().settings.camera.origin[0] += step * static_cast<float>(k);
     cameras.push_back(frames.back().settings.camera);
   }
-  if (way)
-    for (Frame& frame : frames) frame.settings.way = coordinator::way_of(cameras);
+  if (trajectory)
+    for (Frame& frame : frames) frame.settings.trajectory = coordinator::trajectory_of(cameras);
   return frames;
 }
 
-TEST(Vpl, ClustersDoNotFlickerOnAWay) {
+TEST(Vpl, ClustersDoNotFlickerOnATrajectory) {
   for (const char* scene : {"cornell-box", "cornell-glossy"}) {
-    const double alone = flicker(move(scene, 1e-3f, false)), way = flicker(move(scene, 1e-3f, true));
-    std::printf("  %s: change of the clusters' error over the mean light: %.4f, on a way %.4f\n", scene, alone, way);
+    const double alone = flicker(move(scene, 1e-3f, false)), together = flicker(move(scene, 1e-3f, true));
+    std::printf("  %s: change of the clusters' error over the mean light: %.4f, on a trajectory %.4f\n", scene, alone,
+                together);
     // Not by clusters that have no error.
     EXPECT_GT(alone, 0.02) << scene;
-    EXPECT_LT(way, alone / 3) << scene;
+    EXPECT_LT(together, alone / 3) << scene;
   }
 }
 
@@ -655,21 +661,24 @@ TEST(Vpl, RecordsDoNotDependOnBatches) {
         frame_of(scene, {}, {}, 40, 4, {{"vpl.count", "200"}, {"vpl.clusters", "50"}, {"vpl.point_clusters", "30"}});
     const Rendered whole = render(frame);
     two.load_scene(scene, frame.scene, nullptr);
-    for (const auto& [name, task] : whole.tasks) {
-      if (!name.starts_with("vpl.") || name.find("cluster") != std::string::npos) continue;
-      const auto& records = whole.records.at(name);
-      worker::StageTask again = task;
+    for (const char* name : {"vpl.trace.0", "vpl.points", "vpl.visibility.0", "vpl.shade.0"}) {
+      const coordinator::StageSpec& spec = whole.specs.at(name);
+      const auto& counts = whole.counts.at(name);
+      const auto record_of = [&](std::uint64_t item) {
+        if (!spec.output.counted) return item;
+        return std::accumulate(counts.begin(), counts.begin() + static_cast<std::ptrdiff_t>(item), std::uint64_t{0});
+      };
+      worker::StageTask again = whole.tasks.at(name);
       again.scene = scene;
       const std::uint64_t step = 48;
-      const std::uint64_t items = name == "vpl.visibility.0" ? task.inputs.at("points").bytes() / (POINT_WORDS * 4)
-                                  : name == "vpl.trace.0"    ? records.size() / (VPL_WORDS * VPL_PATH_SLOTS)
-                                  : name == "vpl.points"     ? records.size() / POINT_WORDS
-                                                             : records.size() / 3;
-      const std::size_t stride = records.size() / items;
-      for (std::uint64_t first = 0; first < items; first += step * 3) {
-        const std::uint64_t count = std::min(step, items - first);
+      for (std::uint64_t first = 0; first < spec.items; first += step * 3) {
+        const std::uint64_t count = std::min(step, spec.items - first);
         const auto result = two.run(again, first, count);
-        ASSERT_EQ(std::memcmp(result.records.data(), &records[first * stride], count * stride * 4), 0)
+        const std::uint64_t begin = record_of(first), end = record_of(first + count);
+        ASSERT_EQ(result.records.size(), (end - begin) * spec.output.record_bytes) << name << " from " << first;
+        ASSERT_EQ(std::memcmp(result.records.data(), &whole.records.at(name)[begin * spec.output.record_bytes / 4],
+                              result.records.size()),
+                  0)
             << scene << ", " << name << " from " << first;
       }
     }

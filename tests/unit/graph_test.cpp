@@ -223,6 +223,24 @@ TEST(Graph, ReleasedOnceNobodyMayReadIt) {
   EXPECT_THAT(graph.take_step().released, UnorderedElementsAre(data_of, artifact_id("scene", third.stages[0])));
 }
 
+// A farm takes a step's stages before it forgets what the step releases: it must not forget what they made before.
+TEST(Graph, WhatAStepAsksForAgainIsNotReleased) {
+  Graph graph("scene");
+  auto data = graph.data(std::vector<std::uint32_t>{7});
+  auto a = graph.add(stage("a"), Numbers{1}, {{"in", data}});
+  graph.finish(finished(graph.take_step().stages[0]));
+  a = {};
+  data = {};
+  auto again = graph.add(stage("again"), Numbers{1}, {{"in", graph.data(std::vector<std::uint32_t>{7})}});
+  const Step step = graph.take_step();
+  ASSERT_THAT(names(step), ElementsAre("again"));
+  EXPECT_THAT(step.released, IsEmpty());
+  graph.finish(finished(step.stages[0]));
+  const ArtifactId id = again.id();
+  again = {};
+  EXPECT_THAT(graph.take_step().released, UnorderedElementsAre(id, step.stages[0].inputs[0].artifact));
+}
+
 // A continuation holds what it captures until it has run.
 TEST(Graph, AContinuationHoldsWhatItReads) {
   Graph graph("scene");

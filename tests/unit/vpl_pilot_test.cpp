@@ -5,11 +5,13 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <cstdio>
 #include <cstring>
 #include <deque>
 #include <functional>
+#include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <set>
@@ -17,12 +19,14 @@
 #include "coordinator/plan/plan.h"
 #include "kernels/cluster_records.h"
 #include "kernels/path_records.h"
-#include "kernels/vpl_records.h"
 #include "scene/model/error.h"
 #include "tests/unit/plan_frame.h"
+#include "tests/unit/vpl_frame.h"
 
 namespace gleaner::coordinator {
 namespace {
+
+using Shape = kernels::VplPilotShape;
 
 // A square of 2 m, seen from above, under a ceiling of lights.
 constexpr double kAlbedo = 0.2;
@@ -78,11 +82,64 @@ Bytes bits(const std::vector<float>& lights, const std::vector<float>& points, c
   return records;
 }
 
+using Bounds = std::array<double, Shape::bounds>;
+
+// The third is `middle`.
+Bounds bounds_about(double middle) { return {middle / 4, middle / 2, middle, 2 * middle}; }
+constexpr std::size_t kMiddle = 2;
+
+worker::StageTask task_of(const char* kind, const Bytes& parameters,
+                          const std::map<std::string, std::vector<float>>& inputs) {
+  worker::StageTask task;
+  task.kind = kind;
+  task.parameters = parameters;
+  for (const auto& [name, rows] : inputs)
+    task.inputs[name] = worker::TaskInput(std::make_shared<const Bytes>(bytes_of_floats(rows)));
+  return task;
+}
+
+std::vector<float> queried_points(const std::vector<float>& points) {
+  return floats_of(worker::choose_pilot_points(task_of("vpl_pilot_points", Bytes(16), {{"points", points}})).records);
+}
+
+std::vector<float> queried_lights(const std::vector<float>& lights) {
+  return floats_of(worker::choose_pilot_lights(task_of("vpl_pilot_lights", Bytes(16), {{"lights", lights}})).records);
+}
+
+kernels::VplPilotFacts facts_of(const std::vector<float>& lights, const std::vector<float>& points, const Sees& sees,
+                                const Bounds& bounds) {
+  const auto asked_points = queried_points(points), asked_lights = queried_lights(lights);
+  const std::vector<float> no_paths(2 * 9, 0.0f);
+  kernels::VplPilotParameters parameters;
+  std::ranges::copy(bounds, parameters.bounds);
+  Bytes parameter_bytes(sizeof parameters);
+  std::memcpy(parameter_bytes.data(), &parameters, sizeof parameters);
+  const auto result = worker::measure_pilot(task_of("vpl_pilot", parameter_bytes,
+                                                    {{"lights", lights},
+                                                     {"points", points},
+                                                     {"queried_lights", asked_lights},
+                                                     {"queried_points", asked_points},
+                                                     {"visibility", floats_of(bits(asked_lights, asked_points, sees))},
+                                                     {"paths.0", no_paths},
+                                                     {"paths.1", no_paths}}));
+  kernels::VplPilotFacts facts;
+  EXPECT_EQ(result.facts.size(), sizeof facts);
+  std::memcpy(&facts, result.facts.data(), sizeof facts);
+  return facts;
+}
+
 VplPilot pilot_of(const std::vector<float>& lights, const std::vector<float>& points, const Sees& sees,
-                  std::vector<double> bounds = {1e6}) {
-  VplPilot pilot(lights, points, std::move(bounds));
-  pilot.answer(bits(pilot.asked_lights(), pilot.asked_points(), sees));
-  return pilot;
+                  double bound = 1e6) {
+  return VplPilot(facts_of(lights, points, sees, bounds_about(bound)), bounds_about(bound));
+}
+
+// With paths of these variances of a sample at the least and the highest bound.
+VplPilot pilot_beside_paths(double low, double high) {
+  const Bounds bounds = {0.5, 1, 2, 4};
+  kernels::VplPilotFacts facts = facts_of(ceiling(16000, 0.3), floor_points(96), half, bounds);
+  facts.paths[0] = {low, 0.1};
+  facts.paths[1] = {high, 0.1};
+  return VplPilot(facts, bounds);
 }
 
 double brought(const float* point, const float* light, double bound) {
@@ -100,9 +157,9 @@ TEST(VplPilot, TellsTheMean) {
     for (std::size_t p = 0; p < points.size(); p += POINT_WORDS)
       for (std::size_t l = 0; l < lights.size(); l += VPL_WORDS)
         mean += brought(&points[p], &lights[l], bound) / (64 * 64);
-    const double open = pilot_of(lights, points, everything, {bound}).mean(0),
-                 shaded = pilot_of(lights, points, half, {bound}).mean(0);
-    std::printf("  mean %.5f, foreseen %.5f; half in the dark %.5f\n", mean, open, shaded);
+    const double open = pilot_of(lights, points, everything, bound).mean(kMiddle),
+                 shaded = pilot_of(lights, points, half, bound).mean(kMiddle);
+    std::printf("  mean %.5f, predicted %.5f; half in the dark %.5f\n", mean, open, shaded);
     EXPECT_NEAR(open, mean, 0.03 * mean);
     EXPECT_NEAR(shaded, 0.5 * mean, 0.06 * mean);
   }
@@ -113,7 +170,7 @@ TEST(VplPilot, ErrorOfFewLightsIsThatOfDrawingThem) {
   const auto lights = ceiling(4096, 0.4);
   const auto points = floor_points(48);
   const double bound = 3;
-  const VplPilot pilot = pilot_of(lights, points, everything, {bound});
+  const VplPilot pilot = pilot_of(lights, points, everything, bound);
   for (const std::uint32_t count : {64u, 256u}) {
     double square = 0, looked = 0;
     for (std::size_t p = 0; p < points.size(); p += 37 * POINT_WORDS) {
@@ -131,8 +188,8 @@ TEST(VplPilot, ErrorOfFewLightsIsThatOfDrawingThem) {
         ++looked;
       }
     }
-    const double ratio = std::sqrt(pilot.lights_error(0, count) / (square / looked));
-    std::printf("  %4u lights: foreseen over drawn %.3f\n", count, ratio);
+    const double ratio = std::sqrt(pilot.lights_error(kMiddle, count) / (square / looked));
+    std::printf("  %4u lights: predicted over drawn %.3f\n", count, ratio);
     EXPECT_NEAR(ratio, 1, 0.1);
   }
 }
@@ -146,46 +203,46 @@ TEST(VplPilot, ErrorOfClusters) {
   }
   const auto points = floor_points(48);
   const VplPilot one = pilot_of(same, points, everything);
-  EXPECT_GT(one.mean(0), 0);
-  const double square = one.mean(0) * one.mean(0);
-  for (const bool drawn : {false, true}) EXPECT_LT(one.clusters_error(0, 16, drawn), 1e-8 * square);
-  EXPECT_LT(one.lights_error(0, 16), 1e-8 * square);
+  EXPECT_GT(one.mean(kMiddle), 0);
+  const double square = one.mean(kMiddle) * one.mean(kMiddle);
+  for (const bool drawn : {false, true}) EXPECT_LT(one.clusters_error(kMiddle, 16, drawn), 1e-8 * square);
+  EXPECT_LT(one.lights_error(kMiddle, 16), 1e-8 * square);
 
-  const VplPilot strewn = pilot_of(ceiling(16384, 0.2), points, half, {5});
+  const VplPilot strewn = pilot_of(ceiling(16384, 0.2), points, half, 5);
   double last = 1e300;
   for (double clusters = 16; clusters <= 8192; clusters *= 2) {
-    const double error = strewn.clusters_error(0, clusters, false);
+    const double error = strewn.clusters_error(kMiddle, clusters, false);
     EXPECT_LT(error, last) << clusters;
     EXPECT_GT(error, 0) << clusters;
     // A member by chance is further off than the one in the middle, which has neighbours on all sides.
-    const double ratio = strewn.clusters_error(0, clusters, true) / error;
+    const double ratio = strewn.clusters_error(kMiddle, clusters, true) / error;
     std::printf("  %4.0f clusters: by chance over middle, squares: %.2f\n", clusters, ratio);
     EXPECT_GT(ratio, clusters <= 2048 ? 2 : 1) << clusters;
     last = error;
   }
   // A far cluster is looked at once, of a near one its members too.
-  EXPECT_DOUBLE_EQ(pilot_of(ceiling(16384, 9), points, half, {5}).looked_at(64), 64);
-  const double near = pilot_of(ceiling(16384, 0.02), points, half, {5}).looked_at(64);
+  EXPECT_DOUBLE_EQ(pilot_of(ceiling(16384, 9), points, half, 5).looked_at(64), 64);
+  const double near = pilot_of(ceiling(16384, 0.02), points, half, 5).looked_at(64);
   EXPECT_GT(near, 64 + 16384.0 / 64);
   EXPECT_LT(near, 64 + 16384.0);
   // In the open there is little that a cluster could have wrong.
-  EXPECT_LT(pilot_of(ceiling(16384, 0.2), points, everything, {5}).clusters_error(0, 64, false),
-            0.1 * strewn.clusters_error(0, 64, false));
+  EXPECT_LT(pilot_of(ceiling(16384, 0.2), points, everything, 5).clusters_error(kMiddle, 64, false),
+            0.1 * strewn.clusters_error(kMiddle, 64, false));
   // Between the powers of two that are looked at.
-  const double between = strewn.clusters_error(0, 384, false);
-  EXPECT_LT(between, strewn.clusters_error(0, 256, false));
-  EXPECT_GT(between, strewn.clusters_error(0, 512, false));
+  const double between = strewn.clusters_error(kMiddle, 384, false);
+  EXPECT_LT(between, strewn.clusters_error(kMiddle, 256, false));
+  EXPECT_GT(between, strewn.clusters_error(kMiddle, 512, false));
 }
 
 TEST(VplPilot, ErrorOfPointClusters) {
   const auto lights = ceiling(4096, 1);
   const auto points = floor_points(96);
-  // Nothing stands in the way: clusters are never wrong, at no spacing.
+  // Nothing blocks the light: clusters are never wrong, at no spacing.
   const VplPilot open = pilot_of(lights, points, everything);
   for (const double spacing : {2.0, 10.0, 50.0})
-    for (const double doubt : {0.0, 0.1}) {
-      const VplPilot::Split split = open.points_error(spacing, 1000, doubt);
-      EXPECT_EQ(split.common + split.by_lot, 0) << spacing << ", " << doubt;
+    for (const double threshold : {0.0, 0.1}) {
+      const VplPilot::Split split = open.points_error(spacing, 1000, threshold);
+      EXPECT_EQ(split.common + split.stochastic, 0) << spacing << ", " << threshold;
     }
   // A shadow's edge: wrong near it, farther away where clusters are; asking mends it, the more the oftener.
   const VplPilot edge = pilot_of(lights, points, half);
@@ -195,11 +252,11 @@ TEST(VplPilot, ErrorOfPointClusters) {
     EXPECT_GT(unasked, last);
     last = unasked;
     double worse = unasked;
-    for (const double doubt : {0.2, 0.05, 0.01}) {
-      const VplPilot::Split split = edge.points_error(spacing, 1000, doubt);
-      EXPECT_LT(split.common + split.by_lot, worse) << spacing << ", " << doubt;
-      worse = split.common + split.by_lot;
-      EXPECT_GT(edge.asked(spacing, doubt), edge.asked(spacing, 2 * doubt));
+    for (const double threshold : {0.2, 0.05, 0.01}) {
+      const VplPilot::Split split = edge.points_error(spacing, 1000, threshold);
+      EXPECT_LT(split.common + split.stochastic, worse) << spacing << ", " << threshold;
+      worse = split.common + split.stochastic;
+      EXPECT_GT(edge.queries(spacing, threshold), edge.queries(spacing, 2 * threshold));
     }
   }
 }
@@ -209,52 +266,70 @@ TEST(VplPilot, NothingToSee) {
   const auto points = floor_points(8);
   std::vector<float> nowhere = points;
   for (std::size_t p = 0; p < nowhere.size(); p += POINT_WORDS) std::memset(&nowhere[p + POINT_TRIANGLE], 0xff, 4);
-  EXPECT_TRUE(VplPilot({}, points, {1}).empty());
-  EXPECT_TRUE(VplPilot(dark, points, {1}).empty());
-  EXPECT_TRUE(VplPilot(lights, {}, {1}).empty());
-  EXPECT_TRUE(VplPilot(lights, nowhere, {1}).empty());
-  VplPilot pilot(lights, points, {1});
-  EXPECT_FALSE(pilot.empty());
-  EXPECT_THROW(pilot.answer(Bytes(12)), Error);
+  for (const auto& none : {std::vector<float>{}, dark}) {
+    EXPECT_TRUE(queried_lights(none).empty());
+    EXPECT_THROW(facts_of(none, points, half, bounds_about(1)), Error);
+  }
+  for (const auto& none : {std::vector<float>{}, nowhere}) {
+    EXPECT_TRUE(queried_points(none).empty());
+    EXPECT_THROW(facts_of(lights, none, half, bounds_about(1)), Error);
+  }
+  EXPECT_EQ(queried_lights(lights).size(), Shape::lights * VPL_WORDS);
+  EXPECT_EQ(queried_points(points).size(), 64u * (1 + Shape::spacings * Shape::neighbours) * POINT_WORDS);
+}
+
+// A worker that is broken or lies: numbers that nothing can be reckoned with.
+TEST(VplPilot, RefusesFactsThatAreNone) {
+  const auto facts = facts_of(ceiling(100, 1), floor_points(8), half, bounds_about(1));
+  for (const double bad : {std::numeric_limits<double>::infinity(), std::nan(""), -1.0})
+    for (const std::size_t at : {0u, 8u, 40u, 100u}) {
+      auto broken = facts;
+      std::memcpy(reinterpret_cast<char*>(&broken) + at * 8, &bad, 8);
+      try {
+        VplPilot pilot(broken, bounds_about(1));
+        ADD_FAILURE() << "accepted " << bad << " at " << at;
+      } catch (const Error& error) {
+        EXPECT_THAT(error.what(), ::testing::HasSubstr("stage vpl.pilot"));
+      }
+    }
 }
 
 // --- The choice ---
 
-VplWish wish_of(double spp, double target) {
-  VplWish wish;
-  wish.pixels = 512 * 512;
-  wish.points = 96 * 96;
-  wish.spp = spp;
-  wish.target = target;
-  wish.made = 30000;
-  wish.samples = 16;
-  wish.usual_point_clusters = 1152;
-  return wish;
+VplTarget target_of(double spp, double error) {
+  VplTarget target;
+  target.pixels = 512 * 512;
+  target.points = 96 * 96;
+  target.spp = spp;
+  target.error = error;
+  target.made = 30000;
+  target.samples = 16;
+  target.usual_point_clusters = 1152;
+  return target;
 }
 
 TEST(ChooseVpl, KeepsWhatIsSet) {
-  const VplPilot pilot = pilot_of(ceiling(16000, 0.3), floor_points(96), half, {1, 4});
-  const std::vector<PathForecast> paths = {{1e-3, 0.1}, {8e-4, 0.1}};
-  const VplCounts free = choose_vpl(pilot, paths, wish_of(16, 0)).counts;
+  const VplPilot pilot = pilot_beside_paths(1e-3, 8e-4);
+  const VplCounts free = choose_vpl(pilot, target_of(16, 0)).counts;
   for (int what = 0; what < 5; ++what) {
-    VplWish wish = wish_of(16, 0);
-    if (what == 0) wish.count = 1234;
-    if (what == 1) wish.clusters = 777;
-    if (what == 2) wish.point_clusters = 99;
-    if (what == 3) wish.sets = 3;
-    if (what == 4) wish.doubt = 0.033;
-    const VplCounts chosen = choose_vpl(pilot, paths, wish).counts;
+    VplTarget target = target_of(16, 0);
+    if (what == 0) target.count = 1234;
+    if (what == 1) target.clusters = 777;
+    if (what == 2) target.point_clusters = 99;
+    if (what == 3) target.passes = 3;
+    if (what == 4) target.residual_threshold = 0.033;
+    const VplCounts chosen = choose_vpl(pilot, target).counts;
     EXPECT_EQ(chosen.count == 1234, what == 0);
     EXPECT_EQ(chosen.clusters == 777, what == 1);
     EXPECT_EQ(chosen.point_clusters == 99, what == 2);
-    EXPECT_EQ(chosen.sets == 3, what == 3);
-    EXPECT_EQ(chosen.doubt == 0.033, what == 4);
+    EXPECT_EQ(chosen.passes == 3, what == 3);
+    EXPECT_EQ(chosen.residual_threshold == 0.033, what == 4);
   }
   // Neither clusters nor point clusters is a setting as well.
-  VplWish none = wish_of(16, 0);
+  VplTarget none = target_of(16, 0);
   none.clusters = 0;
   none.point_clusters = 0;
-  const VplForecast all = choose_vpl(pilot, paths, none);
+  const VplPrediction all = choose_vpl(pilot, none);
   EXPECT_EQ(all.counts.clusters, 0u);
   EXPECT_EQ(all.counts.point_clusters, 0u);
   EXPECT_EQ(all.clusters, 0);
@@ -265,123 +340,82 @@ TEST(ChooseVpl, KeepsWhatIsSet) {
 }
 
 TEST(ChooseVpl, TighterWishesCostMore) {
-  const VplPilot pilot = pilot_of(ceiling(16000, 0.3), floor_points(96), half, {1, 4});
-  const std::vector<PathForecast> paths = {{1e-3, 0.1}, {8e-4, 0.1}};
-  VplForecast last;
+  const VplPilot pilot = pilot_beside_paths(1e-3, 8e-4);
+  VplPrediction last;
   double loosest = 0;
   for (const double target : {0.2, 0.1, 0.05, 0.02}) {
-    const VplForecast f = choose_vpl(pilot, paths, wish_of(64, target));
-    const double foreseen = std::sqrt(kVplCaution * f.vpl() + f.paths) / f.mean;
+    const VplPrediction f = choose_vpl(pilot, target_of(64, target));
+    const double predicted = std::sqrt(kVplCaution * f.vpl() + f.paths) / f.mean;
     std::printf(
-        "  target %.2f: foreseen %.4f; %u VPLs, %u clusters, %u point clusters, %u sets, doubt %.2f, %.1f spp\n",
-        target, foreseen, f.counts.count, f.counts.clusters, f.counts.point_clusters, f.counts.sets, f.counts.doubt,
-        f.spp);
-    EXPECT_LE(foreseen, target * 1.001);
+        "  target %.2f: predicted %.4f; %u VPLs, %u clusters, %u point clusters, %u passes, threshold %.2f, %.1f spp\n",
+        target, predicted, f.counts.count, f.counts.clusters, f.counts.point_clusters, f.counts.passes,
+        f.counts.residual_threshold, f.spp);
+    EXPECT_LE(predicted, target * 1.001);
     EXPECT_GE(f.cost, last.cost);
     loosest = std::max(loosest, f.vpl());
     last = f;
   }
   EXPECT_LT(last.vpl(), loosest / 4);
-  // Where samples cost next to nothing, it is the lights that have to meet the wish.
-  const std::vector<PathForecast> quiet = {{1e-6, 0.1}, {1e-6, 0.1}};
-  const VplForecast f = choose_vpl(pilot, quiet, wish_of(64, 0.01));
+  // Where samples cost next to nothing, it is the lights that have to meet the target.
+  const VplPrediction f = choose_vpl(pilot_beside_paths(1e-6, 1e-6), target_of(64, 0.01));
   EXPECT_LE(std::sqrt(kVplCaution * f.vpl() + f.paths) / f.mean, 0.01001);
   EXPECT_GT(std::sqrt(kVplCaution * f.vpl()) / f.mean, 0.003) << "by doing many times too much";
   // Of a number of samples: the more of them, the less may the lights be off.
-  const double few = choose_vpl(pilot, paths, wish_of(4, 0)).vpl(),
-               many = choose_vpl(pilot, paths, wish_of(256, 0)).vpl();
+  const double few = choose_vpl(pilot, target_of(4, 0)).vpl(), many = choose_vpl(pilot, target_of(256, 0)).vpl();
   EXPECT_LT(many, few / 2);
 }
 
 // --- The plan ---
 
-struct Asked {
-  StageSpec spec;
-  std::map<std::string, std::shared_ptr<const Bytes>> inputs;
-};
+// The floor and the ceiling above.
+worker::BatchResult room(const PlannedStage& stage) {
+  const StageSpec& spec = stage.spec;
+  worker::BatchResult result;
+  std::vector<float> values;
+  if (spec.kind == "vpl_cluster") return first_lights(stage);
+  if (spec.kind == "point_cluster") return first_points(stage);
+  if (spec.kind == "vpl_visibility") {
+    kernels::VisibilityParameters p;
+    std::memcpy(&p, spec.parameters.data(), sizeof p);
+    std::vector<float> lights = floats_of(*stage.inputs.at("lights"));
+    lights.resize(std::size_t{p.clusters} * VPL_WORDS);  // without members
+    result.records = bits(lights, floats_of(*stage.inputs.at("points")), half);
+    return result;
+  }
+  const std::size_t words = spec.output.record_bytes / 4;
+  if (spec.kind == "vpl_trace") {
+    for (std::uint64_t i = 0; i < spec.items; ++i) {
+      const std::uint64_t key = mixed(i + 77 * std::hash<std::string>()(spec.name));
+      const auto row = light_at(2 * unit(key) - 1, 2 * unit(key + 1) - 1, 0.3, 1);
+      values.insert(values.end(), row.begin(), row.end());
+    }
+    result.counts.assign(spec.items, 1);
+  } else if (spec.kind == "vpl_points") {
+    values = floor_points(static_cast<std::uint32_t>(std::ceil(std::sqrt(static_cast<double>(spec.items)))));
+    values.resize(spec.items * words);
+  } else {
+    values.assign(spec.items * words, spec.kind == "vpl_shade" ? 0.05f : 0.0f);
+  }
+  if (spec.kind == "path") {
+    kernels::PathParameters p;
+    std::memcpy(&p, spec.parameters.data(), sizeof p);
+    for (std::uint64_t i = 0; i < spec.items; ++i)
+      for (std::size_t k = 0; k < 3; ++k)
+        values[i * words + k] = static_cast<float>(p.samples_per_item * (0.1 + 0.2 * unit(p.seed_low + i * 3 + k)));
+  }
+  result.records = bytes_of_floats(values);
+  return result;
+}
+const DeviceStage kRoom = room;
 
-// A worker that is arithmetic: the floor and the ceiling above. `turn` says which of the waiting stages is done next.
-class VplFrame {
+// `turn` says which of the waiting stages is done next.
+class VplFrame : public RunFrame {
  public:
-  VplFrame(const FrameSettings& settings, std::uint64_t turn) : plan_(make_plan(settings, {})), turn_(turn) {}
-
-  // Until the picture is whole.
-  void run() {
-    std::deque<StageSpec> waiting;
-    Step step = plan_->next(nullptr);
-    for (;;) {
-      artifacts_.merge(step.artifacts);
-      for (StageSpec& stage : step.stages) waiting.push_back(std::move(stage));
-      if (step.done) return;
-      ASSERT_FALSE(waiting.empty());
-      turn_ = mixed(turn_);
-      const auto at = waiting.begin() + static_cast<std::ptrdiff_t>(turn_ % waiting.size());
-      Asked asked{*at, {}};
-      waiting.erase(at);
-      for (const StageInput& input : asked.spec.inputs) asked.inputs[input.name] = artifacts_.at(input.artifact);
-      const FinishedStage finished{asked.spec.name, std::make_shared<Bytes>(records(asked))};
-      ASSERT_TRUE(stages.emplace(asked.spec.name, asked).second) << asked.spec.name;
-      step = plan_->next(&finished);
-    }
-  }
-
-  Plan& plan() { return *plan_; }
-  std::map<std::string, Asked> stages;
-
- private:
-  static std::vector<float> floats(const Bytes& bytes) {
-    std::vector<float> values(bytes.size() / 4);
-    std::memcpy(values.data(), bytes.data(), bytes.size());
-    return values;
-  }
-
-  static Bytes records(const Asked& asked) {
-    const StageSpec& spec = asked.spec;
-    Bytes made(spec.items * spec.output.record_bytes);
-    std::vector<float> values(made.size() / 4, 0.0f);
-    if (spec.kind == "vpl_visibility")
-      return bits(floats(*asked.inputs.at("lights")), floats(*asked.inputs.at("points")), half);
-    if (spec.kind == "vpl_trace") {
-      for (std::uint64_t i = 0; i < spec.items; ++i) {
-        const std::uint64_t key = mixed(i + 77 * std::hash<std::string>()(spec.name));
-        const auto row = light_at(2 * unit(key) - 1, 2 * unit(key + 1) - 1, 0.3, 1);
-        std::copy(row.begin(), row.end(), values.begin() + static_cast<std::ptrdiff_t>(i * VPL_PATH_SLOTS * VPL_WORDS));
-      }
-    } else if (spec.kind == "vpl_points") {
-      const auto side = static_cast<std::uint32_t>(std::ceil(std::sqrt(static_cast<double>(spec.items))));
-      values = floor_points(side);
-      values.resize(made.size() / 4);
-    } else if (spec.kind == "vpl_cluster") {
-      // The first lights stand for the others.
-      kernels::ClusterParameters p;
-      std::memcpy(&p, spec.parameters.data(), sizeof p);
-      const std::vector<float> lights = floats(*asked.inputs.at("lights"));
-      const std::size_t clusters = std::size_t{p.clusters} * VPL_WORDS;
-      std::copy_n(lights.begin(), std::min(lights.size(), clusters), values.begin());
-      for (std::uint32_t i = 0; i < p.lights; ++i) {
-        const std::uint32_t cluster = i % p.clusters;
-        std::memcpy(&values[clusters + i], &cluster, 4);
-      }
-    } else if (spec.kind == "point_cluster") {
-      values = floats(*asked.inputs.begin()->second);
-      values.resize(made.size() / 4);
-    } else if (spec.kind == "path") {
-      const std::size_t words = spec.output.record_bytes / 4;
-      kernels::PathParameters p;
-      std::memcpy(&p, spec.parameters.data(), sizeof p);
-      for (std::uint64_t i = 0; i < spec.items; ++i)
-        for (std::size_t k = 0; k < 3; ++k)
-          values[i * words + k] = static_cast<float>(p.samples_per_item * (0.1 + 0.2 * unit(p.seed_low + i * 3 + k)));
-    } else if (spec.kind == "vpl_shade") {
-      std::fill(values.begin(), values.end(), 0.05f);
-    }
-    std::memcpy(made.data(), values.data(), made.size());
-    return made;
-  }
-
-  std::unique_ptr<Plan> plan_;
-  std::map<ArtifactId, std::shared_ptr<const Bytes>> artifacts_;
-  std::uint64_t turn_;
+  VplFrame(const FrameSettings& settings, std::uint64_t turn)
+      : RunFrame(make_plan(settings, {}), kRoom, [turn](std::size_t count) mutable {
+          turn = mixed(turn);
+          return static_cast<std::size_t>(turn % count);
+        }) {}
 };
 
 FrameSettings frame_settings(const std::map<std::string, std::string>& set, double target = 0) {
@@ -399,12 +433,12 @@ nlohmann::json vpl_of(VplFrame& frame) { return nlohmann::json::parse(frame.plan
 
 // Whichever stage ends first, the same is asked for and the same picture comes out.
 TEST(VplPlan, PilotDoesNotDependOnWhatEndsFirst) {
-  std::map<std::string, Asked> first;
+  std::map<std::string, PlannedStage> first;
   std::string parameters;
   for (const std::uint64_t turn : {1, 2, 3, 4, 5, 6, 7, 8}) {
     VplFrame frame(frame_settings({{"vpl.passes", "2"}}), turn);
     frame.run();
-    ASSERT_TRUE(frame.stages.contains("vpl.pilot.visibility"));
+    ASSERT_TRUE(frame.stages.contains("vpl.pilot"));
     if (first.empty()) {
       first = frame.stages;
       parameters = frame.plan().parameters_json();
@@ -412,37 +446,52 @@ TEST(VplPlan, PilotDoesNotDependOnWhatEndsFirst) {
     }
     EXPECT_EQ(frame.plan().parameters_json(), parameters);
     ASSERT_EQ(frame.stages.size(), first.size());
-    for (const auto& [name, asked] : frame.stages) {
+    for (const auto& [name, stage] : frame.stages) {
       ASSERT_TRUE(first.contains(name)) << name;
-      EXPECT_EQ(asked.spec.parameters, first.at(name).spec.parameters) << name;
-      for (std::size_t k = 0; k < asked.spec.inputs.size(); ++k)
-        EXPECT_EQ(asked.spec.inputs[k].artifact, first.at(name).spec.inputs[k].artifact) << name;
+      EXPECT_EQ(stage.spec.parameters, first.at(name).spec.parameters) << name;
+      for (std::size_t k = 0; k < stage.spec.inputs.size(); ++k)
+        EXPECT_EQ(stage.spec.inputs[k].artifact, first.at(name).spec.inputs[k].artifact) << name;
     }
   }
 }
 
+// Lights, points, clusters and visibility stay with the workers: the coordinator gets records of pixels, and counts.
+TEST(VplPlan, TheCoordinatorGetsPixelsAlone) {
+  VplFrame frame(frame_settings({}), 1);
+  frame.run();
+  const std::set<std::string> collected = {"vpl_shade", "vpl_skipped"};
+  for (const auto& [name, stage] : frame.stages) {
+    const bool of_pixels = name.starts_with("path.");
+    EXPECT_EQ(stage.spec.output.placement, collected.contains(stage.spec.kind) ? Placement::collect
+                                           : of_pixels                         ? Placement::stream
+                                                                               : Placement::retain)
+        << name;
+    EXPECT_LE(stage.facts, std::size_t{1} << 10) << name;
+  }
+}
+
 TEST(VplPlan, SetCountsAreKept) {
-  const auto clusters_of = [](const Asked& asked) {
+  const auto clusters_of = [](const PlannedStage& stage) {
     kernels::ClusterParameters p;
-    std::memcpy(&p, asked.spec.parameters.data(), sizeof p);
+    std::memcpy(&p, stage.spec.parameters.data(), sizeof p);
     return p.clusters;
   };
   {
-    // All three: there is nothing to ask a pilot.
+    // All three: a pilot has nothing to choose.
     VplFrame frame(frame_settings({{"vpl.count", "900"}, {"vpl.clusters", "100"}, {"vpl.point_clusters", "50"}}), 1);
     frame.run();
-    for (const auto& [name, asked] : frame.stages) EXPECT_FALSE(name.starts_with("vpl.pilot")) << name;
+    for (const auto& [name, stage] : frame.stages) EXPECT_FALSE(name.starts_with("vpl.pilot")) << name;
     EXPECT_EQ(clusters_of(frame.stages.at("vpl.cluster.0")), 100u);
     EXPECT_EQ(clusters_of(frame.stages.at("vpl.point_cluster")), 50u);
     EXPECT_FALSE(vpl_of(frame).contains("pilot"));
   }
   VplFrame frame(frame_settings({{"vpl.clusters", "123"}}), 1);
   frame.run();
-  EXPECT_TRUE(frame.stages.contains("vpl.pilot.visibility"));
+  EXPECT_TRUE(frame.stages.contains("vpl.pilot"));
   EXPECT_EQ(clusters_of(frame.stages.at("vpl.cluster.0")), 123u);
   EXPECT_EQ(vpl_of(frame)["clusters"], 123);
   // The clusters of points are of what they were chosen for: eight points each where there are as many.
-  const Asked& points = frame.stages.at("vpl.point_cluster");
+  const PlannedStage& points = frame.stages.at("vpl.point_cluster");
   EXPECT_EQ(clusters_of(points), vpl_of(frame)["point_clusters"].get<std::uint32_t>());
   const std::size_t rows = points.inputs.at("points")->size() / (POINT_WORDS * 4),
                     looked = frame.stages.at("vpl.points").spec.items;
@@ -467,7 +516,7 @@ TEST(VplPlan, LightPathsAreThoseOfAnyChoice) {
   EXPECT_NE(vpl_of(loose)["clusters"], vpl_of(tight)["clusters"]);
   EXPECT_EQ(loose.stages.at("vpl.trace.0").spec.parameters, tight.stages.at("vpl.trace.0").spec.parameters);
   EXPECT_TRUE(loose.stages.at("vpl.trace.0").spec.output.reusable);
-  // Of the wish, samples get what the lights leave of it.
+  // Samples get what the lights leave of the target.
   EXPECT_GT(tight.stages.size(), loose.stages.size());
 }
 

@@ -60,7 +60,7 @@ ClusterGrid make_cluster_grid(std::span<const float> rows, std::size_t stride, c
   const auto index_of = [&](std::uint32_t i, double size, const std::array<std::uint64_t, 3>& n) {
     std::array<std::uint64_t, 3> c{};
     for (int k = 0; k < 3; ++k) {
-      // As the kernels reckon it, in float.
+      // As the kernels compute it, in float.
       const float x =
           std::floor((rows[i * stride + k] - static_cast<float>(extent.lower[k])) * static_cast<float>(1 / size));
       c[k] = static_cast<std::uint64_t>(std::clamp<double>(x, 0, static_cast<double>(n[k] - 1)));

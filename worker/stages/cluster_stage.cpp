@@ -1,7 +1,6 @@
 #include "worker/stages/cluster_stage.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -14,6 +13,7 @@
 #include "scene/model/limits.h"
 #include "scene/model/order.h"
 #include "worker/stages/cluster_grid.h"
+#include "worker/stages/curve.h"
 #include "worker/wavefront/counters.h"
 #include "worker/wavefront/input_rows.h"
 
@@ -24,14 +24,6 @@ using kernels::ClusterParameters;
 
 constexpr std::uint32_t kAssignItems = 1u << 13;  // data a launch
 constexpr std::size_t kCentroidWords = 8;
-
-// Which of the six axes a normal is nearest to.
-std::uint32_t side_of(const float* n) {
-  std::uint32_t axis = 0;
-  for (std::uint32_t k = 1; k < 3; ++k)
-    if (std::abs(n[k]) > std::abs(n[axis])) axis = k;
-  return 2 * axis + (n[axis] < 0 ? 1 : 0);
-}
 
 double distance2(const float* a, const float* b) {
   double sum = 0;
@@ -79,26 +71,10 @@ class KMeans {
   // Evenly spaced along a curve that visits the data side by side and, within a side, place by place: every side gets
   // its share of the clusters, every place its share of the side's.
   void seed() {
-    std::array<double, 3> lower{1e300, 1e300, 1e300}, upper{-1e300, -1e300, -1e300};
-    for (std::size_t i = 0; i < count_; ++i)
-      for (int k = 0; k < 3; ++k) {
-        lower[k] = std::min(lower[k], double{datum(i)[k]});
-        upper[k] = std::max(upper[k], double{datum(i)[k]});
-      }
-    double edge = 1e-30;
-    for (int k = 0; k < 3; ++k) edge = std::max(edge, upper[k] - lower[k]);
-    std::vector<std::pair<std::uint64_t, std::uint32_t>> order(count_);
-    for (std::size_t i = 0; i < count_; ++i) {
-      std::array<std::uint32_t, 3> cell{};
-      for (int k = 0; k < 3; ++k)
-        cell[k] = static_cast<std::uint32_t>(std::clamp((datum(i)[k] - lower[k]) / edge * 1024, 0.0, 1023.0));
-      order[i] = {(std::uint64_t{side_of(datum(i) + 3)} << 32) | scene::morton(cell), static_cast<std::uint32_t>(i)};
-    }
-    std::sort(order.begin(), order.end());
+    const std::vector<std::uint32_t> order = curve_order(data_, stride_, 1024, true);
     centroids_.assign(parameters_.clusters * kCentroidWords, 0.0f);
     for (std::uint64_t k = 0; k < parameters_.clusters; ++k)
-      std::copy_n(datum(order[(2 * k + 1) * count_ / (2 * parameters_.clusters)].second), 6,
-                  &centroids_[k * kCentroidWords]);
+      std::copy_n(datum(order[(2 * k + 1) * count_ / (2 * parameters_.clusters)]), 6, &centroids_[k * kCentroidWords]);
     alive_.assign(parameters_.clusters, true);
   }
 
@@ -209,7 +185,7 @@ class KMeans {
   std::vector<std::uint32_t> assigned_;
 };
 
-// The cluster's record: the member nearest to the centroid stands for all (a centroid may hang in the air), with what
+// The cluster's record: the member nearest to the centroid represents all (a centroid may hang in the air), with what
 // they send in all.
 void write_clusters(const KMeans& means, const std::vector<std::uint32_t>& assigned, const std::vector<float>& data,
                     std::size_t stride, std::uint32_t clusters, std::uint32_t random_representative,
@@ -306,6 +282,20 @@ ClusterParameters read_parameters(const StageRun& run, bool lights) {
   return p;
 }
 
+// Of clusters of points, those that have members: an item has one record or none.
+void drop_empty(std::vector<float>& rows, std::uint64_t clusters, std::vector<std::uint32_t>& counts) {
+  std::size_t to = 0;
+  for (std::uint64_t k = 0; k < clusters; ++k) {
+    std::uint32_t triangle = GLEANER_NONE;
+    std::memcpy(&triangle, &rows[k * POINT_WORDS + POINT_TRIANGLE], 4);
+    counts.push_back(triangle != GLEANER_NONE ? 1 : 0);
+    if (triangle == GLEANER_NONE) continue;
+    std::copy_n(&rows[k * POINT_WORDS], POINT_WORDS, &rows[to]);
+    to += POINT_WORDS;
+  }
+  rows.resize(to);
+}
+
 }  // namespace
 
 BatchResult run_cluster_stage(const StageRun& run) {
@@ -324,7 +314,7 @@ BatchResult run_cluster_stage(const StageRun& run) {
     for (std::size_t k = 0; k < run.count; ++k) std::memset(&rows[k * stride + POINT_TRIANGLE], 0xff, 4);
   std::vector<std::uint32_t> assigned(held);
   if (held <= parameters.clusters) {
-    // As many clusters as there is to cluster: each stands for itself, exactly.
+    // As many clusters as there is to cluster: each is its own cluster, exactly.
     std::copy(data.begin(), data.end(), rows.begin());
     std::iota(assigned.begin(), assigned.end(), 0u);
   } else {
@@ -334,8 +324,9 @@ BatchResult run_cluster_stage(const StageRun& run) {
   }
   if (lights) std::memcpy(&rows[parameters.clusters * stride], assigned.data(), held * 4);
   BatchResult result;
+  if (!lights) drop_empty(rows, parameters.clusters, result.counts);
   result.records.resize(rows.size() * 4);
-  std::memcpy(result.records.data(), rows.data(), result.records.size());
+  if (!rows.empty()) std::memcpy(result.records.data(), rows.data(), result.records.size());
   result.counters.seconds = seconds_now() - start;
   result.counters.kernel_seconds = result.counters.seconds;
   return result;

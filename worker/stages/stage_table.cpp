@@ -6,9 +6,30 @@
 #include "worker/stages/ao_stage.h"
 #include "worker/stages/cluster_stage.h"
 #include "worker/stages/path_stage.h"
+#include "worker/stages/vpl/host_stages.h"
 #include "worker/stages/vpl/stages.h"
+#include "worker/wavefront/counters.h"
 
 namespace gleaner::worker {
+namespace {
+
+// A stage of the host alone: it knows no device.
+template <BatchResult (*program)(const StageTask&)>
+BatchResult on_host(const StageRun& run) {
+  const double start = seconds_now();
+  BatchResult result = program(run.task);
+  result.counters.seconds = seconds_now() - start;
+  return result;
+}
+
+// "points" of "points.7".
+std::string_view without_number(std::string_view name) {
+  const std::size_t digits = name.find_last_not_of("0123456789");
+  return digits != std::string_view::npos && digits + 1 < name.size() && name[digits] == '.' ? name.substr(0, digits)
+                                                                                             : name;
+}
+
+}  // namespace
 
 const std::vector<StageKind>& stage_table() {
   static const std::vector<StageKind> table = {
@@ -35,10 +56,23 @@ const std::vector<StageKind>& stage_table() {
       {"vpl_shade",
        run_vpl_shade_stage,
        {"kernels/vpl/points.cl", "kernels/vpl/gather.cl", "kernels/vpl/residual.cl", "kernels/vpl/visibility.cl"},
+       {{.name = "lights"}, {.name = "points", .required = false}, {.name = "visibility", .required = false}}},
+      {"vpl_resample", on_host<resample_lights>, {}, {{.name = "paths"}}},
+      {"vpl_order", on_host<order_lights>, {}, {{.name = "lights"}, {.name = "clusters", .required = false}}},
+      {"vpl_sample_points", on_host<sample_points>, {}, {{.name = "points"}}},
+      {"vpl_merge_points", on_host<merge_points>, {}, {{.name = "cameras"}, {.name = "points", .numbered = true}}},
+      {"vpl_skipped", on_host<count_skipped_queries>, {}, {{.name = "visibility", .own_items = true}}},
+      {"vpl_pilot_points", on_host<choose_pilot_points>, {}, {{.name = "points"}}},
+      {"vpl_pilot_lights", on_host<choose_pilot_lights>, {}, {{.name = "lights"}}},
+      {"vpl_pilot",
+       on_host<measure_pilot>,
+       {},
        {{.name = "lights"},
-        {.name = "members", .required = false},
-        {.name = "points", .required = false},
-        {.name = "visibility", .required = false}}},
+        {.name = "points"},
+        {.name = "queried_lights"},
+        {.name = "queried_points"},
+        {.name = "visibility"},
+        {.name = "paths", .numbered = true}}},
   };
   return table;
 }
@@ -48,13 +82,15 @@ const StageKind& stage_kind_of(const StageTask& task) {
   if (kind == stage_table().end()) throw Error::bad_input("stage", "kind", "one this worker knows", task.kind);
   const std::string where = "stage " + task.kind;
   for (const auto& [name, input] : task.inputs) {
-    const auto rule = std::ranges::find(kind->inputs, std::string_view(name), &StageInputRule::name);
+    const auto rule = std::ranges::find_if(kind->inputs, [&, input_name = std::string_view(name)](const auto& one) {
+      return one.name == (one.numbered ? without_number(input_name) : input_name);
+    });
     if (rule == kind->inputs.end()) throw Error::bad_input(where, "input " + name, "an input that it reads", "another");
     if (input.own_items && !rule->own_items)
       throw Error::bad_input(where, "input " + name, "the whole artifact", "records of its own items");
   }
   for (const StageInputRule& rule : kind->inputs)
-    if (rule.required && !task.inputs.contains(std::string(rule.name)))
+    if (rule.required && !rule.numbered && !task.inputs.contains(std::string(rule.name)))
       throw Error::bad_input(where, "input " + std::string(rule.name), "an artifact", "none");
   return *kind;
 }

@@ -14,6 +14,7 @@ struct StageInputRule {
   std::string_view name;
   bool required = true;
   bool own_items = false;  // a batch may be given the records of its own items alone
+  bool numbered = false;   // several, of which each has a number behind a dot: "points.0", "points.1", ...
 };
 
 // A program that a later stage of the same frame builds.

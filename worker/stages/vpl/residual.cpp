@@ -88,7 +88,7 @@ std::uint64_t ResidualSamples::correct(std::uint32_t paths) {
     const auto count = static_cast<std::uint32_t>(std::min<std::size_t>(capacity, places.size() - base));
     make_rays_.set("base", static_cast<cl_uint>(base)).set("count", count);
     make_rays_.launch(queue_, {.work = count, .capacity = capacity, .per_item = device_.lanes()});
-    // One by one: which rays stand beside each other depends on the batch.
+    // One by one: which rays are neighbours depends on the batch.
     answers_.answer(single_rays(VISIBILITY_ROWS, count), count, base, bits_);
   }
   apply_.set("count", paths);

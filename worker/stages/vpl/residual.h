@@ -1,5 +1,5 @@
 #pragma once
-// Residual samples of one host thread: lights that points ask for themselves, so that their light does not depend on
+// Residual samples of one host thread: lights that points query themselves, so that their light does not depend on
 // their clusters alone (kernels/vpl/residual.cl).
 
 #include "worker/stages/vpl/shade_tables.h"
@@ -32,7 +32,7 @@ class ResidualSamples {
   ResidualSamples(const ShadeBatch& batch, const ShadedPoints& shaded, cl::CommandQueue& queue, RayQueries& queries,
                   std::uint32_t capacity, const TakeBuffer& take);
 
-  // Selects lights for `paths` points, asks for them and corrects the points' radiance. Returns the rays traced.
+  // Selects lights for `paths` points, queries them and corrects the points' radiance. Returns the rays traced.
   std::uint64_t correct(std::uint32_t paths);
 
  private:

@@ -68,7 +68,7 @@ class ShadeThread : public PointThread {
   static Program program(const ShadeBatch& batch) { return batch.run.build("gather.cl", batch.fuzziness()); }
 
   std::size_t room() const { return capacity_ + RAY_BLOCK; }
-  // Points that ask for every light at a time.
+  // Points that query every light at a time.
   std::uint32_t own_rows() const {
     const std::uint32_t rows = std::clamp<std::uint32_t>(ray_capacity(device_) / tables_.width, 1, 4096) + 15;
     return rows - rows % RAY_BLOCK;
@@ -121,7 +121,7 @@ class ShadeThread : public PointThread {
                      device_counters(), tables_.lights, tables_.width, p_.samples);
   }
 
-  // Points that belong to no cluster ask for every light, sixteen of one slice at a time.
+  // Points that belong to no cluster query every light, sixteen of one slice at a time.
   void gather_own_queries(std::uint32_t paths) {
     std::vector<std::uint32_t> unclustered(paths, 1u), list;
     if (p_.point_clusters)
@@ -135,7 +135,7 @@ class ShadeThread : public PointThread {
     for (std::size_t at = 0; at < list.size(); at += own_rows()) {
       const auto rows = static_cast<std::uint32_t>(std::min<std::size_t>(own_rows(), list.size() - at));
       queue_.enqueueWriteBuffer(chosen_, CL_TRUE, 0, std::size_t{rows} * 4, &list[at]);
-      counters.shadow += queries_->ask({.points = points_,
+      counters.shadow += queries_->run({.points = points_,
                                         .chosen = &chosen_,
                                         .rows = rows,
                                         .cutoff = cutoff_,
@@ -164,7 +164,7 @@ class ShadeThread : public PointThread {
   cl::Buffer chosen_;
   Kernel memberships_, gather_, resolve_;
   std::optional<ResidualSamples> residual_;
-  // Where points ask for every light themselves.
+  // Where points query every light themselves.
   std::optional<VisibilityQueries> queries_;
   cl::Buffer own_bits_{}, left_out_{}, cutoff_{};
 };

@@ -62,37 +62,34 @@ cl::Buffer put(const StageRun& run, cl::CommandQueue& queue, const std::vector<T
   return buffer;
 }
 
+// The lights and, behind them, the members of those that are clusters.
 void put_lights(const StageRun& run, cl::CommandQueue& queue, std::uint32_t clusters, ShadeTables& tables) {
   const std::size_t stride = VPL_WORDS * 4;
   const InputRows lights(run.task, "lights", stride);
-  lights.expect_rows(clusters);
-  const bool has_members = run.task.inputs.contains("members");
-  const InputRows members(run.task, has_members ? "members" : "lights", stride);
-  const std::uint64_t member_count = has_members ? members.rows() : 0;
-  if (clusters + member_count > RESIDUAL_LIGHT)
-    throw Error::bad_input(run.where(), "input members",
-                           "at most " + std::to_string(RESIDUAL_LIGHT - clusters) + " rows",
-                           std::to_string(member_count));
-  tables.lights = run.device.make_buffer((clusters + member_count) * stride + 64);
+  if (lights.rows() < clusters || lights.rows() > RESIDUAL_LIGHT)
+    throw Error::bad_input(run.where(), "input lights",
+                           std::to_string(clusters) + " to " + std::to_string(RESIDUAL_LIGHT) + " rows",
+                           std::to_string(lights.rows()));
+  const std::uint64_t members = lights.rows() - clusters;
+  tables.lights = run.device.make_buffer(lights.rows() * stride + 64);
   LightBoxes boxes(clusters);
   const auto known = check_light_rows(lights, run.scene);
-  const auto linked = check_member_links(lights, clusters, member_count, false);
+  const auto linked = check_member_links(lights, clusters, members, false);
   lights.upload(queue, tables.lights, 0, 0, clusters, [&](std::uint64_t row, std::span<const std::byte> rows) {
     known(row, rows);
     linked(row, rows);
     for (std::size_t at = 0; at < rows.size(); at += stride) boxes.add(row++, &rows[at]);
   });
-  const auto members_known = check_light_rows(members, run.scene);
-  const auto members_linked = check_member_links(members, clusters, member_count, true);
-  members.upload(queue, tables.lights, clusters * stride, 0, member_count,
-                 [&](std::uint64_t row, std::span<const std::byte> rows) {
-                   members_known(row, rows);
-                   members_linked(row, rows);
-                 });
+  const auto members_linked = check_member_links(lights, clusters, members, true);
+  lights.upload(queue, tables.lights, clusters * stride, clusters, members,
+                [&](std::uint64_t row, std::span<const std::byte> rows) {
+                  known(row, rows);
+                  members_linked(row, rows);
+                });
   tables.boxes = put(run, queue, boxes.table());
 }
 
-// The point clusters' grid; empty where every point asks for itself.
+// The point clusters' grid; empty where every point queries all lights.
 ClusterGrid make_point_grid(const StageRun& run, std::uint32_t clusters) {
   if (clusters == 0) return make_cluster_grid({}, POINT_WORDS, {});
   const InputRows points(run.task, "points", POINT_WORDS * 4);

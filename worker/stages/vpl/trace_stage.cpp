@@ -58,6 +58,26 @@ class LightPathThread : public HostThread {
   cl::Buffer records_;
 };
 
+// Leaves each item only the slots that hold a VPL.
+void compact(BatchResult& result, std::uint64_t items) {
+  constexpr std::size_t stride = VPL_WORDS * 4;
+  std::byte* to = result.records.data();
+  const std::byte* row = to;
+  for (std::uint64_t item = 0; item < items; ++item) {
+    std::uint32_t count = 0;
+    for (unsigned slot = 0; slot < VPL_PATH_SLOTS; ++slot, row += stride) {
+      float flux[3];
+      std::memcpy(flux, row + VPL_FLUX * 4, sizeof flux);
+      if (!(flux[0] + flux[1] + flux[2] > 0)) continue;
+      std::memmove(to, row, stride);
+      to += stride;
+      ++count;
+    }
+    result.counts.push_back(count);
+  }
+  result.records.resize(static_cast<std::size_t>(to - result.records.data()));
+}
+
 }  // namespace
 
 BatchResult run_vpl_trace_stage(const StageRun& run) {
@@ -65,8 +85,11 @@ BatchResult run_vpl_trace_stage(const StageRun& run) {
   run.check_range(wide(p.items_high, p.items_low));
   const double start = seconds_now();
   BatchResult result;
+  if (!run.scene.shines()) {
+    result.counts.assign(run.count, 0);
+    return result;
+  }
   result.records.resize(run.count * VPL_PATH_SLOTS * VPL_WORDS * 4);
-  if (!run.scene.shines()) return result;
   cl::CommandQueue queue = run.device.make_queue();
   const cl::Buffer parameters = run.parameter_buffer(queue);
   const Program program = run.build("trace.cl");
@@ -74,6 +97,7 @@ BatchResult run_vpl_trace_stage(const StageRun& run) {
   run_host_threads(work, result, [&](unsigned index) {
     return std::make_unique<LightPathThread>(run, program, parameters, work, index);
   });
+  compact(result, run.count);
   result.counters.seconds = seconds_now() - start;
   return result;
 }

@@ -43,7 +43,7 @@ VisibilityQueries::VisibilityQueries(const StageRun& run, cl::CommandQueue& queu
       .set("counters", counters_);
 }
 
-std::uint64_t VisibilityQueries::ask(const Query& query) {
+std::uint64_t VisibilityQueries::run(const Query& query) {
   queue_.enqueueFillBuffer(query.left_out, cl_uint{0}, 0, std::size_t{query.rows} * VISIBILITY_COUNTS * 4);
   queue_.enqueueFillBuffer(counters_, cl_uint{0}, 0, sizeof(cl_uint));
   make_rays_.set("points", query.points)
@@ -62,9 +62,9 @@ std::uint64_t VisibilityQueries::ask(const Query& query) {
     // Sixteen lights as one point sees them, always the same sixteen.
     answers_.answer(ray_packets(VISIBILITY_ROWS, count), count, base, query.bits);
   }
-  cl_uint asked = 0;
-  queue_.enqueueReadBuffer(counters_, CL_TRUE, 0, sizeof asked, &asked);
-  return asked;
+  cl_uint queried = 0;
+  queue_.enqueueReadBuffer(counters_, CL_TRUE, 0, sizeof queried, &queried);
+  return queried;
 }
 
 }  // namespace gleaner::worker

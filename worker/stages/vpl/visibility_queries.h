@@ -27,10 +27,10 @@ class VisibilityAnswers {
   Kernel pack_;
 };
 
-// Points, some at a time, ask for rows of lights (kernels/vpl/visibility.cl).
+// Points, some at a time, query rows of lights (kernels/vpl/visibility.cl).
 class VisibilityQueries {
  public:
-  // Each point asks for `width` lights, of one of `slices` slices.
+  // Each point queries `width` lights, of one of `slices` slices.
   VisibilityQueries(const StageRun& run, cl::CommandQueue& queue, RayQueries& queries, cl::Buffer rays,
                     cl::Buffer counters, const cl::Buffer& lights, std::uint32_t width, std::uint32_t slices);
 
@@ -38,14 +38,14 @@ class VisibilityQueries {
     const cl::Buffer& points;
     const cl::Buffer* chosen;  // rows of `points`; null: point_base and the rows behind it
     std::uint32_t point_base = 0;
-    std::uint32_t rows = 0;      // points that ask
-    const cl::Buffer& cutoff;    // a float a row: what a light must be able to bring
+    std::uint32_t rows = 0;      // points that query
+    const cl::Buffer& cutoff;    // a float a row: what a light must be able to contribute
     float clamp = 0;             // bound of the geometry term
     const cl::Buffer& bits;      // answers: width / 32 words a row
-    const cl::Buffer& left_out;  // answers: VISIBILITY_COUNTS words a row: pairs that were not asked
+    const cl::Buffer& left_out;  // answers: VISIBILITY_COUNTS words a row: pairs that were not queried
   };
   // Returns how many rays were traced.
-  std::uint64_t ask(const Query& query);
+  std::uint64_t run(const Query& query);
 
  private:
   const Device& device_;

@@ -22,11 +22,15 @@ struct VisibilityTables {
 
 VisibilityTables make_tables(const StageRun& run, const VisibilityParameters& p) {
   const InputRows lights(run.task, "lights", VPL_WORDS * 4), points(run.task, "points", POINT_WORDS * 4);
-  lights.expect_rows(p.clusters);
+  // Behind the lights may lie clusters' members.
+  if (lights.rows() < p.clusters)
+    throw Error::bad_input(run.where(), "input lights", std::to_string(p.clusters) + " rows or more",
+                           std::to_string(lights.rows()));
   points.expect_rows(p.point_clusters);
   cl::CommandQueue queue = run.device.make_queue();
-  return {lights.to_device(run.device, queue, check_light_rows(lights, run.scene)),
-          points.to_device(run.device, queue, check_point_rows(points, run.scene))};
+  const cl::Buffer table = run.device.make_buffer(std::size_t{p.clusters} * VPL_WORDS * 4 + 64);
+  lights.upload(queue, table, 0, 0, p.clusters, check_light_rows(lights, run.scene));
+  return {table, points.to_device(run.device, queue, check_point_rows(points, run.scene))};
 }
 
 class VisibilityThread : public HostThread {
@@ -59,7 +63,7 @@ class VisibilityThread : public HostThread {
       const auto rows = static_cast<std::uint32_t>(block.count);
       const auto base = static_cast<std::uint32_t>(first_item_ + block.first);
       find_cutoffs(base, rows);
-      counters.shadow += queries_.ask({.points = points_,
+      counters.shadow += queries_.run({.points = points_,
                                        .chosen = nullptr,
                                        .point_base = base,
                                        .rows = rows,
@@ -92,7 +96,7 @@ class VisibilityThread : public HostThread {
   cl::Buffer points_;
   VisibilityQueries queries_;
   Kernel find_cutoff_;
-  std::uint32_t rows_;  // points that ask at a time
+  std::uint32_t rows_;  // points that query at a time
   cl::Buffer bits_, left_out_, cutoff_;
 };
 

@@ -1,4 +1,4 @@
-// Frames of a camera's way on a farm with real devices: what the first one made serves the others, and no picture
+// Frames of a camera trajectory on a farm with real devices: what the first one made serves the others, and no picture
 // depends on that.
 
 #include <gmock/gmock.h>
@@ -8,7 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "cli/embedded.h"
-#include "coordinator/plan/way_points.h"
+#include "coordinator/plan/trajectory.h"
 #include "scene/bvh/build.h"
 #include "scene/library/library.h"
 #include "tests/farm/fake_frame.h"
@@ -62,7 +62,7 @@ std::vector<std::string> names(const json& entries, const char* key) {
   return all;
 }
 
-TEST(FarmWay, FramesAfterTheFirstNeitherSampleNorClusterNorAsk) {
+TEST(FarmTrajectory, LaterFramesReuseAllButShading) {
   const scene::Scene scene = scene::make_scene("cornell-box", {});
   JobRequest request = request_of(scene);
   request.last_frame = 3;
@@ -71,8 +71,9 @@ TEST(FarmWay, FramesAfterTheFirstNeitherSampleNorClusterNorAsk) {
     request.cameras.back().origin[0] += 0.1f * static_cast<float>(frame);
   }
   const std::vector<json> frames = render(scene, request);
-  const std::vector<std::string> shared = {"vpl.trace.0",  "vpl.cluster.0",     "vpl.points.0",    "vpl.points.1",
-                                           "vpl.points.2", "vpl.point_cluster", "vpl.visibility.0"};
+  const std::vector<std::string> shared = {"vpl.trace.0",       "vpl.resample.0",   "vpl.cluster.0", "vpl.order.0",
+                                           "vpl.points.0",      "vpl.points.1",     "vpl.points.2",  "vpl.merge_points",
+                                           "vpl.point_cluster", "vpl.visibility.0", "vpl.skipped.0"};
   for (std::size_t k = 0; k < frames.size(); ++k) {
     const auto run = names(frames[k]["stages"], "name"), left_out = names(frames[k]["skips"], "what");
     for (const std::string& stage : shared) {
@@ -86,16 +87,16 @@ TEST(FarmWay, FramesAfterTheFirstNeitherSampleNorClusterNorAsk) {
   // The second frame for itself, of a farm that has seen neither of the others.
   JobRequest alone = request_of(scene);
   alone.settings.camera = request.cameras[1];
-  alone.settings.way = coordinator::way_of(request.cameras);
+  alone.settings.trajectory = coordinator::trajectory_of(request.cameras);
   const json second = render(scene, alone).at(0);
   for (const std::string& stage : shared) EXPECT_THAT(names(second["stages"], "name"), Contains(stage));
   EXPECT_EQ(second["pixels_sha256"], frames[1]["pixels_sha256"]);
-  // Not because the way is nothing to the picture.
-  alone.settings.way.clear();
+  // Not because the trajectory is nothing to the picture.
+  alone.settings.trajectory.clear();
   EXPECT_NE(render(scene, alone).at(0)["pixels_sha256"], frames[1]["pixels_sha256"]);
 }
 
-TEST(FarmWay, FramesOfOneCameraHaveNoWay) {
+TEST(FarmTrajectory, FramesOfOneCameraHaveNone) {
   const scene::Scene scene = scene::make_scene("cornell-box", {});
   JobRequest request = request_of(scene);
   request.last_frame = 2;

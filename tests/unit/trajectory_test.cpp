@@ -1,6 +1,6 @@
-// A camera's way: which cameras stand for it, how their points become one set, and what a plan asks for in its frames.
+// A camera trajectory: which cameras represent it, how their points are merged, what a plan asks for in its frames.
 
-#include "coordinator/plan/way_points.h"
+#include "coordinator/plan/trajectory.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -15,9 +15,11 @@
 #include <nlohmann/json.hpp>
 
 #include "coordinator/plan/plan.h"
-#include "kernels/cluster_records.h"
+#include "kernels/vpl_host_records.h"
 #include "kernels/vpl_records.h"
+#include "scene/model/error.h"
 #include "tests/unit/plan_frame.h"
+#include "tests/unit/vpl_frame.h"
 
 namespace gleaner::coordinator {
 namespace {
@@ -83,37 +85,68 @@ std::vector<Row> wall(const Camera& camera, unsigned side, float depth, std::uin
   return rows;
 }
 
-TEST(WayOf, NoneWhereTheCameraStandsStill) {
-  EXPECT_TRUE(way_of({}).empty());
-  EXPECT_TRUE(way_of({camera_at(1)}).empty());
-  EXPECT_TRUE(way_of(std::vector<Camera>(50, camera_at(1))).empty());
+TEST(TrajectoryOf, NoneWhereTheCameraStandsStill) {
+  EXPECT_TRUE(trajectory_of({}).empty());
+  EXPECT_TRUE(trajectory_of({camera_at(1)}).empty());
+  EXPECT_TRUE(trajectory_of(std::vector<Camera>(50, camera_at(1))).empty());
 }
 
-TEST(WayOf, IsSpreadEvenlyFromTheFirstToTheLast) {
+TEST(TrajectoryOf, IsSpreadEvenlyFromTheFirstToTheLast) {
   for (const std::size_t frames : {2u, 3u, 31u, 32u, 33u, 100u, 4001u}) {
     std::vector<Camera> cameras;
     for (std::size_t k = 0; k < frames; ++k) cameras.push_back(camera_at(static_cast<float>(k)));
-    const auto way = way_of(cameras);
-    ASSERT_EQ(way.size(), std::min<std::size_t>(frames, 32));
-    EXPECT_TRUE(same(way.front(), cameras.front()));
-    EXPECT_TRUE(same(way.back(), cameras.back()));
-    const float step = static_cast<float>(frames - 1) / static_cast<float>(way.size() - 1);
-    for (std::size_t k = 1; k < way.size(); ++k)
-      EXPECT_NEAR(way[k].origin[0] - way[k - 1].origin[0], step, 1) << frames << " frames, camera " << k;
+    const auto trajectory = trajectory_of(cameras);
+    ASSERT_EQ(trajectory.size(), std::min<std::size_t>(frames, 32));
+    EXPECT_TRUE(same(trajectory.front(), cameras.front()));
+    EXPECT_TRUE(same(trajectory.back(), cameras.back()));
+    const float step = static_cast<float>(frames - 1) / static_cast<float>(trajectory.size() - 1);
+    for (std::size_t k = 1; k < trajectory.size(); ++k)
+      EXPECT_NEAR(trajectory[k].origin[0] - trajectory[k - 1].origin[0], step, 1) << frames << " frames, camera " << k;
   }
 }
 
-TEST(WayOf, APauseIsOneCamera) {
+TEST(TrajectoryOf, APauseIsOneCamera) {
   std::vector<Camera> cameras(10, camera_at(0));
   cameras.resize(20, camera_at(1));
-  const auto way = way_of(cameras);
-  ASSERT_EQ(way.size(), 2u);
-  EXPECT_TRUE(same(way[0], camera_at(0)) && same(way[1], camera_at(1)));
+  const auto trajectory = trajectory_of(cameras);
+  ASSERT_EQ(trajectory.size(), 2u);
+  EXPECT_TRUE(same(trajectory[0], camera_at(0)) && same(trajectory[1], camera_at(1)));
+}
+
+// What stage kind vpl_points made for one camera.
+struct CameraPoints {
+  Camera camera{};
+  std::shared_ptr<const Bytes> rows;
+};
+struct Merged {
+  Bytes rows;
+  std::uint64_t points = 0, most_of_a_camera = 0;
+};
+
+Merged merge_points(const std::vector<CameraPoints>& cameras) {
+  worker::StageTask task;
+  task.kind = "vpl_merge_points";
+  const kernels::VplMergePointsParameters p{.cameras = static_cast<std::uint32_t>(cameras.size())};
+  task.parameters.resize(sizeof p);
+  std::memcpy(task.parameters.data(), &p, sizeof p);
+  auto all = std::make_shared<Bytes>(cameras.size() * sizeof(Camera));
+  for (std::size_t k = 0; k < cameras.size(); ++k) {
+    std::memcpy(all->data() + k * sizeof(Camera), &cameras[k].camera, sizeof(Camera));
+    task.inputs["points." + std::to_string(k)] = worker::TaskInput(cameras[k].rows);
+  }
+  task.inputs["cameras"] = worker::TaskInput(all);
+  worker::BatchResult result = worker::merge_points(task);
+  kernels::VplMergePointsFacts facts;
+  EXPECT_EQ(result.facts.size(), sizeof facts);
+  std::memcpy(&facts, result.facts.data(), sizeof facts);
+  EXPECT_EQ(result.records.size(), facts.points * POINT_WORDS * 4);
+  EXPECT_EQ(result.counts, std::vector<std::uint32_t>{static_cast<std::uint32_t>(facts.points)});
+  return {std::move(result.records), facts.points, facts.most_of_a_camera};
 }
 
 TEST(MergePoints, ACameraAloneKeepsItsPoints) {
   const auto rows = wall(camera_at(0), 40, 3);
-  const WayPoints merged = merge_points({{camera_at(0), bytes_of(rows)}});
+  const Merged merged = merge_points({{camera_at(0), bytes_of(rows)}});
   EXPECT_EQ(rows_of(merged.rows), rows);
   EXPECT_EQ(merged.points, 1600u);
   EXPECT_EQ(merged.most_of_a_camera, 1600u);
@@ -121,14 +154,14 @@ TEST(MergePoints, ACameraAloneKeepsItsPoints) {
 
 TEST(MergePoints, WhatSeveralSeeAlikeIsTakenOnce) {
   const auto rows = bytes_of(wall(camera_at(0), 40, 3));
-  const WayPoints merged = merge_points({{camera_at(0), rows}, {camera_at(0), rows}, {camera_at(0), rows}});
+  const Merged merged = merge_points({{camera_at(0), rows}, {camera_at(0), rows}, {camera_at(0), rows}});
   EXPECT_EQ(merged.rows, *rows);
 }
 
 TEST(MergePoints, WhatOneAloneSeesIsTakenWhole) {
   // Film edges at -1.5 to 1.5 and 8.5 to 11.5 metres.
   const auto a = wall(camera_at(0), 40, 3), b = wall(camera_at(10), 40, 3, 1);
-  const WayPoints merged = merge_points({{camera_at(0), bytes_of(a)}, {camera_at(10), bytes_of(b)}});
+  const Merged merged = merge_points({{camera_at(0), bytes_of(a)}, {camera_at(10), bytes_of(b)}});
   auto both = a;
   both.insert(both.end(), b.begin(), b.end());
   EXPECT_EQ(rows_of(merged.rows), both);
@@ -142,7 +175,7 @@ TEST(MergePoints, ManyCamerasDoNotAddUp) {
     const Camera camera = camera_at(0.001f * static_cast<float>(k));
     cameras.push_back({camera, bytes_of(wall(camera, 64, 3, k))});
   }
-  const WayPoints merged = merge_points(cameras);
+  const Merged merged = merge_points(cameras);
   EXPECT_GE(merged.points, merged.most_of_a_camera * 95 / 100);
   EXPECT_LE(merged.points, merged.most_of_a_camera * 16 / 10);
   // Nowhere a hole: each of 16 x 16 parts of the wall holds points, within reach of one camera's 16.
@@ -183,7 +216,7 @@ TEST(MergePoints, BothSidesOfAWallAreTwoSurfaces) {
     back.push_back(row_of(row[0], row[1], row[2], -1));
   }
   // The other camera stands behind it, as far away.
-  const WayPoints merged = merge_points({{camera_at(0), bytes_of(front)}, {camera_at(0, 0, -6), bytes_of(back)}});
+  const Merged merged = merge_points({{camera_at(0), bytes_of(front)}, {camera_at(0, 0, -6), bytes_of(back)}});
   EXPECT_EQ(merged.points, 3200u);
 }
 
@@ -201,94 +234,68 @@ TEST(MergePoints, OrthographicCamerasHaveNoDistance) {
 TEST(MergePoints, LeavesOutWhatCannotBeShaded) {
   constexpr float inf = std::numeric_limits<float>::infinity();
   const Row on_camera = row_of(0, 0, 0);
-  const WayPoints merged = merge_points(
+  const Merged merged = merge_points(
       {{camera_at(0), bytes_of({nothing(), row_of(1, 2, -3), row_of(inf, 0, 0), row_of(0, 0, 0, NAN), on_camera})},
        {camera_at(1), bytes_of({nothing()})},
        {camera_at(2), bytes_of({})}});
   EXPECT_EQ(rows_of(merged.rows), (std::vector<Row>{row_of(1, 2, -3), on_camera}));
   EXPECT_EQ(merged.most_of_a_camera, 2u);
-  EXPECT_EQ(merge_points({}).points, 0u);
+  EXPECT_THROW(merge_points({}), Error);
 }
 
 // --- The plan ---
 
-// A worker whose records are functions of what it is asked, and of nothing else.
+// A device whose records are functions of the stage and its inputs alone.
 struct VplFrame {
-  std::map<std::string, StageSpec> stages;
-  std::map<ArtifactId, std::shared_ptr<const Bytes>> artifacts;
+  std::map<std::string, PlannedStage> stages;
   nlohmann::json parameters;
   Film film;
 };
 
 using Points = std::function<std::vector<Row>(const Camera&, unsigned side)>;
 
-VplFrame run(const FrameSettings& settings, const Points& see, bool backwards = false) {
-  VplFrame frame;
-  const auto plan = make_plan(settings, {});
-  std::deque<StageSpec> waiting;
-  Step step = plan->next(nullptr);
-  while (!step.done) {
-    frame.artifacts.merge(step.artifacts);
-    for (const StageSpec& spec : step.stages) waiting.push_back(spec);
-    if (waiting.empty()) {
-      ADD_FAILURE() << "the plan waits for nothing";
-      return frame;
+worker::BatchResult wall_stage(const PlannedStage& stage, const Points& see) {
+  const StageSpec& spec = stage.spec;
+  if (spec.kind == "vpl_cluster") return first_lights(stage);
+  if (spec.kind == "point_cluster") return first_points(stage);
+  worker::BatchResult result;
+  if (spec.kind == "vpl_trace") {
+    std::vector<float> rows(spec.items * VPL_PATH_SLOTS * VPL_WORDS);
+    for (std::size_t at = 0; at < rows.size(); at += VPL_WORDS) {
+      for (std::size_t k = 0; k < 3; ++k) rows[at + VPL_POSITION + k] = static_cast<float>(unit(at + k));
+      rows[at + VPL_FLUX] = rows[at + VPL_FLUX + 1] = rows[at + VPL_FLUX + 2] = 1;
+      rows[at + VPL_COUNT] = 1;
     }
-    const StageSpec spec = backwards ? waiting.back() : waiting.front();
-    if (backwards)
-      waiting.pop_back();
-    else
-      waiting.pop_front();
-    EXPECT_TRUE(frame.stages.emplace(spec.name, spec).second) << spec.name << " twice";
-    auto records = std::make_shared<Bytes>(spec.items * spec.output.record_bytes);
-    const auto put = [&](const void* from, std::size_t bytes) {
-      std::memcpy(records->data(), from, std::min(bytes, records->size()));
-    };
-    if (spec.kind == "vpl_trace") {
-      std::vector<float> rows(records->size() / 4);
-      for (std::size_t at = 0; at < rows.size(); at += VPL_WORDS) {
-        for (std::size_t k = 0; k < 3; ++k) rows[at + VPL_POSITION + k] = static_cast<float>(unit(at + k));
-        rows[at + VPL_FLUX] = rows[at + VPL_FLUX + 1] = rows[at + VPL_FLUX + 2] = 1;
-        rows[at + VPL_COUNT] = 1;
-      }
-      put(rows.data(), records->size());
-    } else if (spec.kind == "vpl_points") {
-      kernels::VplPointParameters p;
-      std::memcpy(&p, spec.parameters.data(), sizeof p);
-      std::vector<Row> rows = see(p.camera, static_cast<unsigned>(std::sqrt(static_cast<double>(spec.items))));
-      rows.resize(spec.items, nothing());
-      put(rows.data(), records->size());
-    } else if (spec.kind == "vpl_cluster") {
-      // The first lights stand for the others.
-      kernels::ClusterParameters p;
-      std::memcpy(&p, spec.parameters.data(), sizeof p);
-      const std::size_t clusters = std::size_t{p.clusters} * VPL_WORDS * 4;
-      put(frame.artifacts.at(spec.inputs.at(0).artifact)->data(), clusters);
-      for (std::uint32_t i = 0; i < p.lights; ++i) {
-        const std::uint32_t cluster = i % p.clusters;
-        std::memcpy(records->data() + clusters + std::size_t{i} * 4, &cluster, 4);
-      }
-    } else if (spec.kind == "point_cluster") {
-      std::vector<Row> none(spec.items, nothing());
-      put(none.data(), records->size());
-      const Bytes& input = *frame.artifacts.at(spec.inputs.at(0).artifact);
-      put(input.data(), input.size());
-    }
-    const FinishedStage finished{spec.name, records};
-    step = plan->next(&finished);
+    result.records = bytes_of_floats(rows);
+    result.counts.assign(spec.items, VPL_PATH_SLOTS);
+    return result;
   }
-  frame.parameters = nlohmann::json::parse(plan->parameters_json());
-  frame.film = plan->film();
-  return frame;
+  result.records.resize(spec.items * spec.output.record_bytes);
+  if (spec.kind == "vpl_points") {
+    kernels::VplPointParameters p;
+    std::memcpy(&p, spec.parameters.data(), sizeof p);
+    std::vector<Row> rows = see(p.camera, static_cast<unsigned>(std::sqrt(static_cast<double>(spec.items))));
+    rows.resize(spec.items, nothing());
+    result.records = *bytes_of(rows);
+  }
+  return result;
 }
 
-FrameSettings vpl_settings(const Camera& camera, const std::vector<Camera>& way) {
+VplFrame run(const FrameSettings& settings, const Points& see, bool backwards = false) {
+  const DeviceStage device = [&](const PlannedStage& stage) { return wall_stage(stage, see); };
+  RunFrame frame(make_plan(settings, {}), device,
+                 [backwards](std::size_t count) { return backwards ? count - 1 : std::size_t{0}; });
+  frame.run();
+  return {frame.stages, nlohmann::json::parse(frame.plan().parameters_json()), frame.plan().film()};
+}
+
+FrameSettings vpl_settings(const Camera& camera, const std::vector<Camera>& trajectory) {
   FrameSettings settings;
   settings.method = "vpl";
   settings.width = settings.height = 64;
   settings.spp = 4;
   settings.camera = camera;
-  settings.way = way;
+  settings.trajectory = trajectory;
   settings.set = {{"vpl.count", "100"}, {"vpl.clusters", "40"}, {"vpl.point_clusters", "128"}};
   return settings;
 }
@@ -314,60 +321,61 @@ void expect_same(const StageSpec& a, const StageSpec& b) {
   }
 }
 
-TEST(VplWay, FramesAskForTheSameStages) {
+TEST(VplTrajectory, FramesAskForTheSameStages) {
   const auto cameras = cameras_along(5, 0.3f);
-  const auto way = way_of(cameras);
-  const VplFrame first = run(vpl_settings(cameras[0], way), see_wall),
-                 third = run(vpl_settings(cameras[2], way), see_wall);
+  const auto trajectory = trajectory_of(cameras);
+  const VplFrame first = run(vpl_settings(cameras[0], trajectory), see_wall),
+                 third = run(vpl_settings(cameras[2], trajectory), see_wall);
   std::size_t shared = 0;
   ASSERT_EQ(first.stages.size(), third.stages.size());
-  for (const auto& [name, spec] : first.stages) {
+  for (const auto& [name, stage] : first.stages) {
+    const StageSpec& spec = stage.spec;
     ASSERT_TRUE(third.stages.contains(name)) << name;
     if (name.starts_with("path.")) continue;
-    const StageSpec& other = third.stages.at(name);
+    const StageSpec& other = third.stages.at(name).spec;
     if (name.starts_with("vpl.shade.")) {
       // Seen by another camera, lit by the same.
       EXPECT_NE(spec.parameters, other.parameters);
       StageSpec aimed = other;
       aimed.parameters = spec.parameters;
       expect_same(spec, aimed);
-      EXPECT_EQ(spec.inputs.size(), 4u);  // lights, members, points, visibility
+      EXPECT_EQ(spec.inputs.size(), 3u);  // lights, points, visibility
       continue;
     }
     expect_same(spec, other);
     EXPECT_TRUE(spec.output.reusable && other.output.reusable) << name;
     ++shared;
   }
-  // trace, cluster, points of 5 cameras, point_cluster, visibility
-  EXPECT_EQ(shared, 9u);
+  // trace, resample, cluster, order; points of 5 cameras, merge_points, point_cluster; visibility, skipped
+  EXPECT_EQ(shared, 13u);
 }
 
-TEST(VplWay, TheOrderInWhichPointsComeIsNothing) {
+TEST(VplTrajectory, TheOrderInWhichPointsComeIsNothing) {
   const auto cameras = cameras_along(5, 0.3f);
-  const VplFrame forth = run(vpl_settings(cameras[0], way_of(cameras)), see_wall),
-                 back = run(vpl_settings(cameras[0], way_of(cameras)), see_wall, true);
-  expect_same(forth.stages.at("vpl.shade.0"), back.stages.at("vpl.shade.0"));
+  const VplFrame forth = run(vpl_settings(cameras[0], trajectory_of(cameras)), see_wall),
+                 back = run(vpl_settings(cameras[0], trajectory_of(cameras)), see_wall, true);
+  expect_same(forth.stages.at("vpl.shade.0").spec, back.stages.at("vpl.shade.0").spec);
   EXPECT_EQ(forth.film.find("R")->values, back.film.find("R")->values);
 }
 
-TEST(VplWay, ASingleCameraIsNoWay) {
+TEST(VplTrajectory, ASingleCameraIsNoTrajectory) {
   const VplFrame frame = run(vpl_settings(camera_at(0), {}), see_wall);
-  EXPECT_FALSE(frame.stages.at("vpl.points").output.reusable);
-  EXPECT_FALSE(frame.stages.at("vpl.point_cluster").output.reusable);
-  EXPECT_FALSE(frame.stages.at("vpl.visibility.0").output.reusable);
-  EXPECT_EQ(frame.stages.at("vpl.point_cluster").items, 128u);
-  EXPECT_FALSE(frame.parameters["vpl"].contains("way"));
+  EXPECT_FALSE(frame.stages.at("vpl.points").spec.output.reusable);
+  EXPECT_FALSE(frame.stages.at("vpl.point_cluster").spec.output.reusable);
+  EXPECT_FALSE(frame.stages.at("vpl.visibility.0").spec.output.reusable);
+  EXPECT_EQ(frame.stages.at("vpl.point_cluster").spec.items, 128u);
+  EXPECT_FALSE(frame.parameters["vpl"].contains("trajectory"));
 }
 
 // As many clusters a place as of the camera that sees it best, within bounds.
-TEST(VplWay, ClustersGrowWithWhatIsSeen) {
+TEST(VplTrajectory, ClustersGrowWithWhatIsSeen) {
   const auto clusters = [](const std::vector<Camera>& cameras, std::map<std::string, std::string> set = {}) {
     FrameSettings settings = vpl_settings(cameras[0], cameras);
     for (const auto& [key, value] : set) settings.set[key] = value;
     const VplFrame frame = run(settings, see_wall);
-    const std::uint64_t items = frame.stages.at("vpl.point_cluster").items;
-    EXPECT_EQ(frame.parameters["vpl"]["way"]["point_clusters"], items);
-    EXPECT_EQ(frame.parameters["vpl"]["way"]["cameras"], cameras.size());
+    const std::uint64_t items = frame.stages.at("vpl.point_cluster").spec.items;
+    EXPECT_EQ(frame.parameters["vpl"]["trajectory"]["point_clusters"], items);
+    EXPECT_EQ(frame.parameters["vpl"]["trajectory"]["cameras"], cameras.size());
     return items;
   };
   // The wall's visible part is 3 metres wide.
@@ -375,29 +383,29 @@ TEST(VplWay, ClustersGrowWithWhatIsSeen) {
   EXPECT_NEAR(static_cast<double>(clusters(cameras_along(3, 100))), 3 * 128, 1);
   EXPECT_NEAR(static_cast<double>(clusters(cameras_along(5, 0.75f))), 2 * 128, 0.3 * 128);
   EXPECT_EQ(clusters(cameras_along(32, 100)), 16u * 128);
-  // A bit for each light: 2^30 bits in all sets are enough.
-  EXPECT_EQ(clusters(cameras_along(8, 100), {{"vpl.passes", "4096"}, {"vpl.clusters", "512"}, {"vpl.count", "600"}}),
+  // A bit for each light: 2^30 bits in all passes are the most.
+  EXPECT_EQ(clusters(cameras_along(8, 100), {{"vpl.passes", "64"}, {"vpl.clusters", "32768"}, {"vpl.count", "600"}}),
             512u);
 }
 
-TEST(VplWay, AWayThatSeesNothingIsLitByNothing) {
+TEST(VplTrajectory, ATrajectoryThatSeesNothingIsLitByNothing) {
   const VplFrame frame =
       run(vpl_settings(camera_at(0), cameras_along(2, 1)), [](const Camera&, unsigned) { return std::vector<Row>{}; });
   EXPECT_FALSE(frame.stages.contains("vpl.point_cluster"));
   EXPECT_FALSE(frame.stages.contains("vpl.visibility.0"));
-  EXPECT_EQ(frame.stages.at("vpl.shade.0").inputs.size(), 2u);  // lights, members
+  EXPECT_EQ(frame.stages.at("vpl.shade.0").inputs.size(), 1u);  // lights
 }
 
-TEST(VplWay, IsToldBeforehand) {
+TEST(VplTrajectory, IsToldBeforehand) {
   const auto plan = make_plan(vpl_settings(camera_at(0), cameras_along(7, 1)), {});
   EXPECT_THAT(plan->outline(), testing::Contains(testing::AllOf(testing::StartsWith("vpl.points: "),
-                                                                testing::HasSubstr("7 cameras of the way"))));
+                                                                testing::HasSubstr("7 cameras of the trajectory"))));
   EXPECT_THAT(plan->outline(), testing::Contains(testing::AllOf(testing::StartsWith("vpl.point_cluster: "),
                                                                 testing::HasSubstr("128 to 2048 clusters"))));
 }
 
 // Of large pictures with many clusters fewer cameras are asked for: four million points in all.
-TEST(VplWay, ManyPointsAreTakenFromFewCameras) {
+TEST(VplTrajectory, ManyPointsAreTakenFromFewCameras) {
   for (const auto& [clusters, cameras] : {std::pair{"4096", "32"}, {"262144", "4"}}) {
     FrameSettings settings = vpl_settings(camera_at(0), cameras_along(32, 1));
     settings.width = settings.height = 1024;
@@ -405,22 +413,24 @@ TEST(VplWay, ManyPointsAreTakenFromFewCameras) {
     const auto plan = make_plan(settings, {});
     EXPECT_THAT(plan->outline(), testing::Contains(testing::HasSubstr(std::string("each of ") + cameras + " cameras")));
     const Step step = plan->next(nullptr);
-    std::vector<Camera> asked;
+    std::vector<Camera> seen;
     for (const StageSpec& spec : step.stages) {
       if (spec.kind != "vpl_points") continue;
       kernels::VplPointParameters p;
       std::memcpy(&p, spec.parameters.data(), sizeof p);
-      asked.push_back(p.camera);
+      seen.push_back(p.camera);
     }
-    ASSERT_EQ(std::to_string(asked.size()), cameras);
-    EXPECT_TRUE(same(asked.front(), settings.way.front()) && same(asked.back(), settings.way.back()));
+    ASSERT_EQ(std::to_string(seen.size()), cameras);
+    EXPECT_TRUE(same(seen.front(), settings.trajectory.front()) && same(seen.back(), settings.trajectory.back()));
   }
 }
 
-TEST(VplWay, RefusesPointsThatItDidNotAskFor) {
+TEST(VplTrajectory, RefusesPointsThatItDidNotAskFor) {
   const auto plan = make_plan(vpl_settings(camera_at(0), cameras_along(2, 1)), {});
-  plan->next(nullptr);
-  const FinishedStage good{"vpl.points.1", bytes_of(wall(camera_at(1), 32, 3))}, other{"vpl.points.2", good.records};
+  std::uint64_t items = 0;
+  for (const StageSpec& spec : plan->next(nullptr).stages)
+    if (spec.name == "vpl.points.1") items = spec.items;
+  const FinishedStage good{"vpl.points.1", nullptr, items, {}}, other{"vpl.points.2", nullptr, items, {}};
   EXPECT_THROW(plan->next(&other), std::exception);
   plan->next(&good);
   EXPECT_THROW(plan->next(&good), std::exception);
