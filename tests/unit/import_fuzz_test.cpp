@@ -44,6 +44,11 @@ GltfFile rich_file(const Folder& folder) {
   m["extensions"]["KHR_materials_volume"] = {{"attenuationDistance", 2}, {"attenuationColor", {1, 0.5, 0.1}}};
   m["extensions"]["KHR_materials_emissive_strength"]["emissiveStrength"] = 3;
   m["extensions"]["KHR_materials_specular"]["specularFactor"] = 0.5;
+  m["extensions"]["KHR_materials_clearcoat"] = {
+      {"clearcoatFactor", 0.5}, {"clearcoatRoughnessFactor", 0.2}, {"clearcoatTexture", {{"index", 1}}}};
+  m["extensions"]["KHR_materials_sheen"] = {{"sheenColorFactor", {0.5, 0.2, 1}}, {"sheenRoughnessFactor", 0.4}};
+  m["extensions"]["KHR_materials_anisotropy"] = {{"anisotropyStrength", 0.5}, {"anisotropyRotation", 1}};
+  m["extensions"]["KHR_materials_iridescence"] = {{"iridescenceFactor", 0.5}, {"iridescenceThicknessMaximum", 300}};
   json strip = f.primitive();
   strip["mode"] = 5;
   f.json["meshes"][0]["primitives"].push_back(strip);
