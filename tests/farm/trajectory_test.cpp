@@ -25,7 +25,7 @@ using testing::StartsWith;
 JobRequest request_of(const scene::Scene& scene) {
   JobRequest request;
   request.scene_name = "box";
-  request.scene = coordinator::summarize(scene);
+  request.scenes = {{{}, {}, coordinator::summarize(scene)}};
   request.settings.method = "vpl";
   request.settings.width = request.settings.height = 48;
   request.settings.spp = 4;
@@ -43,8 +43,9 @@ std::vector<json> render(const scene::Scene& scene, JobRequest request) {
     return coordinator::FramePaths{{}, {}, folder.path() / (std::to_string(frame) + ".json")};
   };
   cli::EmbeddedFarm embedded(settings);
-  request.scene_blob = embedded.blobs().put(scene::serialize(scene));
-  if (embedded.needs_bvh()) request.bvh_blob = embedded.blobs().put(scene::serialize(scene::build_bvh(scene)));
+  coordinator::FrameScene& blobs = request.scenes.front();
+  blobs.scene_blob = embedded.blobs().put(scene::serialize(scene));
+  if (embedded.needs_bvh()) blobs.bvh_blob = embedded.blobs().put(scene::serialize(scene::build_bvh(scene)));
   const std::string job = embedded.farm().submit(request);
   while (!ended(embedded.farm().status(job)->state)) embedded.farm().wait(job, ~std::uint64_t{0}, 0.1);
   EXPECT_EQ(embedded.farm().status(job)->state, coordinator::JobState::done) << embedded.farm().status(job)->message;
