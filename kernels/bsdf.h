@@ -1,15 +1,23 @@
 // The glTF 2.0 material: GGX with separable Smith masking and Schlick's Fresnel (appendix B), over a Lambert layer that
 // gets what the specular lobe leaves, reciprocally: f_d = base/pi (1 - s E(n.v)) (1 - s E(n.l)) / (1 - s M), so that a
 // white surface reflects exactly 1. Glass: exact Fresnel, smooth or GGX (Walter et al. 2007), solid or a thin sheet.
-// Metal hides glass: of a surface's light, `metallic` meets metal, and of the rest `transmission` meets glass. Local
-// frames: z is the normal.
+// Metal hides glass: of a surface's light, `metallic` meets metal, and of the rest `transmission` meets glass. The lobe
+// may be longer one way (KHR_materials_anisotropy), lie under a thin film (kernels/thin_film.h), a coat or sheen
+// (kernels/layers.h). Local frames: z is the normal.
 #ifndef GLEANER_KERNELS_BSDF_H
 #define GLEANER_KERNELS_BSDF_H
 
 #include "kernels/sampling.h"
 #include "kernels/scene_access.h"
 
-#if defined(NEED_SPECULAR) || defined(NEED_GLOSSY) || defined(NEED_METALLIC)
+#ifdef NEED_IRIDESCENCE
+#include "kernels/thin_film.h"
+#endif
+
+#if defined(NEED_CLEARCOAT) || defined(NEED_SHEEN)
+#define NEED_LAYERS
+#endif
+#if defined(NEED_SPECULAR) || defined(NEED_GLOSSY) || defined(NEED_METALLIC) || defined(NEED_LAYERS)
 #define NEED_LOBE
 #endif
 
@@ -45,8 +53,35 @@ typedef struct {
   vf table_row;   // fractional row
   vf left_view;   // 1 - s E(n.v)
   vf left_mean;   // 1 - s M
-  vf lobe_share;  // chance that sampling takes the specular lobe
-  vi mirror;
+  vf lobe_share;  // chance that sampling takes the specular lobe, or one of the layers above it
+  vi mirror;      // the lobe is
+#ifdef NEED_ANISOTROPY
+  vf alpha_along;       // of the lobe along the grain; `alpha` is across it
+  vf grain_x, grain_y;  // the grain's direction, unit, in the local frame (orient_layers())
+#endif
+#ifdef NEED_IRIDESCENCE
+  vf film, film_ior, film_thickness;  // share of the surface under a film; nm
+#endif
+#ifdef NEED_LAYERS
+  vf base_chance;  // of lobe_share's samples, those that the lobe gets
+#endif
+#ifdef NEED_CLEARCOAT
+  vf coat, coat_alpha;  // weight; roughness^2
+  v3 coat_normal;       // local
+  vu coat_table;
+  vf coat_row, coat_left_view, coat_chance;
+  vi coat_mirror;
+#ifdef NEED_NORMAL_MAPS
+  vi coat_bent;  // its normal differs from the base's
+#endif
+#endif
+#ifdef NEED_SHEEN
+  v3 sheen;
+  vf sheen_most;  // its largest colour
+  vf sheen_alpha;
+  vu sheen_table;
+  vf sheen_row, sheen_albedo_view, sheen_chance;
+#endif
 #endif
 #ifdef NEED_TRANSMISSIVE
   vf transmission;  // share of the light that meets glass, metal taken off
@@ -60,6 +95,17 @@ typedef struct {
 #endif
 #endif
 } Surface;
+
+// A visible normal of GGX (Dupuy & Benyoub 2023, spherical caps), v.z > 0.
+FN v3 sample_visible_normal(v3 v, vf alpha_x, vf alpha_y, vf u0, vf u1) {
+  v3 s = normalize3(make3(alpha_x * v.x, alpha_y * v.y, v.z));
+  vf sp, cp;
+  sincos_2pi(u0, &sp, &cp);
+  vf z = fma(one_f() - u1, one_f() + s.z, -s.z);
+  vf r = safe_sqrt(one_f() - z * z);
+  v3 c = make3(fma(r, cp, s.x), fma(r, sp, s.y), z + s.z);
+  return normalize3(make3(alpha_x * c.x, alpha_y * c.y, max_f(c.z, zero_f())));
+}
 
 #ifdef NEED_LOBE
 
@@ -110,6 +156,10 @@ FN vf left_mean_of(const Scene* scene, const Surface* m) {
   return pick(one_f(), mean, has);
 }
 
+#ifdef NEED_LAYERS
+#include "kernels/layers.h"
+#endif
+
 // Colour of the specular lobe at half-vector cosine vh: dielectric and metal mixed linearly.
 FN v3 lobe_fresnel(const Surface* m, vf vh) {
   vf s = pow5(max_f(one_f() - fabs(vh), zero_f()));
@@ -118,6 +168,16 @@ FN v3 lobe_fresnel(const Surface* m, vf vh) {
       make3(fma(one_f() - m->f0.x, s, m->f0.x), fma(one_f() - m->f0.y, s, m->f0.y), fma(one_f() - m->f0.z, s, m->f0.z));
   v3 fm = make3(fma(one_f() - m->base.x, s, m->base.x), fma(one_f() - m->base.y, s, m->base.y),
                 fma(one_f() - m->base.z, s, m->base.z));
+#ifdef NEED_IRIDESCENCE
+  if (any_lane(m->film > zero_f())) {
+    vf mu = fabs(vh);
+    fd = mad3(sub3(thin_film(mu, m->film_ior, m->film_thickness, m->f0), fd), m->film, fd);
+#ifdef NEED_METALLIC
+    if (any_lane(m->metallic > zero_f()))
+      fm = mad3(sub3(thin_film(mu, m->film_ior, m->film_thickness, m->base), fm), m->film, fm);
+#endif
+  }
+#endif
   return mad3(fm, m->metallic, scale3(fd, dielectric));
 }
 
@@ -163,16 +223,104 @@ FN void prepare_lobe(const Scene* scene, Surface* m, vf nv) {
   m->left_mean = left_mean_of(scene, m);
   vi has = (m->metallic > zero_f()) | (m->specular > zero_f());
   vf s = max_component(lobe_fresnel(m, nv));
+#ifdef NEED_LAYERS
+  vi has_lobe = has;
+  s = share_lobes(m, s, has_lobe);
+#ifdef NEED_CLEARCOAT
+  has = has | (m->coat > zero_f());
+#endif
+#ifdef NEED_SHEEN
+  has = has | (m->sheen_most > zero_f());
+#endif
+#endif
   vf d = max_component(m->base) * m->left_view * (one_f() - m->metallic);
   vf share = clamp_f(s / max_f(s + d, (vf)1e-6f), (vf)0.1f, (vf)0.9f);
   share = pick(share, one_f(), m->metallic >= one_f());
   m->lobe_share = pick(zero_f(), share, has);
   // Of a roughness below 1e-5 the densities soon leave the range of float, and no picture shows it.
+#ifdef NEED_LAYERS
+  m->mirror = has_lobe & (m->alpha2 < (vf)1e-20f);
+#else
   m->mirror = has & (m->alpha2 < (vf)1e-20f);
+#endif
 }
 
-// After prepare_lobe().
-FN vi has_rough_lobe(const Surface* m) { return (m->lobe_share > zero_f()) & (m->alpha >= (vf)ROUGH_LOBE_ALPHA); }
+// After prepare_lobe(). Virtual point lights know the plain lobe alone: not under layers or a film, nor with a grain.
+FN vi has_rough_lobe(const Surface* m) {
+  vi rough = (m->lobe_share > zero_f()) & (m->alpha >= (vf)ROUGH_LOBE_ALPHA);
+#ifdef NEED_CLEARCOAT
+  rough = rough & none(m->coat > zero_f());
+#endif
+#ifdef NEED_SHEEN
+  rough = rough & none(m->sheen_most > zero_f());
+#endif
+#ifdef NEED_IRIDESCENCE
+  rough = rough & none(m->film > zero_f());
+#endif
+#ifdef NEED_ANISOTROPY
+  rough = rough & (m->alpha_along == m->alpha);
+#endif
+  return rough;
+}
+
+// A surface that is nothing but a perfect mirror.
+FN vi is_bare_mirror(const Surface* m) {
+  vi bare = m->mirror & (m->lobe_share >= one_f());
+#ifdef NEED_CLEARCOAT
+  bare = bare & ((m->coat <= zero_f()) | m->coat_mirror);
+#endif
+#ifdef NEED_SHEEN
+  bare = bare & (m->sheen_most <= zero_f());
+#endif
+  return bare;
+}
+
+// Is the diffuse layer one that virtual point lights can stand for? What a bent coat leaves to it no table tells.
+FN vi has_plain_layer(const Surface* m) {
+#if defined(NEED_CLEARCOAT) && defined(NEED_NORMAL_MAPS)
+  return none(m->coat_bent);
+#else
+  return all_lanes();
+#endif
+}
+
+// GGX in the directions v and l of half-vector h: the distribution, and of masking at each end n.x + sqrt(...).
+typedef struct {
+  vf d, gv, gl;
+} LobeTerms;
+
+FN LobeTerms lobe_terms(const Surface* m, v3 v, v3 l, v3 h, vi rough) {
+  LobeTerms r;
+#ifdef NEED_ANISOTROPY
+  vf gx = m->grain_x, gy = m->grain_y;
+  vf at = pick(one_f(), m->alpha_along, rough), ab = pick(one_f(), m->alpha, rough);
+  vf ht = (h.x * gx + h.y * gy) / at, hb = (h.y * gx - h.x * gy) / ab;
+  vf t = ht * ht + hb * hb + h.z * h.z;
+  r.d = INV_PI / (at * ab * t * t);
+  vf vt = at * (v.x * gx + v.y * gy), vb = ab * (v.y * gx - v.x * gy);
+  vf lt = at * (l.x * gx + l.y * gy), lb = ab * (l.y * gx - l.x * gy);
+  r.gv = v.z + sqrt(v.z * v.z + vt * vt + vb * vb);
+  r.gl = l.z + sqrt(l.z * l.z + lt * lt + lb * lb);
+#else
+  vf a2 = pick(one_f(), m->alpha2, rough);
+  vf t = (h.x * h.x + h.y * h.y) / a2 + h.z * h.z;
+  r.d = INV_PI / (a2 * t * t);
+  r.gv = v.z + sqrt(fma(one_f() - a2, v.z * v.z, a2));
+  r.gl = l.z + sqrt(fma(one_f() - a2, l.z * l.z, a2));
+#endif
+  return r;
+}
+
+FN v3 sample_lobe_normal(const Surface* m, v3 v, vf u0, vf u1) {
+#ifdef NEED_ANISOTROPY
+  vf gx = m->grain_x, gy = m->grain_y;
+  v3 turned = make3(v.x * gx + v.y * gy, v.y * gx - v.x * gy, v.z);
+  v3 h = sample_visible_normal(turned, m->alpha_along, m->alpha, u0, u1);
+  return make3(h.x * gx - h.y * gy, h.x * gy + h.y * gx, h.z);
+#else
+  return sample_visible_normal(v, m->alpha, m->alpha, u0, u1);
+#endif
+}
 
 #endif
 
@@ -183,33 +331,47 @@ FN v3 eval_bsdf(const Scene* scene, const Surface* m, v3 v, v3 l, vf* pdf) {
   vf diffuse_pdf = nl * INV_PI;
 #ifdef NEED_LOBE
   vf layer = m->left_view * left_to_layer(scene, m, nl) * (one_f() - m->metallic) / m->left_mean;
+  vf lobe_chance = m->lobe_share;
+#ifdef NEED_LAYERS
+  Layers above = eval_layers(scene, m, v, l);
+  layer *= above.left_bent;
+  lobe_chance *= m->base_chance;
+#endif
   v3 f = scale3(m->base, layer * INV_PI);
   vf p = (one_f() - m->lobe_share) * diffuse_pdf;
-  vi rough = none(m->mirror) & (m->lobe_share > zero_f());
+  vi rough = none(m->mirror) & (lobe_chance > zero_f());
   if (any_lane(rough)) {
     v3 h = normalize3(add3(v, l));
-    vf a2 = pick(one_f(), m->alpha2, rough);
-    vf t = (h.x * h.x + h.y * h.y) / a2 + h.z * h.z;
-    vf d = INV_PI / (a2 * t * t);
-    vf gv = v.z + sqrt(fma(one_f() - a2, v.z * v.z, a2));
-    vf gl = nl + sqrt(fma(one_f() - a2, nl * nl, a2));
-    v3 lobe = scale3(lobe_fresnel(m, dot3(v, h)), d / (gv * gl));
+    LobeTerms g = lobe_terms(m, v, l, h, rough);
+    v3 lobe = scale3(lobe_fresnel(m, dot3(v, h)), g.d / (g.gv * g.gl));
+#ifdef NEED_LAYERS
+    lobe = scale3(lobe, above.left);
+#endif
     f = pick3(f, add3(f, lobe), rough);
     // Visible-normal sampling: D G1(v) / (4 v.z) = D / (2 gv).
-    p += pick(zero_f(), m->lobe_share * d / (2.0f * gv), rough);
+    p += pick(zero_f(), lobe_chance * g.d / (2.0f * g.gv), rough);
   }
+#ifdef NEED_LAYERS
+  p = fma(m->lobe_share, above.pdf, p);
+  *pdf = p;
+  return add3(scale3(f, nl), above.value);
+#else
   *pdf = p;
   return scale3(f, nl);
+#endif
 #else
   *pdf = diffuse_pdf;
   return scale3(m->base, diffuse_pdf);
 #endif
 }
 
-// The part of eval_bsdf() that the diffuse layer scatters.
+// The part of eval_bsdf() that the diffuse layer scatters, where it is plain.
 FN v3 eval_layer(const Scene* scene, const Surface* m, vf nl) {
 #ifdef NEED_LOBE
   vf layer = m->left_view * left_to_layer(scene, m, nl) * (one_f() - m->metallic) / m->left_mean;
+#ifdef NEED_LAYERS
+  layer = pick(zero_f(), layer, has_plain_layer(m));
+#endif
   return scale3(m->base, layer * nl * INV_PI);
 #else
   return scale3(m->base, nl * INV_PI);
@@ -225,17 +387,6 @@ FN vf fresnel_dielectric(vf cos_i, vf eta, vf* cos_t) {
   vf rp = (eta * cos_i - ct) / (eta * cos_i + ct);
   *cos_t = pick(ct, zero_f(), total);
   return pick(0.5f * (rs * rs + rp * rp), one_f(), total);
-}
-
-// A visible normal of GGX (Dupuy & Benyoub 2023, spherical caps), v.z > 0.
-FN v3 sample_visible_normal(v3 v, vf alpha, vf u0, vf u1) {
-  v3 s = normalize3(make3(alpha * v.x, alpha * v.y, v.z));
-  vf sp, cp;
-  sincos_2pi(u0, &sp, &cp);
-  vf z = fma(one_f() - u1, one_f() + s.z, -s.z);
-  vf r = safe_sqrt(one_f() - z * z);
-  v3 c = make3(fma(r, cp, s.x), fma(r, sp, s.y), z + s.z);
-  return normalize3(make3(alpha * c.x, alpha * c.y, max_f(c.z, zero_f())));
 }
 
 typedef struct {
@@ -306,19 +457,46 @@ FN BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vf u_lobe,
 #ifdef NEED_LOBE
   vi specular = u_lobe < m->lobe_share;
   if (any_lane(specular)) {
-    v3 h = sample_visible_normal(v, m->alpha, u0, u1);
+    v3 h = sample_lobe_normal(m, v, u0, u1);
     h = pick3(h, uniform3(0.0f, 0.0f, 1.0f), m->mirror);
     vf vh = dot3(v, h);
     v3 r = sub3(scale3(h, 2.0f * vh), v);
     b.direction = pick3(b.direction, r, specular);
   }
+  vi mirrored = specular & m->mirror;
+#ifdef NEED_LAYERS
+  vf u_layer = u_lobe / m->lobe_share, taken = zero_f();
+#ifdef NEED_CLEARCOAT
+  vi by_coat = specular & (u_layer < m->coat_chance);
+  taken = m->coat_chance;
+  vf coat_weight = zero_f();
+  if (any_lane(by_coat)) b.direction = pick3(b.direction, sample_coat(m, v, u0, u1, &coat_weight), by_coat);
+  mirrored = mirrored & none(by_coat);
+#endif
+#ifdef NEED_SHEEN
+  vi by_sheen = specular & (u_layer >= taken) & (u_layer < taken + m->sheen_chance);
+  b.direction = pick3(b.direction, sample_hemisphere(u0, u1), by_sheen);
+  mirrored = mirrored & none(by_sheen);
+#endif
+#endif
   vf pdf;
   v3 f = eval_bsdf(scene, m, v, b.direction, &pdf);
   vi ok = (b.direction.z > (vf)1e-6f) & (pdf > zero_f());
   b.weight = pick3(splat3(zero_f()), scale3(f, one_f() / pdf), ok);
   b.pdf = pick(zero_f(), pdf, ok);
-  vi mirrored = specular & m->mirror;
+#ifdef NEED_LAYERS
+  if (any_lane(mirrored)) {
+    vf left = eval_layers(scene, m, v, make3(-v.x, -v.y, v.z)).left;
+    b.weight = pick3(b.weight, scale3(lobe_fresnel(m, v.z), left / (m->lobe_share * m->base_chance)), mirrored);
+  }
+#ifdef NEED_CLEARCOAT
+  vi coat_mirrored = by_coat & m->coat_mirror;
+  b.weight = pick3(b.weight, splat3(coat_weight / (m->lobe_share * m->coat_chance)), coat_mirrored);
+  mirrored = mirrored | coat_mirrored;
+#endif
+#else
   b.weight = pick3(b.weight, scale3(lobe_fresnel(m, v.z), one_f() / m->lobe_share), mirrored);
+#endif
   b.pdf = pick(b.pdf, zero_f(), mirrored);
 #else
   b.pdf = b.direction.z * INV_PI;
@@ -331,7 +509,8 @@ FN BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vf u_lobe,
   if (any_lane(glass)) {
     v3 h = uniform3(0.0f, 0.0f, 1.0f);
 #ifdef NEED_ROUGH_TRANSMISSIVE
-    h = pick3(h, sample_visible_normal(v, pick(one_f(), m->alpha, m->blurs), u0, u1), m->blurs);
+    vf glass_alpha = pick(one_f(), m->alpha, m->blurs);
+    h = pick3(h, sample_visible_normal(v, glass_alpha, glass_alpha, u0, u1), m->blurs);
 #endif
     vf eta = m->eta;
     vf vh = dot3(v, h);

@@ -123,7 +123,7 @@ FN vi sees_lights(const Vertex* v, vi spent) {
 #endif
 #ifdef NEED_LOBE
   // A bare mirror: no layer below and no rough lobe.
-  vi bare = m->mirror & (m->lobe_share >= one_f());
+  vi bare = is_bare_mirror(m);
 #ifdef NEED_ROUGH_TRANSMISSIVE
   bare = bare & none(m->blurs);
 #endif

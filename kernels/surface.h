@@ -26,9 +26,15 @@ typedef struct {
   v3 color;  // interpolated from the corners', linear
   vf color_alpha;
 #endif
+#if defined(NEED_CLEARCOAT) && defined(NEED_NORMAL_MAPS)
+  v3 coat_normal;  // interpolated, and mapped by the coat's own texture
+#endif
+#ifdef NEED_ANISOTROPY
+  v3 tangent, bitangent;  // perpendicular to the normal
+#endif
 } Hit;
 
-#if defined(NEED_SMOOTH_NORMALS) || defined(NEED_TEXTURES) || defined(NEED_VERTEX_COLORS)
+#if defined(NEED_SMOOTH_NORMALS) || defined(NEED_TEXTURES) || defined(NEED_VERTEX_COLORS) || defined(NEED_ANISOTROPY)
 #define HIT_READS_SECOND_LINE
 #endif
 
@@ -53,6 +59,83 @@ FN void add_corner_color(Hit* h, vu rg, vu ba, vf weight) {
   h->color.y += to_f(rg >> 16) * weight;
   h->color.z += to_f(ba & 0xffffu) * weight;
   h->color_alpha += to_f(ba >> 16) * weight;
+}
+#endif
+
+#if defined(NEED_NORMAL_MAPS) || defined(NEED_ANISOTROPY)
+// The tangent along which u grows, perpendicular to the hit's normal, and the bitangent, by the coordinates that
+// `texture` reads (GLEANER_NONE: the first ones as they are); the triangle's lines t2 and t3. Gives the lanes whose
+// coordinates span the triangle.
+FN vi tangent_frame(const Scene* scene, const Hit* h, const vf* t2, const vf* t3, vu texture, vi active,
+                    v3* tangent_out, v3* bitangent_out) {
+  vf du1 = t2[TRIANGLE_UV1 - TRIANGLE_SECOND] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND];
+  vf dv1 = t2[TRIANGLE_UV1 - TRIANGLE_SECOND + 1] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1];
+  vf du2 = t2[TRIANGLE_UV2 - TRIANGLE_SECOND] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND];
+  vf dv2 = t2[TRIANGLE_UV2 - TRIANGLE_SECOND + 1] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1];
+  vi textured = active & (texture != GLEANER_NONE);
+#ifdef NEED_SECOND_UVS
+  vi second = reads_second_uvs(scene, texture, textured);
+  const uint uv0 = TRIANGLE_SECOND_UV0 - TRIANGLE_THIRD, uv1 = TRIANGLE_SECOND_UV1 - TRIANGLE_THIRD,
+             uv2 = TRIANGLE_SECOND_UV2 - TRIANGLE_THIRD;
+  du1 = pick(du1, t3[uv1] - t3[uv0], second);
+  dv1 = pick(dv1, t3[uv1 + 1] - t3[uv0 + 1], second);
+  du2 = pick(du2, t3[uv2] - t3[uv0], second);
+  dv2 = pick(dv2, t3[uv2 + 1] - t3[uv0 + 1], second);
+#endif
+#ifdef NEED_TEXTURE_TRANSFORMS
+  vf words[16];
+  load_texture(scene, texture, textured, words);
+  vf turned_u1 = du1, turned_v1 = dv1, turned_u2 = du2, turned_v2 = dv2;
+  turn_uv(words, &turned_u1, &turned_v1);
+  turn_uv(words, &turned_u2, &turned_v2);
+  du1 = pick(du1, turned_u1, textured);
+  dv1 = pick(dv1, turned_v1, textured);
+  du2 = pick(du2, turned_u2, textured);
+  dv2 = pick(dv2, turned_v2, textured);
+#endif
+  vf area = du1 * dv2 - du2 * dv1;
+  // dp/du, made perpendicular to the normal; the bitangent's sense is that of -dv (v grows downwards in glTF).
+  v3 tangent = scale3(sub3(scale3(h->e1, dv2), scale3(h->e2, dv1)), pick((vf)-1.0f, one_f(), area > zero_f()));
+  tangent = sub3(tangent, scale3(h->normal, dot3(h->normal, tangent)));
+  vi usable = active & (dot3(tangent, tangent) > zero_f()) & (area != zero_f());
+  tangent = normalize3(tangent);
+  *tangent_out = tangent;
+  *bitangent_out = scale3(cross3(h->normal, tangent), pick(one_f(), (vf)-1.0f, area > zero_f()));
+  return usable;
+}
+#endif
+
+#ifdef NEED_NORMAL_MAPS
+// The hit's normal as a normal texture bends it.
+FN v3 mapped_normal(const Scene* scene, const Hit* h, const vf* t2, const vf* t3, vu texture, vf strength, vi active) {
+  v3 normal = h->normal;
+  vi mapped = active & (texture != GLEANER_NONE);
+  if (any_lane(mapped)) {
+    vf unused;
+    v3 n = texture_at(scene, h, texture, mapped, &unused);
+    n = make3((2.0f * n.x - 1.0f) * strength, (2.0f * n.y - 1.0f) * strength, 2.0f * n.z - 1.0f);
+    v3 tangent, bitangent;
+    vi usable = tangent_frame(scene, h, t2, t3, texture, mapped, &tangent, &bitangent);
+    v3 bent = normalize3(mad3(tangent, n.x, mad3(bitangent, n.y, scale3(normal, n.z))));
+    normal = pick3(normal, bent, usable & (dot3(bent, bent) > zero_f()));
+  }
+  return normal;
+}
+#endif
+
+#ifdef NEED_ANISOTROPY
+// The frame of the grain: that of the normal texture, or of the anisotropy's own. Where coordinates say nothing, any.
+FN void load_tangents(const Scene* scene, Hit* h, const vf* t2, const vf* t3, vi active) {
+  basis3(h->normal, &h->tangent, &h->bitangent);
+  vi grained = active & (material_f(scene, h->material, MATERIAL_ANISOTROPY) > zero_f());
+  if (!any_lane(grained)) return;
+  vu texture = material_u(scene, h->material, MATERIAL_ANISOTROPY_TEXTURE);
+  vu normal_texture = material_u(scene, h->material, MATERIAL_NORMAL_TEXTURE);
+  texture = pick_u(texture, normal_texture, texture == GLEANER_NONE);
+  v3 tangent, bitangent;
+  vi usable = tangent_frame(scene, h, t2, t3, texture, grained, &tangent, &bitangent);
+  h->tangent = pick3(h->tangent, tangent, usable);
+  h->bitangent = pick3(h->bitangent, bitangent, usable);
 }
 #endif
 
@@ -113,45 +196,21 @@ FN Hit load_hit(const Scene* scene, vu primitive, vf b1, vf b2, vi active) {
 #ifdef NEED_SMOOTH_NORMALS
   h.outward = pick3(h.outward, negate3(h.outward), dot3(h.outward, h.normal) < zero_f());
 #endif
+#if defined(NEED_NORMAL_MAPS) || defined(NEED_ANISOTROPY)
+#ifndef NEED_SECOND_UVS
+  const vf* t3 = t2;
+#endif
+#endif
 #ifdef NEED_NORMAL_MAPS
-  {
-    vu texture = material_u(scene, h.material, MATERIAL_NORMAL_TEXTURE);
-    vi mapped = active & (texture != GLEANER_NONE);
-    if (any_lane(mapped)) {
-      vf unused;
-      v3 n = texture_at(scene, &h, texture, mapped, &unused);
-      vf strength = material_f(scene, h.material, MATERIAL_NORMAL_SCALE);
-      n = make3((2.0f * n.x - 1.0f) * strength, (2.0f * n.y - 1.0f) * strength, 2.0f * n.z - 1.0f);
-      vf du1 = t2[TRIANGLE_UV1 - TRIANGLE_SECOND] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND];
-      vf dv1 = t2[TRIANGLE_UV1 - TRIANGLE_SECOND + 1] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1];
-      vf du2 = t2[TRIANGLE_UV2 - TRIANGLE_SECOND] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND];
-      vf dv2 = t2[TRIANGLE_UV2 - TRIANGLE_SECOND + 1] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1];
-#ifdef NEED_SECOND_UVS
-      vi second = reads_second_uvs(scene, texture, mapped);
-      const uint uv0 = TRIANGLE_SECOND_UV0 - TRIANGLE_THIRD, uv1 = TRIANGLE_SECOND_UV1 - TRIANGLE_THIRD,
-                 uv2 = TRIANGLE_SECOND_UV2 - TRIANGLE_THIRD;
-      du1 = pick(du1, t3[uv1] - t3[uv0], second);
-      dv1 = pick(dv1, t3[uv1 + 1] - t3[uv0 + 1], second);
-      du2 = pick(du2, t3[uv2] - t3[uv0], second);
-      dv2 = pick(dv2, t3[uv2 + 1] - t3[uv0 + 1], second);
+#ifdef NEED_CLEARCOAT
+  h.coat_normal = mapped_normal(scene, &h, t2, t3, material_u(scene, h.material, MATERIAL_CLEARCOAT_NORMAL_TEXTURE),
+                                material_f(scene, h.material, MATERIAL_CLEARCOAT_NORMAL_SCALE), active);
 #endif
-#ifdef NEED_TEXTURE_TRANSFORMS
-      vf words[16];
-      load_texture(scene, texture, mapped, words);
-      turn_uv(words, &du1, &dv1);
-      turn_uv(words, &du2, &dv2);
+  h.normal = mapped_normal(scene, &h, t2, t3, material_u(scene, h.material, MATERIAL_NORMAL_TEXTURE),
+                           material_f(scene, h.material, MATERIAL_NORMAL_SCALE), active);
 #endif
-      vf area = du1 * dv2 - du2 * dv1;
-      // dp/du, made perpendicular to the normal; the bitangent's sense is that of -dv (v grows downwards in glTF).
-      v3 tangent = scale3(sub3(scale3(h.e1, dv2), scale3(h.e2, dv1)), pick((vf)-1.0f, one_f(), area > zero_f()));
-      tangent = sub3(tangent, scale3(h.normal, dot3(h.normal, tangent)));
-      vi usable = mapped & (dot3(tangent, tangent) > zero_f()) & (area != zero_f());
-      tangent = normalize3(tangent);
-      v3 bitangent = scale3(cross3(h.normal, tangent), pick(one_f(), (vf)-1.0f, area > zero_f()));
-      v3 bent = normalize3(mad3(tangent, n.x, mad3(bitangent, n.y, scale3(h.normal, n.z))));
-      h.normal = pick3(h.normal, bent, usable & (dot3(bent, bent) > zero_f()));
-    }
-  }
+#ifdef NEED_ANISOTROPY
+  load_tangents(scene, &h, t2, t3, active);
 #endif
   return h;
 }
@@ -198,6 +257,121 @@ FN void load_color(const Scene* scene, const Hit* h, Surface* m, vi active) {
   m->opacity = opacity_of(scene, h->material, flags, m->opacity);
 #endif
 }
+
+#ifdef NEED_MATERIAL_TEXTURES
+// A texture's texel times `value`, and its alpha; `value` where there is none.
+FN v3 textured_value(const Scene* scene, const Hit* h, uint word, vi active, v3 value, vf* alpha) {
+  vu texture = material_u(scene, h->material, word);
+  vi textured = active & (texture != GLEANER_NONE);
+  *alpha = one_f();
+  if (any_lane(textured)) {
+    vf a;
+    v3 c = texture_at(scene, h, texture, textured, &a);
+    value = pick3(value, mul3(value, c), textured);
+    *alpha = pick(*alpha, a, textured);
+  }
+  return value;
+}
+#endif
+
+#ifdef NEED_MATERIAL_TEXTURES
+FN vi has_texture(const Scene* scene, const Hit* h, uint word) {
+  return material_u(scene, h->material, word) != GLEANER_NONE;
+}
+#endif
+
+// *level: the largest of what textures leave of coat, sheen and film.
+#ifdef NEED_CLEARCOAT
+FN void load_coat(const Scene* scene, const Hit* h, Surface* m, vi active, vf* level) {
+  m->coat = material_f(scene, h->material, MATERIAL_CLEARCOAT);
+  vf roughness = material_f(scene, h->material, MATERIAL_CLEARCOAT_ROUGHNESS);
+  m->coat_table = material_u(scene, h->material, MATERIAL_CLEARCOAT_TABLE);
+  m->coat_row = zero_f();
+#ifdef NEED_MATERIAL_TEXTURES
+  vi coated = active & (m->coat > zero_f());
+  vf unused;
+  vf share = textured_value(scene, h, MATERIAL_CLEARCOAT_TEXTURE, coated, splat3(one_f()), &unused).x;
+  m->coat *= share;
+  *level = pick(*level, share, coated & has_texture(scene, h, MATERIAL_CLEARCOAT_TEXTURE));
+  roughness = textured_value(scene, h, MATERIAL_CLEARCOAT_ROUGHNESS_TEXTURE, coated, splat3(roughness), &unused).y;
+  vi varies = has_texture(scene, h, MATERIAL_CLEARCOAT_ROUGHNESS_TEXTURE);
+  m->coat_row = pick(zero_f(), clamp_f(roughness, zero_f(), one_f()) * (vf)(float)(GLEANER_ALBEDO_ROWS - 1), varies);
+#endif
+  m->coat_alpha = roughness * roughness;
+}
+#endif
+
+#ifdef NEED_SHEEN
+FN void load_sheen(const Scene* scene, const Hit* h, Surface* m, vi active, vf* level) {
+  m->sheen = material_3(scene, h->material, MATERIAL_SHEEN_COLOR);
+  vf roughness = material_f(scene, h->material, MATERIAL_SHEEN_ROUGHNESS);
+  m->sheen_table = material_u(scene, h->material, MATERIAL_SHEEN_TABLE);
+  m->sheen_row = zero_f();
+#ifdef NEED_MATERIAL_TEXTURES
+  vf most = max_component(m->sheen);
+  vi covered = active & (most > zero_f());
+  vf unused, share;
+  m->sheen = textured_value(scene, h, MATERIAL_SHEEN_COLOR_TEXTURE, covered, m->sheen, &unused);
+  *level = pick(*level, max_f(*level, max_component(m->sheen) / most),
+                covered & has_texture(scene, h, MATERIAL_SHEEN_COLOR_TEXTURE));
+  textured_value(scene, h, MATERIAL_SHEEN_ROUGHNESS_TEXTURE, covered, splat3(roughness), &share);
+  roughness *= share;
+  vi varies = has_texture(scene, h, MATERIAL_SHEEN_ROUGHNESS_TEXTURE);
+  m->sheen_row = pick(zero_f(), clamp_f(roughness, zero_f(), one_f()) * (vf)(float)(GLEANER_ALBEDO_ROWS - 1), varies);
+#endif
+  m->sheen_most = max_component(m->sheen);
+  m->sheen_alpha = max_f(roughness * roughness, (vf)GLEANER_SHEEN_ALPHA);
+}
+#endif
+
+#ifdef NEED_IRIDESCENCE
+FN void load_film(const Scene* scene, const Hit* h, Surface* m, vi active, vf* level) {
+  m->film = material_f(scene, h->material, MATERIAL_IRIDESCENCE);
+  m->film_ior = material_f(scene, h->material, MATERIAL_IRIDESCENCE_IOR);
+  m->film_thickness = material_f(scene, h->material, MATERIAL_IRIDESCENCE_MAXIMUM);
+#ifdef NEED_MATERIAL_TEXTURES
+  vi filmed = active & (m->film > zero_f());
+  vf unused;
+  vf share = textured_value(scene, h, MATERIAL_IRIDESCENCE_TEXTURE, filmed, splat3(one_f()), &unused).x;
+  m->film *= share;
+  *level = pick(*level, max_f(*level, share), filmed & has_texture(scene, h, MATERIAL_IRIDESCENCE_TEXTURE));
+  vf least = material_f(scene, h->material, MATERIAL_IRIDESCENCE_MINIMUM);
+  // 1 where there is no texture.
+  vf place = textured_value(scene, h, MATERIAL_IRIDESCENCE_THICKNESS_TEXTURE, filmed, splat3(one_f()), &unused).y;
+  m->film_thickness = mix(least, m->film_thickness, place);
+#endif
+}
+#endif
+
+#ifdef NEED_ANISOTROPY
+// After `alpha` is known. The grain's direction in the plane of tangent and bitangent, for orient_layers() to turn.
+FN void load_grain(const Scene* scene, const Hit* h, Surface* m, vi active) {
+  vf strength = material_f(scene, h->material, MATERIAL_ANISOTROPY);
+  vf x = one_f(), y = zero_f();
+  vi grained = active & (strength > zero_f());
+#ifdef NEED_MATERIAL_TEXTURES
+  vu texture = material_u(scene, h->material, MATERIAL_ANISOTROPY_TEXTURE);
+  vi textured = grained & (texture != GLEANER_NONE);
+  if (any_lane(textured)) {
+    vf unused;
+    v3 c = texture_at(scene, h, texture, textured, &unused);
+    vf dx = fma(c.x, (vf)2.0f, (vf)-1.0f), dy = fma(c.y, (vf)2.0f, (vf)-1.0f), l2 = dx * dx + dy * dy;
+    vi told = textured & (l2 > (vf)1e-6f);
+    vf scale = one_f() / sqrt(pick(one_f(), l2, told));
+    x = pick(x, dx * scale, told);
+    y = pick(y, dy * scale, told);
+    strength = pick(strength, strength * c.z, textured);
+  }
+#endif
+  vf rotation = material_f(scene, h->material, MATERIAL_ANISOTROPY_ROTATION);
+  vf s = sin(rotation), c = cos(rotation);
+  m->grain_x = x * c - y * s;
+  m->grain_y = x * s + y * c;
+  // A lobe that is a mirror one way stays a lobe.
+  m->alpha = pick(m->alpha, max_f(m->alpha, (vf)GLEANER_LEAST_GRAINED_ALPHA), grained);
+  m->alpha_along = pick(m->alpha, mix(m->alpha, one_f(), strength * strength), grained);
+}
+#endif
 
 // What scattering needs beyond load_color().
 FN void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active) {
@@ -255,7 +429,33 @@ FN void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active) {
 #endif
   }
 #endif
+#if defined(NEED_LAYERS) || defined(NEED_IRIDESCENCE)
+  vf level = zero_f();
+#ifdef NEED_CLEARCOAT
+  load_coat(scene, h, m, active, &level);
+#endif
+#ifdef NEED_SHEEN
+  load_sheen(scene, h, m, active, &level);
+#endif
+#ifdef NEED_IRIDESCENCE
+  load_film(scene, h, m, active, &level);
+#endif
+#ifdef NEED_MATERIAL_TEXTURES
+  {
+    vu rows = as_vu(h->words[MATERIAL_ALBEDO_ROWS]);
+    vi textured = (rows == (vu)GLEANER_ALBEDO_ROWS) | (rows == (vu)(GLEANER_ALBEDO_ROWS * GLEANER_ALBEDO_LEVELS));
+    vf row = pick(zero_f(), m->table_row, textured);
+    vf set = floor(fma(clamp_f(level, zero_f(), one_f()), (vf)(float)(GLEANER_ALBEDO_LEVELS - 1), (vf)0.5f));
+    vf stride = pick(one_f(), (vf)(float)GLEANER_ALBEDO_ROWS, textured);
+    vi levels = (rows != 1u) & (rows != (vu)GLEANER_ALBEDO_ROWS);
+    m->table_row = pick(row, fma(set, stride, row), levels & (rows != 0u));
+  }
+#endif
+#endif
   m->alpha = m->alpha * m->alpha;
+#ifdef NEED_ANISOTROPY
+  load_grain(scene, h, m, active);
+#endif
 #ifdef NEED_LOBE
   m->alpha2 = m->alpha * m->alpha;
 #endif
@@ -339,6 +539,31 @@ FN ShadingFrame shading_frame(const Hit* h, v3 direction) {
 #endif
   return f;
 }
+
+#if defined(NEED_ANISOTROPY) || defined(NEED_CLEARCOAT)
+// Turns what of a surface has a direction of its own into the frame of scattering.
+FN void orient_layers(const Scene* scene, const Hit* h, const ShadingFrame* f, Surface* m) {
+#ifdef NEED_ANISOTROPY
+  v3 grain = mad3(h->tangent, m->grain_x, scale3(h->bitangent, m->grain_y));
+  vf x = dot3(f->tangent, grain), y = dot3(f->bitangent, grain), l2 = x * x + y * y;
+  vi told = l2 > (vf)1e-12f;
+  vf scale = one_f() / sqrt(pick(one_f(), l2, told));
+  m->grain_x = pick(one_f(), x * scale, told);
+  m->grain_y = pick(zero_f(), y * scale, told);
+#endif
+#ifdef NEED_CLEARCOAT
+  m->coat_normal = uniform3(0.0f, 0.0f, 1.0f);
+#ifdef NEED_NORMAL_MAPS
+  v3 n = pick3(h->coat_normal, negate3(h->coat_normal), f->from_back);
+  m->coat_bent =
+      (m->coat > zero_f()) & ((material_u(scene, h->material, MATERIAL_NORMAL_TEXTURE) != GLEANER_NONE) |
+                              (material_u(scene, h->material, MATERIAL_CLEARCOAT_NORMAL_TEXTURE) != GLEANER_NONE));
+  v3 turned = normalize3(make3(dot3(f->tangent, n), dot3(f->bitangent, n), dot3(f->normal, n)));
+  m->coat_normal = pick3(m->coat_normal, turned, m->coat_bent & (turned.z > (vf)LEAST_COSINE));
+#endif
+#endif
+}
+#endif
 
 FN v3 from_frame(const ShadingFrame* f, v3 d) {
   return normalize3(add3(add3(scale3(f->tangent, d.x), scale3(f->bitangent, d.y)), scale3(f->normal, d.z)));

@@ -20,7 +20,7 @@ static_assert(sizeof(VplResampleParameters) == 32);
 
 struct VplResampleFacts {
   std::uint64_t made = 0, kept = 0;  // VPLs of some flux: of the light paths, and drawn
-  double density = 0;                // drawn VPLs a square metre of lit surface; 0: fewer than two places
+  double density = 0;  // of the first pass: drawn VPLs a square metre of lit surface; 0: fewer than two places
 };
 
 // Stage kind "vpl_order"; solo. Inputs "lights": the resampled rows; "clusters": what vpl_cluster made of them, or

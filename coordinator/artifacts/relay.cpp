@@ -16,7 +16,8 @@ struct Relay::Transfer {
   std::uint64_t request = 0;
   Clock::time_point begun = Clock::now();
   unsigned users = 1;
-  bool ended = false;  // `data` or `error` is there, and stays
+  bool ended = false;        // `data` or `error` is there, and stays
+  bool holder_says = false;  // the error
   std::string data, error;
 };
 
@@ -101,7 +102,7 @@ const std::string& Relay::wait(const Piece& piece) {
   const auto until = piece->begun + std::chrono::duration_cast<Clock::duration>(shared_->patience);
   if (!shared_->changed.wait_until(lock, until, [&] { return piece->ended; }))
     throw Error::connection("the worker that holds it does not answer");
-  if (!piece->error.empty()) throw Error::connection(piece->error);
+  if (!piece->error.empty()) throw piece->holder_says ? Error::failed(piece->error) : Error::connection(piece->error);
   return piece->data;
 }
 
@@ -111,6 +112,7 @@ bool Relay::deliver(WorkerId from, std::uint64_t request, std::string data, cons
   if (at == shared_->unanswered.end() || at->second->holder != from) return false;
   const std::shared_ptr<Transfer> transfer = at->second;
   shared_->delivered += data.size();
+  transfer->holder_says = true;
   if (error.empty() && data.size() != transfer->range.length)
     shared_->end(transfer, {},
                  "the worker that holds it sent " + std::to_string(data.size()) + " bytes instead of " +

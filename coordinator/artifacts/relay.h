@@ -44,7 +44,8 @@ class Relay {
 
   // Throws Error::connection where there is no room in time, or the holder is gone.
   Piece begin(WorkerId holder, const PartRange& range, const Ask& ask);
-  // Its bytes, when they have arrived. Throws Error::connection where they do not.
+  // Its bytes, when they have arrived. Throws Error::connection where they do not, Error::failed where the holder says
+  // that it does not have them.
   const std::string& wait(const Piece& piece);
 
   // The holder's answer; `error`: why there are no bytes. False: nobody waits for it from this worker.

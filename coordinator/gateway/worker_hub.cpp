@@ -428,6 +428,7 @@ Status WorkerHub::FetchPart(grpc::ServerContext* context, const pb::FetchPartReq
       if (context->IsCancelled() || !stream->Write(piece)) return Status::OK;
     }
   } catch (const Error& error) {
+    if (error.kind() == ErrorKind::failed) farm_.not_held(source.holder, range.artifact, range.first, range.digest);
     return {StatusCode::UNAVAILABLE, error.what()};
   }
   return Status::OK;

@@ -152,6 +152,8 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void take_late_part(Worker& worker, Verdict verdict, const BatchOutput::Retained& part);
   void made_part(const ArtifactId& id);
   void put_aside(WorkerId id, const std::string& why);
+  void drop_copy(const ArtifactId& id, std::uint64_t first, const std::string& digest, WorkerId holder,
+                 const std::string& who_says);
   void lose_parts(WorkerId worker);
   std::string name_of(WorkerId id) const;
   const Worker* worker_with(const std::string& token) const;

@@ -127,7 +127,9 @@ class Farm {
   bool ask_for_part(WorkerId holder, std::uint64_t request, const PartRange& range);  // false: the holder is gone
   void relayed(Epoch epoch, std::uint64_t bytes);  // so many have gone through the coordinator for this lease
   std::optional<WorkerId> worker_of(const std::string& token) const;
-  // `reader` got bytes from `holder` that are not those of the digest.
+  // The holder says that it has no such part.
+  void not_held(WorkerId holder, const ArtifactId& artifact, std::uint64_t first, const std::string& digest);
+  // `reader` got bytes from `holder` that are not those of the digest, or none.
   void wrong_part(WorkerId reader, const ArtifactId& artifact, std::uint64_t first, const std::string& digest,
                   const std::string& holder);
 

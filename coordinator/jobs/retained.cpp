@@ -481,26 +481,40 @@ std::optional<WorkerId> Farm::worker_of(const std::string& token) const {
 
 void Farm::wrong_part(WorkerId reader, const ArtifactId& id, std::uint64_t first, const std::string& digest,
                       const std::string& holder) {
-  Impl& m = *impl_;
-  std::lock_guard lock(m.mutex);
-  if (!m.workers.contains(reader)) return;
-  for (const HeldPart& part : m.registry.parts(id, {first, 1})) {
-    if (part.items.first != first || part.digest != digest) continue;
-    for (const WorkerId at : part.holders) {
-      if (m.workers.at(at).name != holder) continue;
-      m.settings.log("artifact " + id + ", " + words_of(part.items) + ": worker " + holder +
-                     " sends other bytes than it made, says worker " + m.workers.at(reader).name);
-      if (m.registry.drop_copy(id, first, digest, at))
-        if (auto artifact = m.retained.find(id); artifact != m.retained.end())
-          artifact->second.lost.push_back(part.items);
-      Worker& liar = m.workers.at(at);
-      liar.session->drop_part(id, first, digest);
-      m.settle_retained();
-      m.offer_to_unserved_soon();
-      if (++liar.wrong_copies >= most_wrong_copies) m.lose(at, "hands out other bytes than it made");
-      return;
-    }
+  std::lock_guard lock(impl_->mutex);
+  if (!impl_->workers.contains(reader)) return;
+  for (const auto& [at, worker] : impl_->workers) {
+    if (worker.name != holder) continue;
+    impl_->drop_copy(id, first, digest, at, "worker " + impl_->name_of(reader) + " says");
+    return;
   }
+}
+
+void Farm::not_held(WorkerId holder, const ArtifactId& id, std::uint64_t first, const std::string& digest) {
+  std::lock_guard lock(impl_->mutex);
+  impl_->drop_copy(id, first, digest, holder, "it says itself");
+}
+
+// The worker's copy of the part turned out to be other bytes, or none. Words that name no copy change nothing.
+void Farm::Impl::drop_copy(const ArtifactId& id, std::uint64_t first, const std::string& digest, WorkerId holder,
+                           const std::string& who_says) {
+  const auto found = workers.find(holder);
+  if (found == workers.end()) return;
+  ItemRange items;
+  for (const HeldPart& part : registry.parts(id, {first, 1}))
+    if (part.items.first == first && part.digest == digest &&
+        std::ranges::find(part.holders, holder) != part.holders.end())
+      items = part.items;
+  if (items.count == 0) return;
+  Worker& worker = found->second;
+  settings.log("artifact " + id + ", " + words_of(items) + ": worker " + worker.name +
+               " has not the bytes that it made, " + who_says);
+  if (registry.drop_copy(id, first, digest, holder))
+    if (auto artifact = retained.find(id); artifact != retained.end()) artifact->second.lost.push_back(items);
+  worker.session->drop_part(id, first, digest);
+  settle_retained();
+  offer_to_unserved_soon();
+  if (++worker.wrong_copies >= most_wrong_copies) lose(holder, "has not the bytes that it made");
 }
 
 }  // namespace gleaner::coordinator

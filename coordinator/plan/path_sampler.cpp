@@ -257,7 +257,7 @@ std::vector<Skip> path_skips(const scene::SceneNeeds& n) {
   const auto skip = [&](bool needed, const char* what, const char* why) {
     if (!needed) skips.push_back({what, why, 1});
   };
-  skip(n.specular || n.glossy || n.metallic, "specular lobe", "no material has one");
+  skip(n.specular || n.glossy || n.metallic || n.clearcoat || n.sheen, "specular lobe", "no material has one");
   skip(n.transmissive, "transmission", "no material lets light through");
   skip(n.attenuation, "absorption in solids", "no solid absorbs");
   skip(n.alpha, "alpha tests", "every surface is opaque");

@@ -72,6 +72,12 @@ FN void prepare_scattering(const Scene* scene, Vertex* v, v3 direction) {
   v->beyond = media_beyond(v->media, &v->hit, scene, v->frame.from_back, v->active);
   set_boundary(scene, &v->surface, v->media, v->beyond, v->active);
 #endif
+#if defined(NEED_ANISOTROPY) || defined(NEED_CLEARCOAT)
+  orient_layers(scene, &v->hit, &v->frame, &v->surface);
+#endif
+#ifdef NEED_LAYERS
+  prepare_layers(scene, &v->surface, make3(v->frame.view.x, v->frame.view.y, max_f(v->frame.view.z, (vf)1e-6f)));
+#endif
 #ifdef NEED_LOBE
   prepare_lobe(scene, &v->surface, max_f(v->frame.view.z, (vf)1e-6f));
 #endif

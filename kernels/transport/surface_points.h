@@ -65,6 +65,9 @@ FN SurfacePoint step_to_surface_point(const Scene* scene, global float* paths, u
   point.rough = has_rough_lobe(m);
   vi bare = (m->lobe_share >= one_f()) & none(point.rough);
   point.albedo = scale3(point.albedo, m->left_view * (one_f() - m->metallic) / m->left_mean);
+#ifdef NEED_LAYERS
+  point.albedo = pick3(splat3(zero_f()), point.albedo, has_plain_layer(m));
+#endif
   point.table = m->table;
   point.table_row = m->table_row;
 #else

@@ -96,6 +96,9 @@ FN Reflection reflect_flux(const Vertex* v, v3 flux, vf correction) {
   r.table_row = zero_f();
 #ifdef NEED_LOBE
   layer = scale3(layer, m->left_view * (one_f() - m->metallic) / m->left_mean);
+#ifdef NEED_LAYERS
+  layer = pick3(splat3(zero_f()), layer, has_plain_layer(m));
+#endif
   r.table = m->table;
   r.table_row = m->table_row;
   r.rough = has_rough_lobe(m);

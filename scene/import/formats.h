@@ -15,9 +15,6 @@ Scene read_obj(const std::string& path, const ImportOptions& options, Warnings& 
 Scene read_ply(const std::string& path, Warnings& warnings);
 Scene read_stl(const std::string& path, Warnings& warnings);
 
-// A material that is a white Lambert surface without textures; alpha 1, cutoff 0.5, ior 1.5.
-Material lambert_material();
-
 // What faces get that name no material: a grey Lambert surface.
 Material grey_material();
 

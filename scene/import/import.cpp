@@ -48,23 +48,9 @@ LightUnits parse_light_units(const std::string& word) {
   throw Error::usage("--light-units: expected auto, radiometric or photometric, found \"" + word + "\"");
 }
 
-Material lambert_material() {
-  Material m{};
-  for (int c = 0; c < 3; ++c) m.base_color[c] = m.specular_color[c] = 1;
-  m.alpha = 1;
-  m.alpha_cutoff = 0.5f;
-  m.ior = 1.5f;
-  m.roughness = 1;
-  m.normal_scale = 1;
-  m.base_color_texture = m.metallic_roughness_texture = m.normal_texture = m.emission_texture = GLEANER_NONE;
-  m.transmission_texture = m.specular_texture = m.specular_color_texture = GLEANER_NONE;
-  m.albedo_table = GLEANER_NONE;
-  return m;
-}
-
 Material grey_material() {
   constexpr float reflectance = 0.8f;
-  Material m = lambert_material();
+  Material m = blank_material();
   std::fill(m.base_color, m.base_color + 3, reflectance);
   return m;
 }

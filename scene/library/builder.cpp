@@ -24,27 +24,18 @@ void append(std::vector<float>& to, Vec v) {
 
 // glTF's defaults, but metallic 0.
 Material plain(Rgb base_color, double roughness) {
-  Material m{};
+  Material m = blank_material();
   set(m.base_color, base_color);
-  m.alpha = 1;
-  m.alpha_cutoff = 0.5f;
-  set(m.specular_color, grey(1));
   m.specular = 1;
-  m.ior = 1.5f;
   m.roughness = static_cast<float>(roughness);
-  m.normal_scale = 1;
-  m.base_color_texture = m.metallic_roughness_texture = m.normal_texture = m.emission_texture = GLEANER_NONE;
-  m.transmission_texture = m.specular_texture = m.specular_color_texture = GLEANER_NONE;
-  m.albedo_table = GLEANER_NONE;
   return m;
 }
 
-bool has_texture(const Material& m) {
-  for (std::uint32_t texture :
-       {m.base_color_texture, m.metallic_roughness_texture, m.normal_texture, m.emission_texture,
-        m.transmission_texture, m.specular_texture, m.specular_color_texture})
-    if (texture != GLEANER_NONE) return true;
-  return false;
+// A grain follows the texture coordinates too.
+bool reads_uvs(const Material& m) {
+  const std::vector<gl_uint Material::*>& slots = texture_slots();
+  return m.anisotropy > 0 ||
+         std::any_of(slots.begin(), slots.end(), [&](const auto slot) { return m.*slot != GLEANER_NONE; });
 }
 
 }  // namespace
@@ -310,7 +301,7 @@ void SceneBuilder::environment(std::uint32_t width, const std::function<Rgb(Vec)
 }
 
 Scene SceneBuilder::finish() {
-  if (std::none_of(scene_.materials.begin(), scene_.materials.end(), has_texture)) scene_.uvs.clear();
+  if (std::none_of(scene_.materials.begin(), scene_.materials.end(), reads_uvs)) scene_.uvs.clear();
   finish_materials(scene_);
   validate(scene_, scene_.name);
   return std::exchange(scene_, {});

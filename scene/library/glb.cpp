@@ -281,10 +281,43 @@ class GlbWriter {
       }
       extensions["KHR_materials_volume"] = volume;
     }
+    add_layers(m, extensions);
     if (m.flags & GLEANER_MATERIAL_UNLIT) extensions["KHR_materials_unlit"] = Json::object();
     if (!extensions.empty()) json["extensions"] = extensions;
     for (const auto& [name, value] : extensions.items()) use(name.c_str());
     add("materials", std::move(json));
+  }
+
+  // Coat, sheen, grain and film, where there is one.
+  static void add_layers(const Material& m, Json& extensions) {
+    if (m.clearcoat > 0) {
+      Json coat{{"clearcoatFactor", m.clearcoat}, {"clearcoatRoughnessFactor", m.clearcoat_roughness}};
+      set_texture(coat, "clearcoatTexture", m.clearcoat_texture);
+      set_texture(coat, "clearcoatRoughnessTexture", m.clearcoat_roughness_texture);
+      if (m.clearcoat_normal_texture != GLEANER_NONE)
+        coat["clearcoatNormalTexture"] = {{"index", m.clearcoat_normal_texture}, {"scale", m.clearcoat_normal_scale}};
+      extensions["KHR_materials_clearcoat"] = coat;
+    }
+    if (*std::max_element(m.sheen_color, m.sheen_color + 3) > 0) {
+      Json sheen{{"sheenColorFactor", numbers(m.sheen_color, 3)}, {"sheenRoughnessFactor", m.sheen_roughness}};
+      set_texture(sheen, "sheenColorTexture", m.sheen_color_texture);
+      set_texture(sheen, "sheenRoughnessTexture", m.sheen_roughness_texture);
+      extensions["KHR_materials_sheen"] = sheen;
+    }
+    if (m.anisotropy > 0) {
+      Json grain{{"anisotropyStrength", m.anisotropy}, {"anisotropyRotation", m.anisotropy_rotation}};
+      set_texture(grain, "anisotropyTexture", m.anisotropy_texture);
+      extensions["KHR_materials_anisotropy"] = grain;
+    }
+    if (m.iridescence > 0) {
+      Json film{{"iridescenceFactor", m.iridescence},
+                {"iridescenceIor", m.iridescence_ior},
+                {"iridescenceThicknessMinimum", m.iridescence_minimum},
+                {"iridescenceThicknessMaximum", m.iridescence_maximum}};
+      set_texture(film, "iridescenceTexture", m.iridescence_texture);
+      set_texture(film, "iridescenceThicknessTexture", m.iridescence_thickness_texture);
+      extensions["KHR_materials_iridescence"] = film;
+    }
   }
 
   // Columns of a node's matrix.

@@ -73,6 +73,41 @@ Scene glossy_range(const std::string& name, const Values&) {
   return b.finish();
 }
 
+// Rows of five spheres: coats, sheen, grains, films.
+Scene layered_range(const std::string& name, const Values&) {
+  SceneBuilder b(name);
+  b.mesh("room");
+  b.quad({-4, 0, 4}, {4, 0, 4}, {4, 0, -3}, {-4, 0, -3}, b.material("floor", lambert(grey(0.4))));
+  b.quad({-4, 0, -3}, {4, 0, -3}, {4, 5, -3}, {-4, 5, -3}, b.material("wall", lambert({0.55, 0.5, 0.45})));
+  b.quad({-4, 0, 4}, {-4, 0, -3}, {-4, 5, -3}, {-4, 5, 4}, b.material("left", lambert({0.6, 0.15, 0.1})));
+  b.quad({4, 0, -3}, {4, 0, 4}, {4, 5, 4}, {4, 5, -3}, b.material("right", lambert({0.12, 0.3, 0.6})));
+  constexpr int kinds = 4, steps = 5;
+  constexpr const char* names[kinds] = {"coat", "sheen", "grain", "film"};
+  for (int kind = 0; kind < kinds; ++kind)
+    for (int i = 0; i < steps; ++i) {
+      const float t = static_cast<float>(i) / (steps - 1);
+      Material m = kind == 0   ? (i % 2 ? metal({0.7, 0.2, 0.1}, 0.5) : dielectric({0.5, 0.05, 0.04}, 0.6))
+                   : kind == 1 ? lambert({0.08, 0.03, 0.15})
+                   : kind == 2 ? metal({0.9, 0.8, 0.7}, 0.25)
+                               : (i % 2 ? metal(grey(0.6), 0.15) : dielectric(grey(0.03), 0.1));
+      if (kind == 0) m.clearcoat = 1, m.clearcoat_roughness = 0.5f * t;
+      if (kind == 1) {
+        m.sheen_color[0] = 0.8f, m.sheen_color[1] = m.sheen_color[2] = 0.6f;
+        m.sheen_roughness = 0.2f + 0.8f * t;
+      }
+      if (kind == 2) m.anisotropy = 0.8f, m.anisotropy_rotation = 1.5707963f * t;
+      if (kind == 3) m.iridescence = 1, m.iridescence_maximum = 200 + 500 * t;
+      const std::string label = std::string(names[kind]) + " " + std::to_string(i + 1);
+      b.mesh(label);
+      b.sphere({1.2 * (i - 2), 0.5 + 0.75 * kind, 1.2 - 0.9 * kind}, 0.45, 96, b.material(label, m));
+    }
+  b.mesh("lights");
+  b.quad({-2, 4.9, -1}, {2, 4.9, -1}, {2, 4.9, 2}, {-2, 4.9, 2}, b.material("ceiling light", emitter(grey(5))));
+  b.quad({1.5, 2, 9.5}, {0.5, 2, 9.5}, {0.5, 5, 9.5}, {1.5, 5, 9.5}, b.material("strip", emitter(grey(14))));
+  b.camera("camera", {0, 2.4, 8.6}, {0, 1.6, 0}, 34, 800, 640);
+  return b.finish();
+}
+
 }  // namespace
 
 std::vector<Recipe> material_recipes() {
@@ -82,6 +117,7 @@ std::vector<Recipe> material_recipes() {
        {{"width", 512, 64, 8192, true}},
        environment_objects},
       {"glossy-range", "dielectric and metal spheres of roughness 0 to 1", {}, glossy_range},
+      {"layered-range", "spheres under coats, sheen and thin films, and of lobes with a grain", {}, layered_range},
   };
 }
 

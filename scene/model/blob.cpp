@@ -18,7 +18,7 @@ namespace {
 static_assert(std::endian::native == std::endian::little, "blobs are little-endian and copied as they stand");
 
 constexpr std::uint64_t kAlignment = 64;
-constexpr std::uint32_t kVersion = 2;
+constexpr std::uint32_t kVersion = 3;
 
 struct Header {
   char magic[8];

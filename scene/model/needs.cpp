@@ -52,18 +52,16 @@ bool has_alpha_mode(const Material& m) {
 
 void add_textures(const Scene& scene, const Material& m, SceneNeeds& needs) {
   constexpr float plain[6] = {1, 0, 0, 0, 1, 0};
-  for (const gl_uint index : {m.base_color_texture, m.metallic_roughness_texture, m.normal_texture, m.emission_texture,
-                              m.transmission_texture, m.specular_texture, m.specular_color_texture}) {
+  for (const auto slot : texture_slots()) {
+    const gl_uint index = m.*slot;
     if (index == GLEANER_NONE) continue;
+    needs.material_textures |= slot != &Material::base_color_texture;
     const Texture& t = scene.textures[index];
     needs.textures = true;
     needs.texture_transforms |= !std::equal(plain, plain + 6, t.transform);
     needs.second_uvs |= t.uv_set == 1;
   }
-  needs.material_textures |= m.metallic_roughness_texture != GLEANER_NONE || m.normal_texture != GLEANER_NONE ||
-                             m.emission_texture != GLEANER_NONE || m.transmission_texture != GLEANER_NONE ||
-                             m.specular_texture != GLEANER_NONE || m.specular_color_texture != GLEANER_NONE;
-  needs.normal_maps |= m.normal_texture != GLEANER_NONE;
+  needs.normal_maps |= m.normal_texture != GLEANER_NONE || m.clearcoat_normal_texture != GLEANER_NONE;
 }
 
 void add_material(const Scene& scene, const Material& m, float vertex_alpha, SceneNeeds& needs) {
@@ -74,12 +72,17 @@ void add_material(const Scene& scene, const Material& m, float vertex_alpha, Sce
     return;
   }
   const bool textured = m.metallic_roughness_texture != GLEANER_NONE;
-  const bool rough = m.roughness > 0 || textured;
+  const bool rough = m.roughness > 0 || textured || m.anisotropy > 0;
   const bool transmissive = is_transmissive(m);
   const bool opaque_part =
       !transmissive || m.transmission < 1 || m.transmission_texture != GLEANER_NONE || m.metallic > 0;
   if (opaque_part && (m.metallic > 0 || m.specular > 0)) (rough ? needs.glossy : needs.specular) = true;
   needs.metallic |= opaque_part && m.metallic > 0;
+  needs.clearcoat |= opaque_part && m.clearcoat > 0;
+  needs.sheen |= opaque_part && std::any_of(m.sheen_color, m.sheen_color + 3, [](float c) { return c > 0; });
+  const bool has_lobe = opaque_part && (m.metallic > 0 || m.specular > 0);
+  needs.anisotropy |= has_lobe && m.anisotropy > 0;
+  needs.iridescence |= has_lobe && m.iridescence > 0;
   if (!transmissive) return;
   needs.transmissive = true;
   const bool solid = m.flags & GLEANER_MATERIAL_SOLID;
@@ -170,7 +173,11 @@ std::uint32_t SceneNeeds::bits() const {
                          two_sided_emitters,
                          panes,
                          refractive,
-                         media};
+                         media,
+                         clearcoat,
+                         sheen,
+                         anisotropy,
+                         iridescence};
   std::uint32_t bits = 0;
   for (std::size_t i = 0; i < std::size(fields); ++i) bits |= std::uint32_t(fields[i]) << i;
   return bits;
@@ -199,7 +206,11 @@ const std::vector<std::string>& need_names() {
                                                  "two_sided_emitters",
                                                  "panes",
                                                  "refractive",
-                                                 "media"};
+                                                 "media",
+                                                 "clearcoat",
+                                                 "sheen",
+                                                 "anisotropy",
+                                                 "iridescence"};
   return names;
 }
 

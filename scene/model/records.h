@@ -19,6 +19,15 @@ namespace gleaner::scene {
 #define GLEANER_ALBEDO_NODES 128
 // Rows of such a table where the roughness comes from a texture: roughness = row / (rows - 1).
 #define GLEANER_ALBEDO_ROWS 33
+// Where coats, sheen or a film vary over a surface, so many such sets of rows: of level (set / (levels - 1)) of them.
+#define GLEANER_ALBEDO_LEVELS 17
+
+// A lobe with a grain has at least this alpha across it.
+#define GLEANER_LEAST_GRAINED_ALPHA 1e-3f
+
+// Sheen of a lesser alpha (roughness^2) is taken for one of this; its table holds E / GLEANER_SHEEN_SCALE.
+#define GLEANER_SHEEN_ALPHA 0.005f
+#define GLEANER_SHEEN_SCALE 4.0f
 
 // Material::flags
 #define GLEANER_MATERIAL_SOLID 1u        // transmission refracts into a solid (KHR_materials_volume); else a thin sheet
@@ -28,8 +37,8 @@ namespace gleaner::scene {
 #define GLEANER_MATERIAL_ATTENUATES 16u  // a solid with a finite attenuation distance
 #define GLEANER_MATERIAL_DOUBLE_SIDED 32u  // emits from both faces
 
-// glTF 2.0 metallic-roughness with KHR_materials_{specular,ior,transmission,volume,emissive_strength,unlit}.
-// Textures are indices into the texture records, or GLEANER_NONE. 144 bytes.
+// glTF 2.0 metallic-roughness with KHR_materials_{specular,ior,transmission,volume,emissive_strength,unlit,clearcoat,
+// sheen,anisotropy,iridescence}. Textures are indices into the texture records, or GLEANER_NONE. 256 bytes.
 typedef struct {
   gl_float base_color[3];  // linear, in [0, 1]
   gl_float alpha;          // baseColorFactor[3]
@@ -54,14 +63,38 @@ typedef struct {
   gl_uint transmission_texture;        // linear, R
   gl_uint specular_texture;            // linear, A specular
   gl_uint specular_color_texture;      // sRGB
-  // First float, in the albedo tables, of this material's table of what the specular lobe leaves to the diffuse layer:
-  // rows of {1 - s E((i + 0.5)/NODES) for i < NODES, then 1 - s M}; albedo_rows is 1 or GLEANER_ALBEDO_ROWS;
-  // GLEANER_NONE where the specular lobe takes nothing.
+  // First float, in the albedo tables, of this material's table of what lies above the diffuse layer leaves to it: rows
+  // of {1 - E((i + 0.5)/NODES) for i < NODES, then 1 - M}, where E is the directional albedo of specular lobe, coat and
+  // sheen together and M its mean. albedo_rows is 1 or GLEANER_ALBEDO_ROWS (by roughness), times GLEANER_ALBEDO_LEVELS
+  // where a texture says how much coat, sheen or film there is. GLEANER_NONE where nothing is taken.
   gl_uint albedo_table;
   gl_uint albedo_rows;
-  gl_uint reserved[3];
+  gl_float clearcoat;  // in [0, 1]
+  gl_float clearcoat_roughness;
+  gl_float clearcoat_normal_scale;
+  gl_float sheen_color[3];  // in [0, 1]
+  gl_float sheen_roughness;
+  gl_float anisotropy;                    // strength in [0, 1]
+  gl_float anisotropy_rotation;           // radians, from the tangent (dp/du) towards the bitangent
+  gl_float iridescence;                   // in [0, 1]
+  gl_float iridescence_ior;               // of the film
+  gl_float iridescence_minimum;           // nm, thickness of the film where its texture is 0
+  gl_float iridescence_maximum;           // nm, where it is 1, or there is none
+  gl_uint clearcoat_texture;              // linear, R
+  gl_uint clearcoat_roughness_texture;    // linear, G
+  gl_uint clearcoat_normal_texture;       // linear, tangent space
+  gl_uint sheen_color_texture;            // sRGB
+  gl_uint sheen_roughness_texture;        // linear, A
+  gl_uint anisotropy_texture;             // linear, RG direction in [-1, 1], B strength
+  gl_uint iridescence_texture;            // linear, R
+  gl_uint iridescence_thickness_texture;  // linear, G
+  // As albedo_table, of the whole coat alone, and of white sheen alone (then E / GLEANER_SHEEN_SCALE): 1 row, or
+  // GLEANER_ALBEDO_ROWS where the roughness has a texture.
+  gl_uint clearcoat_table;
+  gl_uint sheen_table;
+  gl_uint reserved[8];
 } Material;
-GLEANER_SIZE(Material, 144);
+GLEANER_SIZE(Material, 256);
 
 // Texture::flags
 #define GLEANER_TEXTURE_SRGB 1u  // RGB bytes are decoded from sRGB before they are filtered; alpha never is

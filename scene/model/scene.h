@@ -91,6 +91,10 @@ struct SceneNeeds {
   bool panes = false;               // thin glass that light passes straight, shadow rays included
   bool refractive = false;          // smooth solid glass: no shadow ray finds its way through
   bool media = false;               // solids that absorb or may lie in one another: paths keep what they are in
+  bool clearcoat = false;
+  bool sheen = false;
+  bool anisotropy = false;   // specular lobes that are longer one way
+  bool iridescence = false;  // thin films
 
   std::uint32_t bits() const;  // one bit a field, in the order above
 };
@@ -105,6 +109,12 @@ struct Bounds {
   std::array<float, 3> lower{}, upper{};
 };
 Bounds bounds_of(const Scene& scene);
+
+// White and rough, of no specular lobe and without textures; alpha 1, cutoff 0.5, ior 1.5.
+Material blank_material();
+
+// The fields of a material that name textures.
+const std::vector<gl_uint Material::*>& texture_slots();
 
 // A texture without an image yet: it repeats, and is read at the vertices' uvs as they are.
 Texture plain_texture();

@@ -1,8 +1,10 @@
 // Every promise of records.h and scene.h that later code relies on without asking again. All comparisons are written so
 // that NaN fails them.
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <iterator>
 #include <string>
 
 #include "scene/model/error.h"
@@ -143,6 +145,7 @@ class Checker {
     constexpr gl_uint known = GLEANER_MATERIAL_SOLID | GLEANER_MATERIAL_UNLIT | GLEANER_MATERIAL_ALPHA_BLEND |
                               GLEANER_MATERIAL_ALPHA_MASK | GLEANER_MATERIAL_ATTENUATES | GLEANER_MATERIAL_DOUBLE_SIDED;
     if (m.flags & ~known) fail(item("materials", i, "flags"), "known bits alone", std::to_string(m.flags));
+    layers(m, i);
     texture_of(m.base_color_texture, i, "base_color_texture");
     texture_of(m.metallic_roughness_texture, i, "metallic_roughness_texture");
     texture_of(m.normal_texture, i, "normal_texture");
@@ -151,13 +154,57 @@ class Checker {
     texture_of(m.specular_texture, i, "specular_texture");
     texture_of(m.specular_color_texture, i, "specular_color_texture");
     if (m.albedo_table == GLEANER_NONE) return;
-    if (m.albedo_rows != 1 && m.albedo_rows != GLEANER_ALBEDO_ROWS)
-      fail(item("materials", i, "albedo_rows"), "1 or " + std::to_string(GLEANER_ALBEDO_ROWS),
-           std::to_string(m.albedo_rows));
-    const std::uint64_t end = std::uint64_t(m.albedo_table) + m.albedo_rows * (GLEANER_ALBEDO_NODES + 1ull);
+    constexpr gl_uint allowed[] = {1, GLEANER_ALBEDO_ROWS, GLEANER_ALBEDO_LEVELS,
+                                   GLEANER_ALBEDO_ROWS * GLEANER_ALBEDO_LEVELS};
+    if (std::find(std::begin(allowed), std::end(allowed), m.albedo_rows) == std::end(allowed))
+      fail(item("materials", i, "albedo_rows"), "1, 17, 33 or 561", std::to_string(m.albedo_rows));
+    table_of(m.albedo_table, m.albedo_rows, i, "albedo_table");
+  }
+
+  void table_of(gl_uint table, gl_uint rows, std::size_t i, const char* field) const {
+    const std::uint64_t end = std::uint64_t(table) + rows * (GLEANER_ALBEDO_NODES + 1ull);
     if (end > scene_.albedo_tables.size())
-      fail(item("materials", i, "albedo_table"),
-           "a table within " + std::to_string(scene_.albedo_tables.size()) + " values", std::to_string(end));
+      fail(item("materials", i, field), "a table within " + std::to_string(scene_.albedo_tables.size()) + " values",
+           std::to_string(end));
+  }
+
+  // Coat, sheen, grain and film.
+  void layers(const Material& m, std::size_t i) const {
+    const auto named = [&](const char* field) { return [i, field] { return item("materials", i, field); }; };
+    within(m.clearcoat, 0, 1, named("clearcoat"));
+    within(m.clearcoat_roughness, 0, 1, named("clearcoat_roughness"));
+    finite(m.clearcoat_normal_scale, named("clearcoat_normal_scale"));
+    for (const float c : m.sheen_color) within(c, 0, 1, named("sheen_color"));
+    within(m.sheen_roughness, 0, 1, named("sheen_roughness"));
+    within(m.anisotropy, 0, 1, named("anisotropy"));
+    finite(m.anisotropy_rotation, named("anisotropy_rotation"));
+    within(m.iridescence, 0, 1, named("iridescence"));
+    if (!(m.iridescence_ior >= 1 && std::isfinite(m.iridescence_ior)))
+      fail(item("materials", i, "iridescence_ior"), "at least 1", number(m.iridescence_ior));
+    not_negative(m.iridescence_minimum, named("iridescence_minimum"));
+    not_negative(m.iridescence_maximum, named("iridescence_maximum"));
+    texture_of(m.clearcoat_texture, i, "clearcoat_texture");
+    texture_of(m.clearcoat_roughness_texture, i, "clearcoat_roughness_texture");
+    texture_of(m.clearcoat_normal_texture, i, "clearcoat_normal_texture");
+    texture_of(m.sheen_color_texture, i, "sheen_color_texture");
+    texture_of(m.sheen_roughness_texture, i, "sheen_roughness_texture");
+    texture_of(m.anisotropy_texture, i, "anisotropy_texture");
+    texture_of(m.iridescence_texture, i, "iridescence_texture");
+    texture_of(m.iridescence_thickness_texture, i, "iridescence_thickness_texture");
+    const auto rows = [](gl_uint texture) { return texture == GLEANER_NONE ? 1u : GLEANER_ALBEDO_ROWS; };
+    // Where nothing is reflected by a layer, nobody reads its table.
+    if (m.clearcoat_table != GLEANER_NONE)
+      table_of(m.clearcoat_table, rows(m.clearcoat_roughness_texture), i, "clearcoat_table");
+    else if (m.clearcoat > 0 && lit(m))
+      fail(item("materials", i, "clearcoat_table"), "a table", "none");
+    if (m.sheen_table != GLEANER_NONE)
+      table_of(m.sheen_table, rows(m.sheen_roughness_texture), i, "sheen_table");
+    else if (std::any_of(m.sheen_color, m.sheen_color + 3, [](float c) { return c > 0; }) && lit(m))
+      fail(item("materials", i, "sheen_table"), "a table", "none");
+  }
+
+  static bool lit(const Material& m) {
+    return !(m.flags & GLEANER_MATERIAL_UNLIT) && (m.transmission < 1 || m.transmission_texture != GLEANER_NONE);
   }
 
   void texture_of(gl_uint texture, std::size_t i, const char* field) const {

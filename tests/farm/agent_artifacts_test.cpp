@@ -185,6 +185,32 @@ TEST_F(AgentArtifacts, AHolderLostMidWayCostsTimeAndNoPixels) {
   }
 }
 
+TEST_F(AgentArtifacts, WhatAHolderHasLostItselfIsComputedAgain) {
+  for (const char* peers : {"127.0.0.1:0", ""}) {
+    SCOPED_TRACE(peers);
+    peers_ = peers;
+    shared_parts_ = nullptr;
+    auto one = agent(peers[0] ? "p1" : "r1");
+    const auto store = shared_parts_ = std::make_shared<worker::PartStore>(1 << 30);
+    auto two = agent(peers[0] ? "p2" : "r2");
+    ASSERT_TRUE(eventually([&] { return farm_.farm().workers().size() == 2; }));
+    stage_.set_open(false, "fake-sums");
+    const std::string job = submit(chain_settings());
+    ASSERT_TRUE(reached(job, "spread", all_items));
+    ASSERT_GT(store->memory_bytes(), 0u) << "INCONCLUSIVE: the other one made all";
+    store->clear(1);
+    stage_.set_open(true);
+    const auto json = expect_right(job);
+    ASSERT_FALSE(json.is_null());
+    std::uint64_t again = 0;
+    for (const auto& stage : json["stages"])
+      if (stage["name"] == "spread (again)") again += stage["items"].get<std::uint64_t>();
+    EXPECT_GT(again, 0u);
+    one.reset(), two.reset();
+    ASSERT_TRUE(eventually([&] { return farm_.farm().workers().empty(); }));
+  }
+}
+
 TEST_F(AgentArtifacts, ReleasedPartsLeaveTheirHolders) {
   shared_parts_ = std::make_shared<worker::PartStore>(1 << 30);
   auto one = agent("one");
@@ -263,7 +289,7 @@ class Liar final : public pb::WorkerPeer::Service {
       if (lease.kind() == "fake-scatter") {
         Bytes seed(lease.parameters().size());
         std::memcpy(seed.data(), lease.parameters().data(), seed.size());
-        auto part = store_.put(lease.artifact(), lease.first(), lease.count(), {},
+        auto part = store_.put(1, lease.artifact(), lease.first(), lease.count(), {},
                                fake_scatter(values_of<std::uint64_t>(seed).at(0), lease.first(), lease.count()));
         pb::Result& result = *message.mutable_result();
         result.set_lease(lease.lease());
@@ -303,7 +329,7 @@ TEST_F(AgentArtifacts, BytesThatAreNotThoseOfTheDigestAreNeverUsed) {
     const std::string job = submit(chain_settings({{"spread", "solo"}}));
     expect_right(job);
     EXPECT_GT(liar.lies(), 0) << "it was asked";
-    EXPECT_THAT(log(), HasSubstr("worker liar sent bytes of another digest"));
+    EXPECT_THAT(log(), HasSubstr("worker liar has no bytes of its digest"));
     honest.reset();
   }
 }
@@ -313,8 +339,8 @@ TEST_F(AgentArtifacts, ServesPartsToThoseAloneWhoHaveATicket) {
   const std::string photons(64, 'a'), links(64, 'b');
   Bytes records(200000);
   for (std::size_t i = 0; i < records.size(); ++i) records[i] = static_cast<std::byte>(i * 37 >> 5);
-  auto part = store->put(photons, 16, 25000, {}, records);
-  store->put(links, 0, 1, {}, Bytes(8));
+  auto part = store->put(1, photons, 16, 25000, {}, records);
+  store->put(1, links, 0, 1, {}, Bytes(8));
   worker::PeerServer server("127.0.0.1:0", store);
   auto peer = pb::WorkerPeer::NewStub(grpc::CreateChannel(server.address(), grpc::InsecureChannelCredentials()));
   const std::string token = new_token();

@@ -98,6 +98,21 @@ TEST_F(FarmAgent, ADeviceThatFailsIsAMessageAndNotACrash) {
   EXPECT_FALSE(agent.ended());
 }
 
+TEST_F(FarmAgent, ABlobThatCannotBeFetchedIsNotTheItemsFault) {
+  const std::string job = submit(), id = farm_.good_request().scene_blob();
+  const std::filesystem::path file = farm_.folder() / "blobs" / id.substr(0, 2) / id;
+  const std::filesystem::path aside = farm_.folder() / "aside";
+  std::filesystem::rename(file, aside);
+  RunningAgent agent(farm_.socket_channel(), stage_, "w");
+  // Far more often than items may fail.
+  EXPECT_TRUE(eventually([&] { return farm_.farm().totals().batches_failed >= 8; }));
+  EXPECT_EQ(farm_.farm().status(job)->state, JobState::running);
+  EXPECT_THAT(*farm_.farm().why(job), testing::Contains(HasSubstr("no blob")));
+  std::filesystem::rename(aside, file);
+  const JobStatus status = end_of(job);
+  EXPECT_EQ(status.state, JobState::done) << status.message;
+}
+
 TEST_F(FarmAgent, AStreamThatBreaksGivesItsItemsToOthers) {
   stage_.set_open(false);
   auto broken_context = std::make_unique<grpc::ClientContext>();

@@ -37,17 +37,20 @@ TEST_F(RetainedProcesses, AKilledHolderCostsTimeAndNoByte) {
   const BlockFarmOutcome outcome = run_block_farm(settings());
   ASSERT_TRUE(outcome.killed) << "INCONCLUSIVE: the frame had ended";
   expect_right(outcome);
+  if (HasFatalFailure()) return;
   const std::uint64_t again = outcome.stage_items.at("blocks (again)");
   EXPECT_GT(again, blocks / 20) << "what the worker held";
   EXPECT_LT(again, blocks) << "and nothing else";
   EXPECT_GT(outcome.peers, artifact_bytes / 2);
   EXPECT_LT(outcome.uploaded + outcome.downloaded, artifact_bytes / 100) << "the coordinator sees sums alone";
-  // A part of a 4 MiB batch in flight and gRPC's buffers beside the two bounds: far less than a worker's share of the
-  // artifact, which it would hold if nothing were bounded.
+#ifndef __SANITIZE_ADDRESS__
+  // The two bounds, some batches of 4 MiB and gRPC's buffers: less than half of the artifact, which the one that reads
+  // all of it would hold if it were not read in ranges.
   for (const auto& [process, peak] : outcome.peak_bytes) {
     RecordProperty(process + "_peak_mib", static_cast<int>(peak / mebibyte));
-    EXPECT_LT(peak, 112 * mebibyte) << process;
+    EXPECT_LT(peak, 100 * mebibyte) << process;
   }
+#endif
 }
 
 TEST_F(RetainedProcesses, WorkersThatCannotReachEachOtherReadThroughTheCoordinator) {
@@ -56,6 +59,7 @@ TEST_F(RetainedProcesses, WorkersThatCannotReachEachOtherReadThroughTheCoordinat
   const BlockFarmOutcome outcome = run_block_farm(relayed);
   ASSERT_TRUE(outcome.killed) << "INCONCLUSIVE: the frame had ended";
   expect_right(outcome);
+  if (HasFatalFailure()) return;
   EXPECT_EQ(outcome.peers, 0u);
   EXPECT_GT(outcome.downloaded, artifact_bytes / 2);
 }

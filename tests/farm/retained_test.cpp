@@ -13,6 +13,7 @@
 #include <optional>
 #include <random>
 
+#include "coordinator/artifacts/artifact_id.h"
 #include "coordinator/jobs/farm.h"
 #include "proto/sha256.h"
 #include "tests/farm/fake_chain.h"
@@ -615,6 +616,90 @@ TEST_F(FarmRetained, PartsThatTheirItemsCannotHaveAreFailures) {
   wrong.part->bytes += 8;
   EXPECT_EQ(ada.deliver(*offer, wrong), Verdict::stale);
   EXPECT_THAT(farm.why(job)->back(), HasSubstr("a shape that its items cannot have"));
+}
+
+TEST_F(FarmRetained, InputsThatCannotBeFetchedAreNobodysFaultUnlessThatLasts) {
+  std::atomic<double> time{0};
+  settings_.clock = [&time] { return time.load(); };
+  settings_.silence = 1000;
+  settings_.scheduler.lease_floor = 100000;
+  Farm farm(settings_, blobs_);
+  HoldingWorker ada;
+  ada.join(farm, "ada");
+  const std::string job = farm.submit(request());
+  const auto fail = [&] {
+    auto offer = ada.next(1);
+    if (!offer) return false;
+    farm.failed(ada.id, offer->lease.id, offer->lease.epoch, "no holder could be read", true);
+    return true;
+  };
+  for (const double now : {0.0, 1.0, 2.0, 3.0, 900.0, 1059.0}) {
+    time = now;
+    ASSERT_TRUE(fail()) << now;
+    EXPECT_EQ(farm.status(job)->state, JobState::running) << now;
+  }
+  time = 1061;  // a minute after whoever held them must have been found to be lost
+  for (unsigned strike = 0; strike < settings_.scheduler.strikes; ++strike) ASSERT_TRUE(fail());
+  const JobStatus status = end_of(farm, job);
+  EXPECT_EQ(status.state, JobState::failed);
+  EXPECT_THAT(status.message, HasSubstr("no holder could be read"));
+}
+
+// One stage as the test wants it.
+class OneStagePlan final : public Plan {
+ public:
+  explicit OneStagePlan(Step step) : step_(std::move(step)) {}
+  Step next(const FinishedStage* finished) override {
+    Step step = step_;
+    step.done = finished != nullptr;
+    return step;
+  }
+  void preview(const std::string&, std::uint64_t, std::uint64_t, const Bytes&) override {}
+  Film preview_film() const override { return {}; }
+  Film film() const override { return {}; }
+  std::vector<Skip> skips() const override { return {}; }
+  std::string parameters_json() const override { return "{}"; }
+  std::vector<std::string> outline() const override { return {}; }
+
+ private:
+  Step step_;
+};
+
+TEST_F(FarmRetained, AStageThatTheFarmCannotTakeIsRefusedWithItsName) {
+  Step step;
+  const auto data = std::make_shared<Bytes>(40);
+  const ArtifactId numbers = data_id(*data);
+  struct {
+    const char* says;
+    StageOutput output;
+    std::vector<StageInput> inputs;
+  } const cases[] = {
+      {"records of no bytes", {.record_bytes = 0}, {}},
+      {"records of no bytes", {.record_bytes = 8, .counted = true, .most_records = 0}, {}},
+      {"counted records cannot be streamed", {.record_bytes = 8, .counted = true, .placement = Placement::stream}, {}},
+      {"records that nobody keeps are not reusable",
+       {.record_bytes = 8, .placement = Placement::stream, .reusable = true},
+       {}},
+      {"are more than this coordinator takes", {.record_bytes = 1 << 30}, {}},
+      {"names an artifact that the plan never gave", {.record_bytes = 8}, {{"numbers", ArtifactId(64, 'f')}}},
+      {"has 0 items, expected its own 100", {.record_bytes = 8}, {{"numbers", numbers, Extent::own_items}}},
+  };
+  for (const auto& c : cases) {
+    StageSpec stage;
+    stage.name = "odd";
+    stage.kind = "fake-odd";
+    stage.items = 100;
+    stage.output = c.output;
+    stage.inputs = c.inputs;
+    step.stages = {stage};
+    step.artifacts = {{numbers, data}};
+    settings_.plan = [&](const FrameSettings&, const SceneSummary&) { return std::make_unique<OneStagePlan>(step); };
+    Farm farm(settings_, blobs_);
+    const JobStatus status = end_of(farm, farm.submit(request()));
+    EXPECT_EQ(status.state, JobState::failed) << c.says;
+    EXPECT_THAT(status.message, HasSubstr("stage odd: ")) << c.says;
+    EXPECT_THAT(status.message, HasSubstr(c.says));
+  }
 }
 
 TEST_F(FarmRetained, AnotherFrameReadsWhatIsReusable) {

@@ -5,9 +5,11 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <functional>
 #include <random>
 
 #include "scene/library/builder.h"
+#include "scene/model/thin_film.h"
 #include "tests/kernels/kernel_bench.h"
 #include "tests/radiometry/statistics.h"
 
@@ -30,14 +32,14 @@ kernel void visible_normals(uint seed, float vx, float vy, float vz, float alpha
   vu i = lane_id();
   vf u0, u1;
   numbers(seed, i, 0u, &u0, &u1);
-  v3 h = sample_visible_normal(uniform3(vx, vy, vz), (vf)alpha, u0, u1);
+  v3 h = sample_visible_normal(uniform3(vx, vy, vz), (vf)alpha, (vf)alpha, u0, u1);
   scatter_f(x, i, h.x);
   scatter_f(y, i, h.y);
   scatter_f(z, i, h.z);
 }
 
 #ifdef NEED_LOBE
-FN Surface surface_of(const Scene* scene, uint material, uint from_back, float nv) {
+FN Surface surface_of(const Scene* scene, uint material, uint from_back, v3 v) {
   vf w[16];
   load_words(scene->materials, (vu)(material * MATERIAL_WORDS), w);
   Surface m;
@@ -50,6 +52,35 @@ FN Surface surface_of(const Scene* scene, uint material, uint from_back, float n
   m.f0 = words3(w, MATERIAL_F0);
   m.table = as_vu(w[MATERIAL_ALBEDO_TABLE]);
   m.table_row = zero_f();
+  global const float* row = scene->materials + material * MATERIAL_WORDS;
+#ifdef NEED_ANISOTROPY
+  vf strength = (vf)row[MATERIAL_ANISOTROPY];
+  m.alpha_along = mix(m.alpha, one_f(), strength * strength);
+  m.grain_x = cos((vf)row[MATERIAL_ANISOTROPY_ROTATION]);
+  m.grain_y = sin((vf)row[MATERIAL_ANISOTROPY_ROTATION]);
+#endif
+#ifdef NEED_IRIDESCENCE
+  m.film = (vf)row[MATERIAL_IRIDESCENCE];
+  m.film_ior = (vf)row[MATERIAL_IRIDESCENCE_IOR];
+  m.film_thickness = (vf)row[MATERIAL_IRIDESCENCE_MAXIMUM];
+#endif
+#ifdef NEED_CLEARCOAT
+  m.coat = (vf)row[MATERIAL_CLEARCOAT];
+  m.coat_alpha = (vf)(row[MATERIAL_CLEARCOAT_ROUGHNESS] * row[MATERIAL_CLEARCOAT_ROUGHNESS]);
+  m.coat_normal = uniform3(0.0f, 0.0f, 1.0f);
+  m.coat_table = (vu)(((global const uint*)row)[MATERIAL_CLEARCOAT_TABLE]);
+  m.coat_row = zero_f();
+#endif
+#ifdef NEED_SHEEN
+  m.sheen = uniform3(row[MATERIAL_SHEEN_COLOR], row[MATERIAL_SHEEN_COLOR + 1], row[MATERIAL_SHEEN_COLOR + 2]);
+  m.sheen_most = max_component(m.sheen);
+  m.sheen_alpha = max_f((vf)(row[MATERIAL_SHEEN_ROUGHNESS] * row[MATERIAL_SHEEN_ROUGHNESS]), (vf)GLEANER_SHEEN_ALPHA);
+  m.sheen_table = (vu)(((global const uint*)row)[MATERIAL_SHEEN_TABLE]);
+  m.sheen_row = zero_f();
+#endif
+#ifdef NEED_LAYERS
+  prepare_layers(scene, &m, v);
+#endif
 #ifdef NEED_TRANSMISSIVE
   m.transmission = w[MATERIAL_TRANSMISSION];
   m.ior = w[MATERIAL_IOR];
@@ -58,7 +89,7 @@ FN Surface surface_of(const Scene* scene, uint material, uint from_back, float n
   m.blurs = m.alpha > zero_f();
   m.hidden = no_lanes();
 #endif
-  prepare_lobe(scene, &m, (vf)nv);
+  prepare_lobe(scene, &m, v.z);
   return m;
 }
 
@@ -80,7 +111,7 @@ FN v3 eval_all(const Scene* scene, const Surface* m, v3 v, v3 l, vf* pdf) {
 kernel void draw(SCENE_PARAMETERS, uint material, uint from_back, uint seed, float vx, float vy, float vz, global float* x,
                  global float* y, global float* z, global float* pdf, global float* weight) {
   Scene scene_value = SCENE_FROM_PARAMETERS;
-  Surface m = surface_of(&scene_value, material, from_back, vz);
+  Surface m = surface_of(&scene_value, material, from_back, uniform3(vx, vy, vz));
   vu i = lane_id();
   vf u_lobe, u_glass, u0, u1;
   numbers(seed, i, 1u, &u_lobe, &u_glass);
@@ -96,12 +127,23 @@ kernel void draw(SCENE_PARAMETERS, uint material, uint from_back, uint seed, flo
 kernel void evaluate(SCENE_PARAMETERS, uint material, uint from_back, float vx, float vy, float vz, global const float* x,
                      global const float* y, global const float* z, global float* pdf, global float* value) {
   Scene scene_value = SCENE_FROM_PARAMETERS;
-  Surface m = surface_of(&scene_value, material, from_back, vz);
+  Surface m = surface_of(&scene_value, material, from_back, uniform3(vx, vy, vz));
   vu i = lane_id();
   vf p;
   v3 f = eval_all(&scene_value, &m, uniform3(vx, vy, vz), make3(gather_f(x, i), gather_f(y, i), gather_f(z, i)), &p);
   scatter_f(pdf, i, p);
   scatter_f(value, i, f.x);
+}
+#endif
+
+#ifdef NEED_IRIDESCENCE
+kernel void film_reflectance(float ior, float thickness, float f0, global const float* cosine, global float* r,
+                             global float* g, global float* b) {
+  vu i = lane_id();
+  v3 c = thin_film(gather_f(cosine, i), (vf)ior, (vf)thickness, splat3((vf)f0));
+  scatter_f(r, i, c.x);
+  scatter_f(g, i, c.y);
+  scatter_f(b, i, c.z);
 }
 #endif
 
@@ -284,6 +326,47 @@ Board materials() {
   return board;
 }
 
+// Coats, sheen, grain and films, alone and together.
+Board layers() {
+  using namespace scene;
+  Board board;
+  SceneBuilder b("layers");
+  const auto add = [&](const std::string& name, Material m, const std::function<void(Material&)>& change) {
+    change(m);
+    board.names.push_back(name);
+    const std::uint32_t at = b.material(name, m);
+    b.mesh(name);
+    b.quad({0, 0, 1}, {1, 0, 1}, {1, 0, 0}, {0, 0, 0}, at);
+  };
+  const auto coat = [](Material& m) { m.clearcoat = 0.8f, m.clearcoat_roughness = 0.45f; };
+  const auto sheen = [](Material& m) { std::fill(m.sheen_color, m.sheen_color + 3, 0.7f), m.sheen_roughness = 0.5f; };
+  const auto grain = [](Material& m) { m.anisotropy = 0.7f, m.anisotropy_rotation = 0.6f; };
+  const auto film = [](Material& m) { m.iridescence = 0.9f, m.iridescence_maximum = 520; };
+  add("coat over Lambert", lambert(grey(1)), coat);
+  add("coat over metal", metal(grey(0.9), 0.5), coat);
+  add("sheen over Lambert", lambert(grey(1)), sheen);
+  add("narrow sheen over dielectric", dielectric(grey(1), 0.5), [&](Material& m) {
+    sheen(m);
+    m.sheen_roughness = 0.15f;
+  });
+  add("sheen over metal", metal(grey(1), 0.6), sheen);
+  add("grained metal", metal(grey(1), 0.4), grain);
+  add("grained dielectric", dielectric(grey(1), 0.45, 1.8), grain);
+  add("film on dielectric", dielectric(grey(1), 0.5), film);
+  add("film on metal", metal(grey(0.6), 0.5), film);
+  add("all", dielectric(grey(1), 0.5), [&](Material& m) {
+    coat(m);
+    sheen(m);
+    grain(m);
+    film(m);
+    m.metallic = 0.3f;
+  });
+  b.camera("camera", {0, 5, 5}, {}, 40, 16, 16);
+  b.point_light({0, 3, 0}, grey(1));
+  board.scene = std::make_shared<const Scene>(b.finish());
+  return board;
+}
+
 // Directions with cosines from `lowest` to 1.
 void Bsdf::check_samples(const Board& board, double lowest) {
   worker::DeviceScene held = bench_.hold(board.scene);
@@ -372,6 +455,7 @@ void Bsdf::check_samples(const Board& board, double lowest) {
 }
 
 TEST_P(Bsdf, SamplesFollowTheirDensity) { check_samples(materials(), 0); }
+TEST_P(Bsdf, SamplesOfLayersFollowTheirDensity) { check_samples(layers(), 0); }
 TEST_P(Bsdf, SamplesOfGlassFollowTheirDensity) { check_samples(glass(false), -1); }
 TEST_P(Bsdf, SamplesOfGlassFromWithinFollowTheirDensity) { check_samples(glass(true), -1); }
 
@@ -406,9 +490,35 @@ void Bsdf::check_reciprocity(const Board& board, bool across) {
     }
 }
 TEST_P(Bsdf, Reciprocal) { check_reciprocity(materials(), false); }
+TEST_P(Bsdf, LayersAreReciprocal) { check_reciprocity(layers(), false); }
 TEST_P(Bsdf, GlassIsReciprocal) {
   check_reciprocity(glass(false), false);
   check_reciprocity(glass(false), true);
+}
+
+// The kernels' film against that of the tables, in double precision.
+TEST_P(Bsdf, FilmsAsTheTablesHaveThem) {
+  cl::Program program = bench_.build(kText, "-D NEED_IRIDESCENCE -D NEED_GLOSSY");
+  std::vector<float> cosines;
+  for (int i = 0; i < 256; ++i) cosines.push_back(static_cast<float>(i) / 255);
+  const cl::Buffer in = bench_.buffer(cosines);
+  double worst = 0;
+  for (const double ior : {1.0, 1.3, 2.2})
+    for (const double thickness : {0.0, 120.0, 400.0, 1200.0, 20000.0})
+      for (const double f0 : {0.0, 0.04, 0.6, 1.0}) {
+        cl::Kernel kernel(program, "film_reflectance");
+        auto out = spaces(3, cosines.size());
+        set_arguments(kernel, 0, static_cast<float>(ior), static_cast<float>(thickness), static_cast<float>(f0), in,
+                      out[0], out[1], out[2]);
+        bench_.run(kernel, cosines.size());
+        const auto found = read(out, cosines.size());
+        for (std::size_t i = 0; i < cosines.size(); ++i) {
+          const auto expected = scene::thin_film(cosines[i], ior, thickness, {f0, f0, f0});
+          for (std::size_t c = 0; c < 3; ++c) worst = std::max(worst, std::abs(found[c][i] - expected[c]));
+        }
+      }
+  std::printf("  films differ by %.1e at most\n", worst);
+  EXPECT_LT(worst, 2e-4);
 }
 
 TEST_P(Bsdf, EnvironmentSamples) {

@@ -150,6 +150,7 @@ INSTANTIATE_TEST_SUITE_P(Scenes, VplMeetsPath,
                                          Meeting{"cornell-glass", "chains of glass, caustics"},
                                          Meeting{"cornell-glossy", "lobes over layers, bare lobes"},
                                          Meeting{"cornell-textured", "cut-outs, textured lobes, bent normals"},
+                                         Meeting{"layered-range", "coats, sheen, grains, films"},
                                          Meeting{"punctual-lights", "point, spot and directional lights"},
                                          Meeting{"emissive-textured", "textured emission"},
                                          Meeting{"thin-walls", "the room that is lit", "bright room"}),
@@ -158,6 +159,26 @@ INSTANTIATE_TEST_SUITE_P(Scenes, VplMeetsPath,
                            std::replace(name.begin(), name.end(), '-', '_');
                            return name;
                          });
+
+// Coats that keep the triangles' normals over layers that are bent: their layers are the path tracer's alone.
+TEST(Vpl, CoatsOverBentNormalsMeetThePathTracer) {
+  Scene coated = scene::make_scene("cornell-textured", {});
+  for (auto& material : coated.materials) {
+    material.clearcoat = 0.9f;
+    material.clearcoat_roughness = 0.4f;
+    std::fill(material.sheen_color, material.sheen_color + 3, 0.5f);
+    material.sheen_roughness = 0.6f;
+  }
+  scene::finish_materials(coated);
+  Frame vpl = frame_of("cornell-textured", {}, {}, 24, 16,
+                       {{"vpl.count", "400"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}, {"vpl.passes", "2"}});
+  vpl.scene = std::make_shared<const Scene>(std::move(coated));
+  Frame path = vpl;
+  path.settings.method = "path";
+  path.settings.spp = 256;
+  const Sample truth = means_of(path, "G", 6);
+  expect_mean(means_of(vpl, "G", 10), truth.mean, "coated box", kFamily / 2, 0.05, 3 * truth.standard_error());
+}
 
 // The boxes of cornell-glossy, so rough that VPLs light their lobes and are made by them; one is bare metal.
 std::shared_ptr<const Scene> rough_boxes() {

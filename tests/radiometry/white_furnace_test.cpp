@@ -1,6 +1,8 @@
 // The white furnace: a surface in an environment of radiance 1 shows its directional albedo. Coplanar tiles cannot see
 // one another, so that one picture measures every kind of material at one angle.
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
 #include <functional>
@@ -8,6 +10,7 @@
 #include "scene/library/builder.h"
 #include "scene/library/library.h"
 #include "scene/model/albedo.h"
+#include "scene/model/thin_film.h"
 #include "tests/radiometry/shot.h"
 
 namespace gleaner::test {
@@ -49,6 +52,30 @@ Rough integrate(double alpha, double mu, const std::function<double(double)>& re
       const double away = std::sqrt(1 - sin2);
       const double tz = (vh / eta - away) * hz - mu / eta;
       if (tz < 0) sum.transmitted += common * g1(-tz) * (1 - fresnel);
+    }
+  }
+  return sum;
+}
+
+// The same of a white lobe of alpha_x along the view's azimuth and alpha_y across it.
+double grained(double alpha_x, double alpha_y, double mu) {
+  constexpr int nu = 1500, nphi = 256;
+  const double sine = std::sqrt(1 - mu * mu);
+  const auto g1 = [&](double x, double y, double z) {
+    return 2 * z / (z + std::sqrt(z * z + alpha_x * alpha_x * x * x + alpha_y * alpha_y * y * y));
+  };
+  double sum = 0;
+  for (int i = 0; i < nu; ++i) {
+    const double t = (i + 0.5) / nu, u = t * t * (3 - 2 * t), du = 6 * t * (1 - t) / nu;
+    for (int j = 0; j < nphi; ++j) {
+      const double phi = 2 * M_PI * (j + 0.5) / nphi, tangent = std::sqrt(u / (1 - u));
+      double hx = alpha_x * tangent * std::cos(phi), hy = alpha_y * tangent * std::sin(phi);
+      const double hz = 1 / std::sqrt(1 + hx * hx + hy * hy);
+      hx *= hz;
+      hy *= hz;
+      const double vh = hx * sine + hz * mu, lz = 2 * vh * hz - mu;
+      if (vh <= 0 || lz <= 0) continue;
+      sum += g1(sine, 0, mu) * vh / (mu * hz) * g1(2 * vh * hx - sine, 2 * vh * hy, lz) * du / nphi;
     }
   }
   return sum;
@@ -156,6 +183,77 @@ std::vector<Tile> tiles() {
   return all;
 }
 
+// Coats, sheen, grain and films. White below them stays white, but where a lobe lies between two of them: what passes a
+// layer is the less of what passes it on either way, and a little is lost.
+std::vector<Tile> layers() {
+  std::vector<Tile> all;
+  const auto coat = [](double weight, double roughness) {
+    return [=](Material& m) {
+      m.clearcoat = static_cast<float>(weight);
+      m.clearcoat_roughness = static_cast<float>(roughness);
+    };
+  };
+  const auto sheen = [](double roughness) {
+    return [=](Material& m) {
+      std::fill(m.sheen_color, m.sheen_color + 3, 1.0f);
+      m.sheen_roughness = static_cast<float>(roughness);
+    };
+  };
+  const auto film = [](double share, double nanometres) {
+    return [=](Material& m) {
+      m.iridescence = static_cast<float>(share);
+      m.iridescence_maximum = static_cast<float>(nanometres);
+    };
+  };
+  const auto one = [](double) { return 1; };
+  const auto black_under_coat = [](double weight, double roughness) {
+    return [=](double mu) { return weight * lobe(0.04, roughness, mu); };
+  };
+  for (const double roughness : {0.0, 0.3, 0.7}) {
+    const std::string a = "roughness " + std::to_string(roughness).substr(0, 3);
+    all.push_back({"coat over white, " + a, with(lambert(grey(1)), coat(1, roughness)), one});
+    all.push_back({"0.6 coat over white, " + a, with(lambert(grey(1)), coat(0.6, roughness)), one});
+    all.push_back(
+        {"0.8 coat over black, " + a, with(lambert(grey(0)), coat(0.8, roughness)), black_under_coat(0.8, roughness)});
+  }
+  // A mirror sends light away at the cosine it came at.
+  all.push_back({"coat over a white mirror", with(metal(grey(1), 0), coat(1, 0)), one});
+  for (const double roughness : {0.4, 0.7, 1.0})
+    all.push_back({"sheen over white, roughness " + std::to_string(roughness).substr(0, 3),
+                   with(lambert(grey(1)), sheen(roughness)), one});
+  // Green is what the pictures are measured by.
+  const auto film_lobe = [](double share, double nanometres, double f0, double roughness, double mu) {
+    std::array<double, 3> e{};
+    for (std::size_t c = 0; c < 3; ++c)
+      e[c] = integrate(roughness * roughness, mu, [&](double cosine) {
+               const double plain = schlick(f0, cosine);
+               return plain + share * (scene::thin_film(cosine, 1.3, nanometres, {f0, f0, f0})[c] - plain);
+             }).reflected;
+    return e;
+  };
+  all.push_back({"film on metal 0.7, roughness 0.4", with(metal(grey(0.7), 0.4), film(1, 450)),
+                 [=](double mu) { return film_lobe(1, 450, 0.7, 0.4, mu)[1]; }});
+  all.push_back(
+      {"film on white dielectric, roughness 0.5", with(dielectric(grey(1), 0.5), film(0.8, 300)), [=](double mu) {
+         // The layer gets what the brightest colour leaves.
+         const auto e = film_lobe(0.8, 300, f0_of(1.5), 0.5, mu);
+         return e[1] + 1 - std::max({e[0], e[1], e[2]});
+       }});
+  // The tiles have no texture coordinates: their tangent is x, and they are seen from z.
+  const double alpha = 0.09, along = alpha + (1 - alpha) * 0.64;
+  const auto grain = [](double turn) {
+    return [=](Material& m) {
+      m.anisotropy = 0.8f;
+      m.anisotropy_rotation = static_cast<float>(turn);
+    };
+  };
+  all.push_back({"metal with its grain across the view", with(metal(grey(1), 0.3), grain(0)),
+                 [=](double mu) { return grained(alpha, along, mu); }});
+  all.push_back({"metal with its grain along the view", with(metal(grey(1), 0.3), grain(M_PI / 2)),
+                 [=](double mu) { return grained(along, alpha, mu); }});
+  return all;
+}
+
 void add_sky(SceneBuilder& b) {
   b.environment(2, [](scene::Vec) { return grey(1); });
 }
@@ -196,7 +294,7 @@ double table_error(double mu) {
   return worst;
 }
 
-void check_board(const Board& b, double mu, std::uint32_t chunks, std::size_t family) {
+Picture shoot_board(const Board& b, double mu, std::uint32_t chunks) {
   const auto n = static_cast<std::uint32_t>(b.all.size());
   const double sine = std::sqrt(1 - mu * mu);
   Shot shot{.scene = b.scene};
@@ -206,7 +304,12 @@ void check_board(const Board& b, double mu, std::uint32_t chunks, std::size_t fa
   shot.height = 1;
   shot.samples = 64;
   shot.chunks = chunks;
-  const Picture picture = shoot(shot);
+  return shoot(shot);
+}
+
+void check_board(const Board& b, double mu, std::uint32_t chunks, std::size_t family) {
+  const auto n = static_cast<std::uint32_t>(b.all.size());
+  const Picture picture = shoot_board(b, mu, chunks);
   const double allowance = table_error(mu);
   std::printf(" cosine %.2f: the tables are within %.1e\n", mu, allowance);
   EXPECT_LT(allowance, 1e-3) << "cosine " << mu;
@@ -222,6 +325,38 @@ void check_board(const Board& b, double mu, std::uint32_t chunks, std::size_t fa
 TEST(WhiteFurnace, EveryMaterial) {
   const Board b = board(tiles());
   for (const double mu : {0.99, 0.6, 0.2}) check_board(b, mu, 128, 3);
+}
+
+TEST(WhiteFurnace, EveryLayer) {
+  const Board b = board(layers());
+  for (const double mu : {0.99, 0.6, 0.2}) check_board(b, mu, 128, 3);
+}
+
+// Whatever lies above whatever: nothing sends more than it gets, and white loses little.
+TEST(WhiteFurnace, StacksOfLayersGiveNoLight) {
+  std::vector<Tile> all;
+  for (int i = 0; i < 32; ++i) {
+    Material m = i & 1 ? metal(grey(1), 0.5) : dielectric(grey(1), 0.5);
+    if (i & 2) m.clearcoat = 1, m.clearcoat_roughness = 0.2f;
+    if (i & 4) std::fill(m.sheen_color, m.sheen_color + 3, 1.0f), m.sheen_roughness = 0.25f;
+    if (i & 8) m.anisotropy = 0.7f;
+    if (i & 16) m.iridescence = 1, m.iridescence_maximum = 350;
+    all.push_back({"stack " + std::to_string(i), m, [](double) { return 1; }});
+  }
+  const Board b = board(all);
+  for (const double mu : {0.95, 0.5, 0.15}) {
+    const Picture picture = shoot_board(b, mu, 32);
+    double least = 1, most = 0;
+    for (std::uint32_t i = 0; i < 32; ++i) {
+      Sample sample;
+      picture.add_means(sample, 4 * i, 0, 4 * i + 4, 1, 1);
+      EXPECT_LT(sample.mean, 1 + 2e-3) << all[i].name << ", cosine " << mu;
+      EXPECT_GT(sample.mean, i & 17 ? 0.5 : 0.9) << all[i].name << ", cosine " << mu;
+      least = std::min(least, sample.mean);
+      most = std::max(most, sample.mean);
+    }
+    std::printf("  cosine %.2f: albedos from %.4f to %.4f\n", mu, least, most);
+  }
 }
 
 // A variant of the kernels that knows mirrors alone.

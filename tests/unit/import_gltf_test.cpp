@@ -376,6 +376,84 @@ TEST_F(Gltf, Materials) {
   EXPECT_FLOAT_EQ(s.materials[9].alpha, 0.25f);
 }
 
+TEST_F(Gltf, CoatSheenGrainAndFilm) {
+  GltfFile file = triangle_file();
+  file.primitive()["attributes"]["TEXCOORD_0"] = file.add<float>({0, 0, 1, 0, 0, 1}, 5126, "VEC2");
+  folder_.write_image("t.png", 1, 1, 4, {1, 1, 1, 1});
+  file.json["images"] = {{{"uri", "t.png"}}};
+  file.json["textures"] = {{{"source", 0}}};
+  const json texture = {{"index", 0}};
+  json coated, woven, brushed, oily, off;
+  coated["extensions"]["KHR_materials_clearcoat"] = {{"clearcoatFactor", 0.5},
+                                                     {"clearcoatRoughnessFactor", 0.25},
+                                                     {"clearcoatTexture", texture},
+                                                     {"clearcoatRoughnessTexture", texture},
+                                                     {"clearcoatNormalTexture", {{"index", 0}, {"scale", 2}}}};
+  woven["extensions"]["KHR_materials_sheen"] = {{"sheenColorFactor", {0.25, 0.5, 1}},
+                                                {"sheenRoughnessFactor", 0.75},
+                                                {"sheenColorTexture", texture},
+                                                {"sheenRoughnessTexture", texture}};
+  brushed["extensions"]["KHR_materials_anisotropy"] = {
+      {"anisotropyStrength", 0.5}, {"anisotropyRotation", 1.5}, {"anisotropyTexture", texture}};
+  oily["extensions"]["KHR_materials_iridescence"] = {
+      {"iridescenceFactor", 0.5},           {"iridescenceIor", 1.75},        {"iridescenceThicknessMinimum", 50},
+      {"iridescenceThicknessMaximum", 600}, {"iridescenceTexture", texture}, {"iridescenceThicknessTexture", texture}};
+  off["extensions"]["KHR_materials_clearcoat"]["clearcoatTexture"] = texture;
+  off["extensions"]["KHR_materials_sheen"]["sheenColorTexture"] = texture;
+  off["extensions"]["KHR_materials_iridescence"] = json::object();
+  file.json["materials"] = {coated, woven, brushed, oily, off};
+  file.json["extensionsUsed"] = {"KHR_materials_clearcoat", "KHR_materials_sheen", "KHR_materials_anisotropy",
+                                 "KHR_materials_iridescence"};
+  const Scene s = read(file);
+  EXPECT_THAT(warnings(s), testing::IsEmpty());
+  const Material &c = s.materials[0], &w = s.materials[1], &b = s.materials[2], &o = s.materials[3];
+  EXPECT_FLOAT_EQ(c.clearcoat, 0.5f);
+  EXPECT_FLOAT_EQ(c.clearcoat_roughness, 0.25f);
+  EXPECT_FLOAT_EQ(c.clearcoat_normal_scale, 2);
+  EXPECT_NE(c.clearcoat_texture, GLEANER_NONE);
+  EXPECT_NE(c.clearcoat_roughness_texture, GLEANER_NONE);
+  EXPECT_NE(c.clearcoat_normal_texture, GLEANER_NONE);
+  EXPECT_NE(c.clearcoat_table, GLEANER_NONE);
+  EXPECT_THAT(w.sheen_color, ElementsAre(0.25f, 0.5f, 1));
+  EXPECT_FLOAT_EQ(w.sheen_roughness, 0.75f);
+  EXPECT_EQ(s.textures.at(w.sheen_color_texture).flags, GLEANER_TEXTURE_SRGB);
+  EXPECT_EQ(s.textures.at(w.sheen_roughness_texture).flags, 0u);
+  EXPECT_NE(w.sheen_table, GLEANER_NONE);
+  EXPECT_FLOAT_EQ(b.anisotropy, 0.5f);
+  EXPECT_FLOAT_EQ(b.anisotropy_rotation, 1.5f);
+  EXPECT_NE(b.anisotropy_texture, GLEANER_NONE);
+  EXPECT_FLOAT_EQ(o.iridescence, 0.5f);
+  EXPECT_FLOAT_EQ(o.iridescence_ior, 1.75f);
+  EXPECT_FLOAT_EQ(o.iridescence_minimum, 50);
+  EXPECT_FLOAT_EQ(o.iridescence_maximum, 600);
+  EXPECT_NE(o.iridescence_texture, GLEANER_NONE);
+  EXPECT_NE(o.iridescence_thickness_texture, GLEANER_NONE);
+  // What is switched off reads no texture.
+  EXPECT_EQ(s.materials[4].clearcoat_texture, GLEANER_NONE);
+  EXPECT_EQ(s.materials[4].sheen_color_texture, GLEANER_NONE);
+  EXPECT_FLOAT_EQ(s.materials[4].iridescence, 0);
+  // Beyond their ranges they are refused by name.
+  for (const auto& [extension, key, value] : {std::tuple{"KHR_materials_clearcoat", "clearcoatFactor", 1.5},
+                                              {"KHR_materials_sheen", "sheenRoughnessFactor", -0.5},
+                                              {"KHR_materials_anisotropy", "anisotropyStrength", 2.0},
+                                              {"KHR_materials_iridescence", "iridescenceIor", 0.5}}) {
+    GltfFile bad = triangle_file();
+    bad.json["materials"][0]["extensions"][extension][key] = value;
+    EXPECT_THAT(refusal(folder_.write("bad.gltf", bad.gltf())), HasSubstr(key));
+  }
+}
+
+// The direction of a grain is that of the texture coordinates, textures or not.
+TEST_F(Gltf, AGrainKeepsTextureCoordinates) {
+  GltfFile file = triangle_file();
+  file.primitive()["attributes"]["TEXCOORD_0"] = file.add<float>({0, 0, 1, 0, 0, 1}, 5126, "VEC2");
+  EXPECT_TRUE(read(file).uvs.empty());
+  file.json["materials"][0]["extensions"]["KHR_materials_anisotropy"]["anisotropyStrength"] = 0.5;
+  EXPECT_THAT(read(file).uvs, ElementsAre(0, 0, 1, 0, 0, 1));
+  file.primitive()["attributes"].erase("TEXCOORD_0");
+  EXPECT_THAT(warnings(read(file)), Contains(HasSubstr("TEXCOORD_0")));
+}
+
 TEST_F(Gltf, PrimitivesWithoutMaterialGetTheDefault) {
   GltfFile file = triangle_file();
   file.json["meshes"][0]["primitives"].push_back(file.primitive());
@@ -388,8 +466,8 @@ TEST_F(Gltf, PrimitivesWithoutMaterialGetTheDefault) {
 
 TEST_F(Gltf, UnknownExtensionsThatAreOnlyUsedGetAWord) {
   GltfFile file = triangle_file();
-  file.json["extensionsUsed"] = {"KHR_materials_sheen", "KHR_materials_ior"};
-  EXPECT_THAT(warnings(read(file)), ElementsAre(HasSubstr("KHR_materials_sheen")));
+  file.json["extensionsUsed"] = {"KHR_materials_dispersion", "KHR_materials_ior"};
+  EXPECT_THAT(warnings(read(file)), ElementsAre(HasSubstr("KHR_materials_dispersion")));
 }
 
 TEST_F(Gltf, WhatIsNotReadGetsAWord) {

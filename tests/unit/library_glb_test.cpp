@@ -71,6 +71,19 @@ void expect_same_material(const Material& a, const Material& b, const Scene& sa,
   same_texture(a.transmission_texture, b.transmission_texture, "transmission");
   same_texture(a.specular_texture, b.specular_texture, "specular");
   same_texture(a.specular_color_texture, b.specular_color_texture, "specular colour");
+  EXPECT_EQ(a.clearcoat, b.clearcoat);
+  EXPECT_EQ(a.anisotropy, b.anisotropy);
+  EXPECT_EQ(a.iridescence, b.iridescence);
+  if (a.clearcoat > 0) {
+    EXPECT_EQ(a.clearcoat_roughness, b.clearcoat_roughness);
+  }
+  if (a.anisotropy > 0) {
+    EXPECT_EQ(a.anisotropy_rotation, b.anisotropy_rotation);
+  }
+  if (a.iridescence > 0) {
+    EXPECT_EQ(a.iridescence_maximum, b.iridescence_maximum);
+  }
+  for (int k = 0; k < 3; ++k) EXPECT_EQ(a.sheen_color[k], b.sheen_color[k]);
 }
 
 // Where a scene's point lies in the file's coordinates: what lies far from the origin is read about its own centre.

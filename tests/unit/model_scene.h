@@ -1,20 +1,15 @@
 #pragma once
 // A scene of two triangles with one of everything that a blob carries, for tests to bend.
 
+#include <algorithm>
+
 #include "scene/model/scene.h"
 
 namespace gleaner::scene {
 
 inline Material plain_material() {
-  Material m{};
-  for (int c = 0; c < 3; ++c) m.base_color[c] = 0.5f, m.specular_color[c] = 1;
-  m.alpha = 1;
-  m.alpha_cutoff = 0.5f;
-  m.ior = 1.5f;
-  m.roughness = 1;
-  m.normal_scale = 1;
-  m.base_color_texture = m.metallic_roughness_texture = m.normal_texture = m.emission_texture = GLEANER_NONE;
-  m.transmission_texture = m.specular_texture = m.specular_color_texture = m.albedo_table = GLEANER_NONE;
+  Material m = blank_material();
+  std::fill(m.base_color, m.base_color + 3, 0.5f);
   return m;
 }
 

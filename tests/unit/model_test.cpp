@@ -206,6 +206,14 @@ TEST(Needs, FollowTheMaterialsThatTrianglesUse) {
       {"half transparent",
        [](Scene&, Material& m) { m.alpha = 0.5f, m.flags |= GLEANER_MATERIAL_ALPHA_BLEND; },
        {"alpha"}},
+      {"clear coat", [](Scene&, Material& m) { m.clearcoat = 1; }, {"clearcoat"}},
+      {"sheen", [](Scene&, Material& m) { m.sheen_color[1] = 1; }, {"sheen"}},
+      {"grain", [](Scene&, Material& m) { m.anisotropy = 0.5f, m.metallic = 1; }, {"glossy", "metallic", "anisotropy"}},
+      {"film", [](Scene&, Material& m) { m.iridescence = 1, m.specular = 1; }, {"glossy", "iridescence"}},
+      {"grain and film without a lobe", [](Scene&, Material& m) { m.anisotropy = m.iridescence = 1; }, {}},
+      {"coat on nothing but glass",
+       [](Scene&, Material& m) { m.transmission = 1, m.roughness = 0, m.clearcoat = 1; },
+       {"specular", "transmissive", "panes"}},
       {"alpha that opaque ignores", [](Scene&, Material& m) { m.alpha = 0.5f; }, {}},
       {"blend with alpha 1", [](Scene&, Material& m) { m.flags |= GLEANER_MATERIAL_ALPHA_BLEND; }, {}},
       {"mask below alpha", [](Scene&, Material& m) { m.alpha = 0.6f, m.flags |= GLEANER_MATERIAL_ALPHA_MASK; }, {}},
@@ -278,9 +286,9 @@ TEST(Needs, HaveOneNameABit) {
   EXPECT_EQ(needs.bits(), 1u);
   EXPECT_EQ(need_names().front(), "specular");
   needs = {};
-  needs.media = true;
+  needs.iridescence = true;
   EXPECT_EQ(needs.bits(), 1u << (need_names().size() - 1));
-  EXPECT_EQ(need_names().back(), "media");
+  EXPECT_EQ(need_names().back(), "iridescence");
   needs = {};
   needs.normal_maps = true;
   EXPECT_EQ(need_names()[std::countr_zero(needs.bits())], "normal_maps");

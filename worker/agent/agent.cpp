@@ -137,6 +137,7 @@ struct Agent::Impl {
         settings(std::move(the_settings)),
         stub(pb::WorkerHub::NewStub(channel)),
         parts(settings.parts ? settings.parts : std::make_shared<PartStore>(settings.retained_bytes)),
+        owner(parts->new_owner()),
         cache(std::make_shared<ByteCache>(settings.cache_bytes)),
         blobs(channel),
         part_client(channel, parts, cache, [this](const pb::WrongPart& wrong) { report(wrong); }),
@@ -194,7 +195,7 @@ struct Agent::Impl {
       connection = &context;
     }
     // The coordinator has given up what the last connection's worker held.
-    if (!settings.parts) parts->clear();
+    parts->clear(owner);
     auto stream = stub->Work(&context);
     pb::WorkerMessage hello;
     hello.mutable_hello()->set_protocol(protocol_version);
@@ -265,13 +266,13 @@ struct Agent::Impl {
   void release(const pb::Release& what) {
     for (const std::string& artifact : what.artifacts())
       if (what.digest().empty())
-        parts->drop(artifact);
+        parts->drop(owner, artifact);
       else
-        parts->drop(artifact, what.first(), what.digest());
+        parts->drop(owner, artifact, what.first(), what.digest());
   }
 
   void report(const pb::WrongPart& wrong) {
-    settings.log("artifact " + wrong.artifact() + ": worker " + wrong.holder() + " sent bytes of another digest");
+    settings.log("artifact " + wrong.artifact() + ": worker " + wrong.holder() + " has no bytes of its digest");
     {
       std::lock_guard lock(mutex);
       *notes.emplace_back().mutable_wrong_part() = wrong;
@@ -281,7 +282,7 @@ struct Agent::Impl {
 
   // A result that nobody wants.
   void drop(const Outgoing& out) {
-    if (out.part) parts->drop(out.lease.artifact(), out.lease.first(), out.part->digest());
+    if (out.part) parts->drop(owner, out.lease.artifact(), out.lease.first(), out.part->digest());
   }
 
   // The executor's thread: one lease after another.
@@ -327,7 +328,7 @@ struct Agent::Impl {
       out.result = run_stage(lease);
       out.records = check_result(lease, out.result);
       if (lease.retain())
-        out.part = parts->put(lease.artifact(), lease.first(), lease.count(), out.result.counts,
+        out.part = parts->put(owner, lease.artifact(), lease.first(), lease.count(), out.result.counts,
                               std::exchange(out.result.records, {}));
     } catch (const Error& error) {
       failure = error.what();
@@ -475,6 +476,7 @@ struct Agent::Impl {
   AgentSettings settings;
   std::unique_ptr<pb::WorkerHub::Stub> stub;
   std::shared_ptr<PartStore> parts;
+  const PartStore::Owner owner;
   std::shared_ptr<ByteCache> cache;
   BlobClient blobs;
   PartClient part_client;

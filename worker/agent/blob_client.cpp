@@ -14,16 +14,14 @@ namespace pb = gleaner::v1;
 
 namespace {
 
+// What could not be fetched is no fault of the items that read it, whatever went wrong on the way; but for a range that
+// the blob does not have.
 [[noreturn]] void fail(const std::string& id, const grpc::Status& status) {
   const std::string what = "blob " + id + ": " + status.error_message();
-  switch (status.error_code()) {
-    case grpc::StatusCode::UNAVAILABLE:
-    case grpc::StatusCode::CANCELLED:
-    case grpc::StatusCode::RESOURCE_EXHAUSTED:
-      throw Error::connection(what);
-    default:
-      throw Error::failed(what);
-  }
+  if (status.error_code() == grpc::StatusCode::OUT_OF_RANGE ||
+      status.error_code() == grpc::StatusCode::INVALID_ARGUMENT)
+    throw Error::failed(what);
+  throw Error::connection(what);
 }
 
 }  // namespace
@@ -45,7 +43,7 @@ std::shared_ptr<const scene::Bytes> BlobClient::fetch(const std::string& id) {
     fetched_bytes_ += part.size();
   }
   if (grpc::Status status = reader->Finish(); !status.ok()) fail(id, status);
-  if (sha256_hex(*bytes) != id) throw Error::failed("blob " + id + ": the bytes that came are not those of its id");
+  if (sha256_hex(*bytes) != id) throw Error::connection("blob " + id + ": the bytes that came are not those of its id");
   return bytes;
 }
 
@@ -71,7 +69,7 @@ void BlobClient::read(const std::string& id, std::uint64_t offset, std::span<std
   if (too_much) throw Error::failed("blob " + id + ": more bytes than were asked for");
   if (!status.ok()) fail(id, status);
   if (!out.empty())
-    throw Error::failed("blob " + id + ": " + std::to_string(out.size()) + " bytes less than were asked for");
+    throw Error::connection("blob " + id + ": " + std::to_string(out.size()) + " bytes less than were asked for");
 }
 
 }  // namespace gleaner::worker

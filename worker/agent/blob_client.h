@@ -19,10 +19,10 @@ class BlobClient {
  public:
   explicit BlobClient(std::shared_ptr<grpc::Channel> channel);
 
-  // All of a blob whose id is the SHA-256 of its bytes. Throws Error::failed where the coordinator does not have it or
-  // sends other bytes than the id's, Error::connection where it cannot be asked.
+  // All of a blob whose id is the SHA-256 of its bytes. Throws Error::connection where other bytes come, or none.
   std::shared_ptr<const scene::Bytes> fetch(const std::string& id);
-  // Copies bytes [offset, offset + out.size()). Throws as fetch(); the bytes are taken as they come.
+  // Copies bytes [offset, offset + out.size()); they are taken as they come. Throws as fetch(), and Error::failed where
+  // the blob has no such range.
   void read(const std::string& id, std::uint64_t offset, std::span<std::byte> out);
   std::uint64_t fetched_bytes() const { return fetched_bytes_; }  // so far
 

@@ -21,7 +21,7 @@ constexpr std::chrono::seconds patience{20};     // of a call, beside what its b
 constexpr std::uint64_t slow_line = 1 << 20;     // bytes per second
 constexpr std::size_t most_peers = 256;          // connections kept
 
-// Wrong bytes, as against none.
+// The holder has other bytes than those of the digest, or none any more: it is no holder.
 struct WrongBytes : Error {
   explicit WrongBytes(const std::string& what) : Error(ErrorKind::connection, what) {}
 };
@@ -186,6 +186,9 @@ void PartClient::fetch(const LocatedPart& from, const Source& source, bool sums,
   if (status.error_code() == grpc::StatusCode::UNAVAILABLE ||
       status.error_code() == grpc::StatusCode::DEADLINE_EXCEEDED)
     throw Unreachable(who + ": " + status.error_message());
+  if (source.peer &&
+      (status.error_code() == grpc::StatusCode::NOT_FOUND || status.error_code() == grpc::StatusCode::INTERNAL))
+    throw WrongBytes(who + ": " + status.error_message());
   if (!status.ok()) throw Error::connection(who + ": " + status.error_message());
   if (left > 0) throw WrongBytes(who + ": " + std::to_string(left) + " bytes less than were asked for");
 }

@@ -93,8 +93,14 @@ void StoredPart::read(std::uint64_t offset, std::span<std::byte> out) const {
 PartStore::PartStore(std::uint64_t memory_bytes, fs::path folder)
     : most_memory_(memory_bytes), folder_(folder.empty() ? temporary_folder() : std::move(folder)) {}
 
-std::shared_ptr<const StoredPart> PartStore::put(const std::string& artifact, std::uint64_t first, std::uint64_t items,
-                                                 const std::vector<std::uint32_t>& counts, scene::Bytes records) {
+PartStore::Owner PartStore::new_owner() {
+  std::lock_guard lock(mutex_);
+  return ++owners_;
+}
+
+std::shared_ptr<const StoredPart> PartStore::put(Owner owner, const std::string& artifact, std::uint64_t first,
+                                                 std::uint64_t items, const std::vector<std::uint32_t>& counts,
+                                                 scene::Bytes records) {
   const auto table = std::as_bytes(std::span(counts));
   auto part = std::make_shared<StoredPart>();
   part->items_ = items;
@@ -116,7 +122,7 @@ std::shared_ptr<const StoredPart> PartStore::put(const std::string& artifact, st
     lock.lock();
   }
   if (auto found = parts_.find(key); found != parts_.end()) {
-    ++found->second.puts;
+    ++found->second.puts[owner];
     return found->second.part;
   }
   if (!part->file_) {
@@ -124,7 +130,7 @@ std::shared_ptr<const StoredPart> PartStore::put(const std::string& artifact, st
     part->records_ = std::make_shared<const scene::Bytes>(std::move(records));
   }
   (part->file_ ? in_files_ : in_memory_) += part->bytes_;
-  parts_[key] = {part, 1};
+  parts_[key] = {part, {{owner, 1}}};
   return part;
 }
 
@@ -135,30 +141,38 @@ std::shared_ptr<const StoredPart> PartStore::find(const std::string& artifact, s
   return found == parts_.end() ? nullptr : found->second.part;
 }
 
-void PartStore::forget(std::map<Key, Entry>::iterator at) {
+PartStore::Entries::iterator PartStore::forget(Entries::iterator at, Owner owner, unsigned puts) {
+  auto& owners = at->second.puts;
+  const auto own = owners.find(owner);
+  if (own == owners.end()) return std::next(at);
+  if (puts > 0 && own->second > puts)
+    own->second -= puts;
+  else
+    owners.erase(own);
+  if (!owners.empty()) return std::next(at);
   const StoredPart& part = *at->second.part;
   (part.file_ ? in_files_ : in_memory_) -= part.bytes_;
-  parts_.erase(at);
+  const std::string artifact = std::get<0>(at->first);
+  const auto next = parts_.erase(at);
+  const auto first = parts_.lower_bound({artifact, 0, {}});
+  if (first == parts_.end() || std::get<0>(first->first) != artifact) files_.erase(artifact);
+  return next;
 }
 
-void PartStore::drop(const std::string& artifact) {
+void PartStore::drop(Owner owner, const std::string& artifact) {
   std::lock_guard lock(mutex_);
   for (auto at = parts_.lower_bound({artifact, 0, {}}); at != parts_.end() && std::get<0>(at->first) == artifact;)
-    forget(at++);
-  files_.erase(artifact);
+    at = forget(at, owner, 0);
 }
 
-void PartStore::drop(const std::string& artifact, std::uint64_t first, const std::string& digest) {
+void PartStore::drop(Owner owner, const std::string& artifact, std::uint64_t first, const std::string& digest) {
   std::lock_guard lock(mutex_);
-  const auto found = parts_.find({artifact, first, digest});
-  if (found != parts_.end() && --found->second.puts == 0) forget(found);
+  if (const auto found = parts_.find({artifact, first, digest}); found != parts_.end()) forget(found, owner, 1);
 }
 
-void PartStore::clear() {
+void PartStore::clear(Owner owner) {
   std::lock_guard lock(mutex_);
-  parts_.clear();
-  files_.clear();
-  in_memory_ = in_files_ = 0;
+  for (auto at = parts_.begin(); at != parts_.end();) at = forget(at, owner, 0);
 }
 
 std::uint64_t PartStore::memory_bytes() const {

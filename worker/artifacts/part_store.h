@@ -45,19 +45,26 @@ class StoredPart {
 
 class PartStore {
  public:
+  // A worker that has parts here. Workers of one process may share a store: each reads what the others have, and drops
+  // its own alone.
+  using Owner = std::uint64_t;
+
   // `folder`: where the files are; empty: $TMPDIR, or /tmp.
   explicit PartStore(std::uint64_t memory_bytes, std::filesystem::path folder = {});
 
+  Owner new_owner();
   // `counts`: one an item for a counted artifact, else empty. Throws Error::failed where a file cannot be written.
-  std::shared_ptr<const StoredPart> put(const std::string& artifact, std::uint64_t first, std::uint64_t items,
-                                        const std::vector<std::uint32_t>& counts, scene::Bytes records);
+  std::shared_ptr<const StoredPart> put(Owner owner, const std::string& artifact, std::uint64_t first,
+                                        std::uint64_t items, const std::vector<std::uint32_t>& counts,
+                                        scene::Bytes records);
   // Null: it is not here. The digest tells it from other versions of the part.
   std::shared_ptr<const StoredPart> find(const std::string& artifact, std::uint64_t first,
                                          const std::string& digest) const;
-  void drop(const std::string& artifact);
-  // One put() of it less; it is gone when none is left.
-  void drop(const std::string& artifact, std::uint64_t first, const std::string& digest);
-  void clear();
+  // What the owner has put of the artifact. A part is gone when no owner has it.
+  void drop(Owner owner, const std::string& artifact);
+  // One put() of the part less.
+  void drop(Owner owner, const std::string& artifact, std::uint64_t first, const std::string& digest);
+  void clear(Owner owner);
 
   std::uint64_t memory_bytes() const;  // of the parts that lie in memory
   std::uint64_t file_bytes() const;    // of those that lie in files
@@ -66,14 +73,17 @@ class PartStore {
   using Key = std::tuple<std::string, std::uint64_t, std::string>;  // artifact, first item, digest
   struct Entry {
     std::shared_ptr<const StoredPart> part;
-    unsigned puts = 0;  // workers of one process may share a store
+    std::map<Owner, unsigned> puts;
   };
-  void forget(std::map<Key, Entry>::iterator at);
+  using Entries = std::map<Key, Entry>;
+  // Forgets so many puts (0: all) of the owner's, and the part with the last one of all. Returns the next entry.
+  Entries::iterator forget(Entries::iterator at, Owner owner, unsigned puts);
 
   const std::uint64_t most_memory_;
   const std::filesystem::path folder_;
   mutable std::mutex mutex_;
-  std::map<Key, Entry> parts_;
+  Owner owners_ = 0;
+  Entries parts_;
   std::map<std::string, std::shared_ptr<SpillFile>> files_;  // one an artifact
   std::uint64_t in_memory_ = 0, in_files_ = 0;
 };

@@ -67,6 +67,27 @@ std::vector<float> material_rows(const scene::Scene& scene, const std::vector<st
     word(MATERIAL_TRANSMISSION_TEXTURE, m.transmission_texture);
     word(MATERIAL_SPECULAR_TEXTURE, m.specular_texture);
     word(MATERIAL_SPECULAR_COLOR_TEXTURE, m.specular_color_texture);
+    row[MATERIAL_CLEARCOAT] = m.clearcoat;
+    row[MATERIAL_CLEARCOAT_ROUGHNESS] = m.clearcoat_roughness;
+    row[MATERIAL_CLEARCOAT_NORMAL_SCALE] = m.clearcoat_normal_scale;
+    std::copy(m.sheen_color, m.sheen_color + 3, row + MATERIAL_SHEEN_COLOR);
+    row[MATERIAL_SHEEN_ROUGHNESS] = m.sheen_roughness;
+    row[MATERIAL_ANISOTROPY] = m.anisotropy;
+    row[MATERIAL_ANISOTROPY_ROTATION] = m.anisotropy_rotation;
+    row[MATERIAL_IRIDESCENCE] = m.iridescence;
+    row[MATERIAL_IRIDESCENCE_IOR] = m.iridescence_ior;
+    row[MATERIAL_IRIDESCENCE_MINIMUM] = m.iridescence_minimum;
+    row[MATERIAL_IRIDESCENCE_MAXIMUM] = m.iridescence_maximum;
+    word(MATERIAL_CLEARCOAT_TEXTURE, m.clearcoat_texture);
+    word(MATERIAL_CLEARCOAT_ROUGHNESS_TEXTURE, m.clearcoat_roughness_texture);
+    word(MATERIAL_CLEARCOAT_NORMAL_TEXTURE, m.clearcoat_normal_texture);
+    word(MATERIAL_SHEEN_COLOR_TEXTURE, m.sheen_color_texture);
+    word(MATERIAL_SHEEN_ROUGHNESS_TEXTURE, m.sheen_roughness_texture);
+    word(MATERIAL_ANISOTROPY_TEXTURE, m.anisotropy_texture);
+    word(MATERIAL_IRIDESCENCE_TEXTURE, m.iridescence_texture);
+    word(MATERIAL_IRIDESCENCE_THICKNESS_TEXTURE, m.iridescence_thickness_texture);
+    word(MATERIAL_CLEARCOAT_TABLE, m.clearcoat_table);
+    word(MATERIAL_SHEEN_TABLE, m.sheen_table);
   }
   for (std::uint32_t r = 0; r < media.size(); ++r) {
     const std::uint32_t rank = r + 1;
@@ -240,6 +261,10 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
       {needs.specular, "SPECULAR"},
       {needs.glossy, "GLOSSY"},
       {needs.metallic, "METALLIC"},
+      {needs.clearcoat, "CLEARCOAT"},
+      {needs.sheen, "SHEEN"},
+      {needs.anisotropy, "ANISOTROPY"},
+      {needs.iridescence, "IRIDESCENCE"},
       {needs.transmissive, "TRANSMISSIVE"},
       {needs.rough_transmissive, "ROUGH_TRANSMISSIVE"},
       {needs.panes, "PANES"},

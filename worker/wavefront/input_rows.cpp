@@ -61,12 +61,6 @@ void InputRows::visit(std::uint64_t first, std::uint64_t count, const Check& che
   }
 }
 
-scene::Bytes InputRows::read(std::uint64_t first, std::uint64_t count) const {
-  scene::Bytes bytes(count * row_bytes_);
-  if (count) input_.source->read(first * row_bytes_, bytes);
-  return bytes;
-}
-
 void InputRows::upload(cl::CommandQueue& queue, const cl::Buffer& buffer, std::size_t offset, std::uint64_t first,
                        std::uint64_t count, const Check& check) const {
   visit(first, count, [&](std::uint64_t row, std::span<const std::byte> piece) {

@@ -32,7 +32,6 @@ class InputRows {
 
   // Shows rows [first, first + count) to `check`.
   void visit(std::uint64_t first, std::uint64_t count, const Check& check) const;
-  scene::Bytes read(std::uint64_t first, std::uint64_t count) const;
   // Copies rows [first, first + count) to the buffer's byte `offset`, each piece checked before. Blocks.
   void upload(cl::CommandQueue& queue, const cl::Buffer& buffer, std::size_t offset, std::uint64_t first,
               std::uint64_t count, const Check& check) const;

@@ -12,7 +12,7 @@ namespace {
 constexpr double kMostUv = 1e6;  // of a texture transform's numbers
 
 Material gltf_default() {
-  Material m = lambert_material();
+  Material m = blank_material();
   m.metallic = 1;
   m.specular = 1;
   return m;
@@ -99,11 +99,13 @@ void Materials::add(const Element& element) {
   add_specular(element, m);
   add_transmission(element, m);
   if (const auto volume = element.extension("KHR_materials_volume")) add_volume(*volume, m);
+  add_layers(element, m);
   const bool is_unlit = element.extension("KHR_materials_unlit").has_value();
   if (is_unlit) {
     // It emits its base colour whatever else the file says.
     m.flags |= GLEANER_MATERIAL_UNLIT;
-    m.metallic = m.specular = m.transmission = 0;
+    m.metallic = m.specular = m.transmission = m.clearcoat = m.anisotropy = m.iridescence = 0;
+    std::fill(m.sheen_color, m.sheen_color + 3, 0.0f);
     m.flags &= ~GLEANER_MATERIAL_DOUBLE_SIDED;
     std::fill(m.emission, m.emission + 3, 0.0f);
     std::erase_if(pending_, [](const PendingTexture& t) { return t.slot != &Material::base_color_texture; });
@@ -183,6 +185,52 @@ void Materials::add_volume(const Element& volume, Material& m) {
     m.attenuation[c] = left[c] >= 1 ? 0.0f : static_cast<float>(std::min(-std::log(double(left[c])) / metres, 1e12));
 }
 
+// Textures of what is switched off are not read.
+void Materials::add_layers(const Element& element, Material& m) {
+  if (const auto coat = element.extension("KHR_materials_clearcoat")) {
+    m.clearcoat = static_cast<float>(coat->factor("clearcoatFactor", 0));
+    m.clearcoat_roughness = static_cast<float>(coat->factor("clearcoatRoughnessFactor", 0));
+    if (m.clearcoat > 0) {
+      texture(*coat, "clearcoatTexture", false, &Material::clearcoat_texture);
+      texture(*coat, "clearcoatRoughnessTexture", false, &Material::clearcoat_roughness_texture);
+      texture(*coat, "clearcoatNormalTexture", false, &Material::clearcoat_normal_texture);
+      if (const auto normal = coat->find("clearcoatNormalTexture"))
+        if (const auto scale = normal->find("scale"))
+          m.clearcoat_normal_scale = static_cast<float>(scale->number(-kAnyNumber, kAnyNumber));
+    }
+  }
+  if (const auto sheen = element.extension("KHR_materials_sheen")) {
+    sheen->colour("sheenColorFactor", m.sheen_color);
+    m.sheen_roughness = static_cast<float>(sheen->factor("sheenRoughnessFactor", 0));
+    if (std::any_of(m.sheen_color, m.sheen_color + 3, [](float c) { return c > 0; })) {
+      texture(*sheen, "sheenColorTexture", true, &Material::sheen_color_texture);
+      texture(*sheen, "sheenRoughnessTexture", false, &Material::sheen_roughness_texture);
+    }
+  }
+  if (const auto grain = element.extension("KHR_materials_anisotropy")) {
+    m.anisotropy = static_cast<float>(grain->factor("anisotropyStrength", 0));
+    if (const auto rotation = grain->find("anisotropyRotation"))
+      m.anisotropy_rotation = static_cast<float>(std::remainder(rotation->number(-kMostUv, kMostUv), 2 * M_PI));
+    if (m.anisotropy > 0) texture(*grain, "anisotropyTexture", false, &Material::anisotropy_texture);
+  }
+  if (const auto film = element.extension("KHR_materials_iridescence")) add_film(*film, m);
+  const bool has_layer = m.clearcoat > 0 || *std::max_element(m.sheen_color, m.sheen_color + 3) > 0;
+  if (m.transmission > 0 && has_layer)
+    warnings_.add(element.name(), "coat and sheen lie on what does not transmit light");
+}
+
+void Materials::add_film(const Element& film, Material& m) {
+  constexpr double kThickest = 1e5;  // nm: of thicker films nobody sees colours
+  m.iridescence = static_cast<float>(film.factor("iridescenceFactor", 0));
+  m.iridescence_ior = static_cast<float>(film.factor("iridescenceIor", 1.3, kAnyNumber));
+  if (!(m.iridescence_ior >= 1)) film.at("iridescenceIor").fail("at least 1");
+  m.iridescence_minimum = static_cast<float>(film.factor("iridescenceThicknessMinimum", 100, kThickest));
+  m.iridescence_maximum = static_cast<float>(film.factor("iridescenceThicknessMaximum", 400, kThickest));
+  if (m.iridescence == 0) return;
+  texture(film, "iridescenceTexture", false, &Material::iridescence_texture);
+  texture(film, "iridescenceThicknessTexture", false, &Material::iridescence_thickness_texture);
+}
+
 UvSource Materials::uv_source(const Element& info) const {
   UvSource uv;
   if (const auto set = info.find("texCoord")) uv.set = set->count(0, 255);
@@ -241,6 +289,8 @@ void Materials::lay_on(Material& m) {
     mine.set = uvs.channels[channel]->set;
     agree[channel] = agree[channel] && mine.key() == uvs.channels[channel]->key();
   }
+  // The direction of a grain is that of the first coordinates where no texture says otherwise.
+  if (m.anisotropy > 0 && !uvs.channels[0]) uvs.channels[0] = UvSource{};
   for (std::size_t channel = 0; channel < 2; ++channel)
     if (!agree[channel]) {
       UvSource plain;

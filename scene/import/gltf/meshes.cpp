@@ -341,7 +341,7 @@ void Meshes::add_uvs(const Primitive& primitive, const std::vector<std::uint32_t
     if (source)
       warnings_.add(primitive.element().name() + ".attributes",
                     "no TEXCOORD_" + std::to_string(source->set) +
-                        " for a material with textures: their corner's texel is taken");
+                        " for a material with textures or anisotropy: a texture's corner is taken, and any direction");
     to.resize(2 * scene_.vertex_count());
     return;
   }

@@ -214,7 +214,7 @@ void add_opacity(const MtlMaterial& mtl, Material& m, const std::string& where, 
 
 Material converted(const MtlMaterial& mtl, const std::string& file, const std::string& name, TextureTable& table,
                    Warnings& warnings) {
-  Material m = lambert_material();
+  Material m = blank_material();
   Textures textures(file, table, warnings);
   const std::string where = "material " + name;
   std::copy(mtl.ke.begin(), mtl.ke.end(), m.emission);

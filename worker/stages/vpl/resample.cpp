@@ -41,6 +41,7 @@ struct Made {
 
 Made lights_of(std::vector<float> records, double paths) {
   Made made;
+  std::size_t to = 0;
   for (std::size_t at = 0; at < records.size(); at += VPL_WORDS) {
     float* row = &records[at];
     scale_flux(row, 1 / paths);
@@ -51,8 +52,11 @@ Made lights_of(std::vector<float> records, double paths) {
                              "a finite flux", std::to_string(sum));
     made.weight.push_back(std::max(luminance(&row[VPL_FLUX]), 1e-3 * sum));
     made.total += made.weight.back();
-    made.rows.insert(made.rows.end(), row, row + VPL_WORDS);
+    if (to != at) std::copy_n(row, VPL_WORDS, &records[to]);
+    to += VPL_WORDS;
   }
+  records.resize(to);
+  made.rows = std::move(records);
   return made;
 }
 
@@ -84,26 +88,43 @@ std::vector<float> resample(const Made& made, const VplResampleParameters& p) {
   return rows;
 }
 
+// Places of lights, side by side: rows are a hundred bytes apart. Padded with copies of the last light.
+struct Places {
+  static constexpr std::size_t width = 8;
+  std::size_t count = 0;
+  std::vector<double> x, y, z;
+
+  explicit Places(const std::vector<float>& rows) : count(rows.size() / VPL_WORDS) {
+    for (std::size_t i = 0; i < (count + width - 1) / width * width; ++i) {
+      const float* row = &rows[std::min(i, count - 1) * VPL_WORDS];
+      x.push_back(row[0]), y.push_back(row[1]), z.push_back(row[2]);
+    }
+  }
+
+  // Squared distance from light `i` to the nearest light at another place; infinity where there is none.
+  double nearest_to(std::size_t i) const {
+    constexpr double infinity = std::numeric_limits<double>::infinity();
+    const double px = x[i], py = y[i], pz = z[i];
+    std::array<double, width> best;
+    best.fill(infinity);
+    for (std::size_t at = 0; at < x.size(); at += width)
+      for (std::size_t k = 0; k < width; ++k) {
+        const double dx = px - x[at + k], dy = py - y[at + k], dz = pz - z[at + k];
+        const double d2 = dx * dx + dy * dy + dz * dz, other = d2 > 0 ? d2 : infinity;
+        best[k] = other < best[k] ? other : best[k];
+      }
+    return *std::ranges::min_element(best);
+  }
+};
+
 // Lights a square metre where lights are: from how far a light's nearest neighbour is, of some of the lights. For
 // points strewn over a surface with density rho, the median of pi rho r^2 is log 2.
 double density_of(const std::vector<float>& rows) {
-  const std::size_t count = rows.size() / VPL_WORDS;
-  if (count < 2) return 0;
+  const Places places(rows);
   std::vector<double> nearest;
-  const std::size_t step = std::max<std::size_t>(1, count / kDensityLights);
-  for (std::size_t i = 0; i < count; i += step) {
-    double best = std::numeric_limits<double>::infinity();
-    for (std::size_t j = 0; j < count; ++j) {
-      if (i == j) continue;
-      double d2 = 0;
-      for (unsigned k = 0; k < 3; ++k) {
-        const double d = double{rows[i * VPL_WORDS + k]} - rows[j * VPL_WORDS + k];
-        d2 += d * d;
-      }
-      if (d2 > 0) best = std::min(best, d2);
-    }
-    if (std::isfinite(best)) nearest.push_back(best);
-  }
+  const std::size_t step = std::max<std::size_t>(1, places.count / kDensityLights);
+  for (std::size_t i = 0; i < places.count; i += step)
+    if (const double d2 = places.nearest_to(i); std::isfinite(d2)) nearest.push_back(d2);
   if (nearest.empty()) return 0;
   std::ranges::nth_element(nearest, nearest.begin() + static_cast<std::ptrdiff_t>(nearest.size() / 2));
   return std::log(2.0) / (kPi * nearest[nearest.size() / 2]);
@@ -118,7 +139,7 @@ BatchResult resample_lights(const StageTask& task) {
   const Made made = lights_of(input_rows(task, "paths", VPL_WORDS), p.paths);
   const std::vector<float> rows = resample(made, p);
   BatchResult result = counted_rows(rows, VPL_WORDS);
-  set_facts(result, VplResampleFacts{made.weight.size(), rows.size() / VPL_WORDS, density_of(rows)});
+  set_facts(result, VplResampleFacts{made.weight.size(), rows.size() / VPL_WORDS, p.pass == 0 ? density_of(rows) : 0});
   return result;
 }
 

@@ -10,9 +10,10 @@ namespace gleaner::worker {
 
 std::vector<float> input_rows(const StageTask& task, const std::string& name, std::size_t words) {
   const InputRows input(task, name, words * 4);
-  const scene::Bytes bytes = input.read(0, input.rows());
-  std::vector<float> rows(bytes.size() / 4);
-  if (!bytes.empty()) std::memcpy(rows.data(), bytes.data(), bytes.size());
+  std::vector<float> rows(input.rows() * words);
+  input.visit(0, input.rows(), [&](std::uint64_t first, std::span<const std::byte> piece) {
+    std::memcpy(&rows[first * words], piece.data(), piece.size());
+  });
   return rows;
 }
 
