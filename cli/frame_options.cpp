@@ -109,7 +109,7 @@ std::vector<LookAt> parse_trajectory(const FrameOptions& options) {
   std::vector<LookAt> trajectory;
   for (const std::string& text : options.look_at) trajectory.push_back(parse_look_at(text));
   if (trajectory.size() > 1 && options.frames.empty())
-    throw Error::usage("--look-at: several of them are a camera's trajectory, and need --frames A-B");
+    throw Error::usage("--look-at: several of them are a camera trajectory, and need --frames A-B");
   return trajectory;
 }
 

@@ -27,7 +27,7 @@ struct FrameOptions {
   double target_error = 0;
   double time_limit = 0;             // seconds
   std::vector<std::string> set;      // KEY=VALUE
-  std::vector<std::string> look_at;  // EX,EY,EZ,TX,TY,TZ[,FOV]; several: a camera's way over the frames
+  std::vector<std::string> look_at;  // EX,EY,EZ,TX,TY,TZ[,FOV]; several: a camera trajectory over the frames
   double exposure_stops = 0;
   bool quiet = false;
 };

@@ -151,7 +151,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   // A part whose lease is over: a second copy, or of no use.
   void take_late_part(Worker& worker, Verdict verdict, const BatchOutput::Retained& part);
   void made_part(const ArtifactId& id);
-  void put_aside(WorkerId id, const std::string& why);
+  void quarantine(WorkerId id, const std::string& why);
   void drop_copy(const ArtifactId& id, std::uint64_t first, const std::string& digest, WorkerId holder,
                  const std::string& who_says);
   void lose_parts(WorkerId worker);

@@ -313,11 +313,11 @@ void Farm::Impl::take_part(const RunningStage& stage, Worker& worker, const Item
     worker.session->drop_part(id, items.first, sent.digest);
   }
   made_part(id);
-  for (const WorkerId liar : outcome.outvoted) put_aside(liar, what + ": made other records than two others");
+  for (const WorkerId liar : outcome.outvoted) quarantine(liar, what + ": made other records than two others");
 }
 
 // Nothing that it made counts any more: its parts are lost, its leases go to others, and it gets none.
-void Farm::Impl::put_aside(WorkerId id, const std::string& why) {
+void Farm::Impl::quarantine(WorkerId id, const std::string& why) {
   settings.log("worker " + name_of(id) + " is quarantined: " + why);
   const auto found = workers.find(id);
   if (found == workers.end()) return;

@@ -135,7 +135,7 @@ TEST_P(AnyMethod, AKilledWorkerCostsNoPixel) {
   });
 }
 
-// A second picture of a camera's way begins with the first one's lights, and says so.
+// A second picture of a camera trajectory begins with the first one's lights, and says so.
 TEST_F(Farm, LightsServeEveryCamera) {
   ProcessFarm farm(folder("farm"), programs, {});
   farm.add_worker("one");
@@ -449,8 +449,8 @@ TEST_F(Farm, ATimeLimitIsKeptAndSaid) {
   EXPECT_TRUE(said);
 }
 
-// What a frame of a way makes of its own, and what it shares with the others.
-TEST_F(Farm, ReplayKnowsTheFramesOfAWay) {
+// What a frame of a trajectory makes of its own, and what it shares with the others.
+TEST_F(Farm, ReplayKnowsTheFramesOfATrajectory) {
   const auto record = [](const std::string& stage, const std::vector<std::string>& more) {
     std::vector<std::string> words = {"replay",    scene().string(),
                                       "--size",    "32x32",
