@@ -45,7 +45,8 @@ std::shared_ptr<Job> Farm::Impl::accept(const JobRequest& request) {
                        " frames, found " + std::to_string(request.scenes.size()));
   for (const FrameScene& scene : request.scenes)
     for (const std::string& id : {scene.scene_blob, scene.bvh_blob})
-      if (!id.empty() && !blobs.has(id)) throw Error::bad_input("blob " + id, "", "to be uploaded first");
+      if (!id.empty() && !blobs.has(id) && !blobs.source(id))  // lent ones are there as well
+        throw Error::bad_input("blob " + id, "", "to be uploaded first");
   auto job = std::make_shared<Job>();
   job->request = request;
   for (FrameScene& scene : job->request.scenes) scene.summary.blob = scene.scene_blob;

@@ -470,12 +470,6 @@ TEST_F(Gltf, UnknownExtensionsThatAreOnlyUsedGetAWord) {
   EXPECT_THAT(warnings(read(file)), ElementsAre(HasSubstr("KHR_materials_dispersion")));
 }
 
-TEST_F(Gltf, WhatIsNotReadGetsAWord) {
-  GltfFile file = triangle_file();
-  file.json["animations"] = {json::object()};
-  EXPECT_THAT(warnings(read(file)), ElementsAre(HasSubstr("animations")));
-}
-
 TEST_F(Gltf, ASceneWithoutTrianglesIsRead) {
   GltfFile file;
   file.json["nodes"] = {json::object()};
