@@ -92,24 +92,25 @@ scene::NamedCamera camera_of(const LookAt& at, const scene::Scene& scene) {
   return camera;
 }
 
-// Where the camera stands at `part`, 0 to 1, of its way: the words' places follow each other in equal times, straight.
-LookAt along(const std::vector<LookAt>& way, double part) {
-  const double at = part * static_cast<double>(way.size() - 1);
-  const std::size_t from = std::min(static_cast<std::size_t>(at), way.size() - 1);
-  const std::size_t to = std::min(from + 1, way.size() - 1);
+// Where the camera stands at `part`, 0 to 1, of its trajectory: the words' places follow each other in equal times,
+// straight.
+LookAt along(const std::vector<LookAt>& trajectory, double part) {
+  const double at = part * static_cast<double>(trajectory.size() - 1);
+  const std::size_t from = std::min(static_cast<std::size_t>(at), trajectory.size() - 1);
+  const std::size_t to = std::min(from + 1, trajectory.size() - 1);
   const double share = at - static_cast<double>(from);
   LookAt result{};
   for (int k = 0; k < 7; ++k)
-    result.values[k] = way[from].values[k] + share * (way[to].values[k] - way[from].values[k]);
+    result.values[k] = trajectory[from].values[k] + share * (trajectory[to].values[k] - trajectory[from].values[k]);
   return result;
 }
 
-std::vector<LookAt> parse_way(const FrameOptions& options) {
-  std::vector<LookAt> way;
-  for (const std::string& text : options.look_at) way.push_back(parse_look_at(text));
-  if (way.size() > 1 && options.frames.empty())
+std::vector<LookAt> parse_trajectory(const FrameOptions& options) {
+  std::vector<LookAt> trajectory;
+  for (const std::string& text : options.look_at) trajectory.push_back(parse_look_at(text));
+  if (trajectory.size() > 1 && options.frames.empty())
     throw Error::usage("--look-at: several of them are a camera trajectory, and need --frames A-B");
-  return way;
+  return trajectory;
 }
 
 scene::NamedCamera choose_camera(const FrameOptions& options, const scene::Scene& scene,
@@ -165,6 +166,12 @@ void add_frame_options(CLI::App& command, FrameOptions& options) {
       ->check(CLI::Range(1u, 1u << 24));
   command.add_option("--camera", options.camera, "a camera of the scene (default: its first)");
   command.add_option("--frames", options.frames, "A-B: frames to render, numbered files");
+  command.add_option("--fps", options.fps, "frames a second of animations")
+      ->capture_default_str()
+      ->check(CLI::Range(1e-6, 1e6));
+  command.add_option("--time-offset", options.time_offset, "SECONDS: the first frame's time in animations")
+      ->capture_default_str()
+      ->check(CLI::Range(-1e9, 1e9));
   command.add_option("--seed", options.seed, "of the random numbers")->capture_default_str();
   command
       .add_option("--target-error", options.target_error,
@@ -209,21 +216,25 @@ LoadedFrame load_frame(const FrameOptions& options) {
   if (!options.size.empty()) parse_size(options.size, settings.width, settings.height);
   frame.numbered = !options.frames.empty();
   if (frame.numbered) parse_frames(options.frames, frame.first_frame, frame.last_frame);
-  const std::vector<LookAt> way = parse_way(options);
+  const std::vector<LookAt> trajectory = parse_trajectory(options);
 
-  frame.scene = read_scene(options.files, options.look_at.empty());
+  ImportWords files = options.files;
+  files.seconds = options.time_offset;
+  frame.scene = read_scene(files, options.look_at.empty());
+  frame.moves = !frame.scene.animations.empty() && frame.last_frame > frame.first_frame;
   frame.scene_name = printable(std::filesystem::path(options.files.scene).filename().string());
   words.insert(words.end(), frame.scene.warnings.begin(), frame.scene.warnings.end());
   scene::NamedCamera camera = choose_camera(options, frame.scene, words);
   frame.camera_name = camera.name;
   settle_size(options, camera, settings);
-  if (way.size() > 1)
+  if (trajectory.size() > 1)
     for (std::uint64_t f = 0; f <= frame.last_frame - frame.first_frame; ++f) {
       const double frames = std::max(1.0, static_cast<double>(frame.last_frame - frame.first_frame));
-      scene::Camera moved = camera_of(along(way, static_cast<double>(f) / frames), frame.scene).camera;
+      scene::Camera moved = camera_of(along(trajectory, static_cast<double>(f) / frames), frame.scene).camera;
       moved.half_width = moved.half_height * static_cast<float>(settings.width) / static_cast<float>(settings.height);
       frame.cameras.push_back(moved);
     }
+  if (frame.moves) frame.cameras.clear();
   settings.trajectory = coordinator::trajectory_of(frame.cameras);
   scene::SceneNeeds needs = scene::needs_of(frame.scene);
   if (!needs.punctual_lights && !needs.emissive_triangles && !needs.environment && !needs.unlit)
@@ -232,6 +243,25 @@ LoadedFrame load_frame(const FrameOptions& options) {
   if (!options.quiet)
     for (const std::string& word : words) std::cerr << "gleaner: " << word << "\n";
   return frame;
+}
+
+MovedScene load_moved(const FrameOptions& options, const LoadedFrame& frame, std::uint32_t number) {
+  const double since = static_cast<double>(number) - static_cast<double>(frame.first_frame);
+  ImportWords files = options.files;
+  files.seconds = options.time_offset + since / options.fps;
+  MovedScene moved{read_scene(files, false), {}};
+  if (!options.look_at.empty()) {
+    const double frames = static_cast<double>(frame.last_frame) - static_cast<double>(frame.first_frame);
+    moved.camera = camera_of(along(parse_trajectory(options), frames > 0 ? since / frames : 0), moved.scene).camera;
+  } else {
+    FrameOptions same = options;
+    same.camera = frame.camera_name;
+    std::vector<std::string> unused;
+    moved.camera = choose_camera(same, moved.scene, unused).camera;
+  }
+  moved.camera.half_width =
+      moved.camera.half_height * static_cast<float>(frame.settings.width) / static_cast<float>(frame.settings.height);
+  return moved;
 }
 
 }  // namespace gleaner::cli

@@ -20,8 +20,9 @@ struct FrameOptions {
   std::string method = "path";
   std::string size;  // WxH; empty: the camera's own
   std::uint32_t spp = 64;
-  std::string camera;  // name; empty: the first
-  std::string frames;  // A-B; empty: one
+  std::string camera;                // name; empty: the first
+  std::string frames;                // A-B; empty: one
+  double fps = 24, time_offset = 0;  // a frame's time: time_offset + (frame - A) / fps, s
   std::uint64_t seed = 0;
   double target_error = 0;
   double time_limit = 0;             // seconds
@@ -40,11 +41,19 @@ struct LoadedFrame {
   coordinator::FrameSettings settings;
   bool numbered = false;  // --frames was given
   std::uint32_t first_frame = 1, last_frame = 1;
-  std::vector<scene::Camera> cameras;  // one a frame where the camera moves; else none
+  std::vector<scene::Camera> cameras;  // one a frame where the camera moves in a scene that does not; else none
+  bool moves = false;                  // the scene has animations, and there are several frames: see load_moved()
 };
 
 // Reads the scene and settles camera and size; words for people (on what was assumed) go to standard error unless
 // quiet. Throws Error::usage for malformed words, Error::bad_input for what the files say.
 LoadedFrame load_frame(const FrameOptions& options);
+
+// The scene of one of the frames and its camera, where the scene moves. Throws as load_frame().
+struct MovedScene {
+  scene::Scene scene;
+  scene::Camera camera;
+};
+MovedScene load_moved(const FrameOptions& options, const LoadedFrame& frame, std::uint32_t number);
 
 }  // namespace gleaner::cli

@@ -18,6 +18,8 @@ void add_import_options(CLI::App& command, ImportWords& words) {
                   "auto, radiometric (W/sr, W/m^2) or photometric (candela, lux; divided by 683)")
       ->capture_default_str();
   command.add_option("--variant", words.variant, "material variant of a glTF file");
+  command.add_option("--animation", words.animation, "NAME or number of a glTF file's animation, or all of them")
+      ->capture_default_str();
   command.add_option("--texture-limit", words.texture_limit, "most texels of all images together")
       ->capture_default_str()
       ->check(CLI::Range(std::uint64_t{1}, std::uint64_t{0xffffffff}));
@@ -28,6 +30,8 @@ scene::Scene read_scene(const ImportWords& words, bool needs_camera) {
   scene::ImportOptions options;
   options.light_units = scene::parse_light_units(words.light_units);
   options.variant = words.variant;
+  options.animation = words.animation;
+  options.seconds = words.seconds;
   options.most_texels = words.texture_limit;
   options.strict = words.strict;
   options.needs_camera = needs_camera;

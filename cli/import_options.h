@@ -15,7 +15,8 @@ namespace gleaner::cli {
 struct ImportWords {
   std::string scene, environment;  // paths
   double environment_rotation = 0, environment_strength = 1;
-  std::string light_units = "auto", variant;
+  std::string light_units = "auto", variant, animation = "all";
+  double seconds = 0;  // at which animations are seen
   std::uint64_t texture_limit = scene::ImportOptions().most_texels;
   bool strict = false;
 };

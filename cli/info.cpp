@@ -127,6 +127,8 @@ ordered_json json_of(const InfoWords& words, const Scene& scene, double seconds)
       {"import_seconds", seconds}};
   if (!scene.light_units.empty()) result["lights"]["units"] = scene.light_units;
   if (!scene.variants.empty()) result["variants"] = scene.variants;
+  for (const scene::AnimationInfo& animation : scene.animations)
+    result["animations"].push_back({{"name", animation.name}, {"seconds", animation.seconds}});
   if (!scene.environment.empty())
     result["lights"]["environment"] = {{"width", scene.environment.width},
                                        {"height", scene.environment.height},
@@ -164,6 +166,9 @@ void print(const InfoWords& words, const Scene& scene, double seconds) {
   fmt::print("\n");
   if (!scene.light_units.empty()) fmt::print("  units      lights are {}\n", scene.light_units);
   for (const std::string& variant : scene.variants) fmt::print("  variant    \"{}\"\n", variant);
+  for (std::size_t i = 0; i < scene.animations.size(); ++i)
+    fmt::print("  animation  {} \"{}\", {:.4g} s\n", i, printable(scene.animations[i].name),
+               scene.animations[i].seconds);
   for (const scene::NamedCamera& camera : scene.cameras) {
     fmt::print("  camera     \"{}\"", camera.name);
     if (camera.camera.type == GLEANER_CAMERA_ORTHOGRAPHIC)

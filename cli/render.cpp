@@ -55,6 +55,51 @@ void check_folder(const fs::path& file) {
   if (fs::is_directory(file, code)) throw Error::failed(file.string() + ": is a folder");
 }
 
+// A scene's blobs in the embedded farm's store, until they are needed no more.
+class LentScene {
+ public:
+  LentScene(EmbeddedFarm& embedded, scene::Scene scene) {
+    blobs_.summary = coordinator::summarize(scene);
+    scene_ = std::make_shared<const scene::Bytes>(scene::serialize(scene));
+    blobs_.scene_blob = embedded.blobs().lend(scene_);
+    if (!embedded.needs_bvh()) return;
+    bvh_ = std::make_shared<const scene::Bytes>(scene::serialize(scene::build_bvh(scene)));
+    blobs_.bvh_blob = embedded.blobs().lend(bvh_);
+  }
+  const coordinator::FrameScene& blobs() const { return blobs_; }
+
+ private:
+  coordinator::FrameScene blobs_;
+  coordinator::Blob scene_, bvh_;
+};
+
+// Submits a job and waits for its end. Throws Error::failed where it was cancelled or has failed.
+void render_job(coordinator::Farm& farm, const coordinator::JobRequest& request, Signals& signals, bool quiet) {
+  const std::string job = farm.submit(request);
+  signals.watch([&] { farm.cancel(job); });
+
+  ProgressDisplay progress(quiet);
+  JobStatus status;
+  do {
+    // Often enough for a bar; the job's end is told at once.
+    status = *farm.wait(job, ~std::uint64_t{0}, 0.1);
+    progress.show(status);
+  } while (!ended(status.state));
+  progress.clear();
+  signals.watch({});
+  if (status.state == JobState::cancelled && !farm.end(grace)) {
+    std::cerr << "gleaner: error: cancelled; nothing was written\n";
+    std::_Exit(static_cast<int>(ErrorKind::failed));  // a plan still computes, with what main's end would destroy
+  }
+  if (status.state == JobState::cancelled) throw Error::failed("cancelled; nothing was written");
+  if (status.state == JobState::failed) throw Error::failed(status.message);
+  if (!status.message.empty()) std::cerr << "gleaner: warning: " << status.message << "\n";
+  if (!quiet) {
+    for (const fs::path& file : farm.files(job)) std::cerr << "gleaner: wrote " << file.string() << "\n";
+    std::fprintf(stderr, "gleaner: %.2f s\n", status.seconds);
+  }
+}
+
 int render(const RenderOptions& options) {
   if (fs::path(options.output).extension() != ".exr")
     throw Error::usage("-o: expected a name that ends in .exr, found \"" + options.output + "\"");
@@ -82,43 +127,30 @@ int render(const RenderOptions& options) {
   request.scene_name = frame.scene_name;
   request.camera_name = frame.camera_name;
   request.settings = frame.settings;
-  request.scene = coordinator::summarize(frame.scene);
   request.first_frame = frame.first_frame;
   request.last_frame = frame.last_frame;
   request.cameras = frame.cameras;
   request.exposure_stops = options.frame.exposure_stops;
   request.time_limit = options.frame.time_limit;
   // What no plan takes is refused before devices are opened.
-  coordinator::check_settings(request.settings, request.scene);
+  coordinator::check_settings(request.settings, coordinator::summarize(frame.scene));
 
   EmbeddedFarm embedded(settings);
-  coordinator::Farm& farm = embedded.farm();
-  request.scene_blob = embedded.blobs().put(scene::serialize(frame.scene));
-  if (embedded.needs_bvh()) request.bvh_blob = embedded.blobs().put(scene::serialize(scene::build_bvh(frame.scene)));
-  frame.scene = {};
-  const std::string job = farm.submit(request);
-  signals.watch([&] { farm.cancel(job); });
-
-  ProgressDisplay progress(options.frame.quiet);
-  JobStatus status;
-  do {
-    // Often enough for a bar; the job's end is told at once.
-    status = *farm.wait(job, ~std::uint64_t{0}, 0.1);
-    progress.show(status);
-  } while (!ended(status.state));
-  progress.clear();
-  signals.watch({});
-  if (status.state == JobState::cancelled && !farm.end(grace)) {
-    std::cerr << "gleaner: error: cancelled; nothing was written\n";
-    std::_Exit(static_cast<int>(ErrorKind::failed));  // a plan still computes, with what main's end would destroy
+  if (!frame.moves) {
+    const LentScene lent(embedded, std::exchange(frame.scene, {}));
+    request.scenes = {lent.blobs()};
+    render_job(embedded.farm(), request, signals, options.frame.quiet);
+    return 0;
   }
-  if (status.state == JobState::cancelled) throw Error::failed("cancelled; nothing was written");
-  if (status.state == JobState::failed) throw Error::failed(status.message);
-  if (!status.message.empty()) std::cerr << "gleaner: warning: " << status.message << "\n";
-  if (!options.frame.quiet) {
-    if (!status.message.empty()) std::cerr << "gleaner: " << status.message << "\n";
-    for (const fs::path& file : farm.files(job)) std::cerr << "gleaner: wrote " << file.string() << "\n";
-    std::fprintf(stderr, "gleaner: %.2f s\n", status.seconds);
+  // A job a frame: no more than one scene is in memory.
+  frame.scene = {};
+  for (std::uint64_t number = frame.first_frame; number <= frame.last_frame; ++number) {
+    request.first_frame = request.last_frame = static_cast<std::uint32_t>(number);
+    MovedScene moved = load_moved(options.frame, frame, request.first_frame);
+    request.settings.camera = moved.camera;
+    const LentScene lent(embedded, std::move(moved.scene));
+    request.scenes = {lent.blobs()};
+    render_job(embedded.farm(), request, signals, options.frame.quiet);
   }
   return 0;
 }

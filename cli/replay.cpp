@@ -33,6 +33,11 @@ int replay(const ReplayWords& words) {
     throw Error::usage("--frame: expected one of --frames " + std::to_string(frame.first_frame) + "-" +
                        std::to_string(frame.last_frame) + ", found " + std::to_string(number));
   if (!frame.cameras.empty()) frame.settings.camera = frame.cameras[number - frame.first_frame];
+  if (frame.moves) {
+    MovedScene moved = load_moved(words.frame, frame, number);
+    frame.scene = std::move(moved.scene);
+    frame.settings.camera = moved.camera;
+  }
   worker::Executor executor({.device = words.device, .threads = 0, .trace = worker::parse_trace_kind(words.trace)});
   auto scene = std::make_shared<const scene::Scene>(std::move(frame.scene));
   auto plan = coordinator::make_plan(frame.settings, coordinator::summarize(*scene));

@@ -21,27 +21,42 @@ struct SubmitOptions {
   std::string coordinator;
 };
 
+// Which devices will work on it is not known here, so the BVH goes along; those that trace with Embree never fetch it.
+gleaner::v1::FrameScene upload(Client& client, const scene::Scene& scene) {
+  const scene::Bytes scene_blob = scene::serialize(scene), bvh_blob = scene::serialize(scene::build_bvh(scene));
+  gleaner::v1::FrameScene blobs;
+  blobs.set_scene_blob(coordinator::sha256_hex(scene_blob));
+  blobs.set_bvh_blob(coordinator::sha256_hex(bvh_blob));
+  client.upload_missing({{blobs.scene_blob(), &scene_blob}, {blobs.bvh_blob(), &bvh_blob}});
+  return blobs;
+}
+
 int submit(const SubmitOptions& options) {
   Client client(options.coordinator);
   LoadedFrame frame = load_frame(options.frame);
   // What no plan takes is refused before anything is uploaded.
   coordinator::make_plan(frame.settings, coordinator::summarize(frame.scene));
-  scene::Bytes scene_blob = scene::serialize(frame.scene);
-  // Which devices will work on it is not known here, so the BVH goes along; those that trace with Embree never fetch
-  // it.
-  scene::Bytes bvh_blob = scene::serialize(scene::build_bvh(frame.scene));
   gleaner::v1::SubmitJobRequest request;
   request.set_scene_name(frame.scene_name);
   request.set_camera_name(printable(frame.camera_name));
-  request.set_scene_blob(coordinator::sha256_hex(scene_blob));
-  request.set_bvh_blob(coordinator::sha256_hex(bvh_blob));
   *request.mutable_settings() = gateway::to_proto(frame.settings);
   request.mutable_settings()->set_time_limit_seconds(options.frame.time_limit);
   request.set_first_frame(frame.first_frame);
   request.set_last_frame(frame.last_frame);
   for (const scene::Camera& camera : frame.cameras) *request.add_frame_cameras() = gateway::to_proto(camera);
   request.set_exposure_stops(options.frame.exposure_stops);
-  client.upload_missing({{request.scene_blob(), &scene_blob}, {request.bvh_blob(), &bvh_blob}});
+  if (frame.moves) {
+    frame.scene = {};
+    for (std::uint64_t number = frame.first_frame; number <= frame.last_frame; ++number) {
+      const MovedScene moved = load_moved(options.frame, frame, static_cast<std::uint32_t>(number));
+      *request.add_frame_scenes() = upload(client, moved.scene);
+      *request.add_frame_cameras() = gateway::to_proto(moved.camera);
+    }
+  } else {
+    const gleaner::v1::FrameScene blobs = upload(client, frame.scene);
+    request.set_scene_blob(blobs.scene_blob());
+    request.set_bvh_blob(blobs.bvh_blob());
+  }
   std::cout << client.submit(request) << std::endl;
   return 0;
 }

@@ -105,20 +105,25 @@ SceneSummary FarmService::summary_of(const std::string& scene_blob, const std::s
 
 Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* request, pb::SubmitJobReply* reply) {
   return guarded([&]() -> Status {
-    for (const std::string& id : {request->scene_blob(), request->bvh_blob()}) {
-      if (!is_sha256_hex(id))
-        return {StatusCode::INVALID_ARGUMENT,
-                "blob id: expected 64 lower-case hexadecimal digits, found \"" + id.substr(0, 80) + "\""};
-      if (!blobs_.has(id)) return {StatusCode::FAILED_PRECONDITION, "blob " + id + " must be uploaded first"};
-    }
+    if (const std::uint64_t most = most_frames; static_cast<std::uint64_t>(request->frame_scenes_size()) > most)
+      return {StatusCode::INVALID_ARGUMENT, "frame_scenes: expected at most " + std::to_string(most)};
+    std::vector<FrameScene> scenes;
+    for (const pb::FrameScene& scene : request->frame_scenes())
+      scenes.push_back({scene.scene_blob(), scene.bvh_blob(), {}});
+    if (scenes.empty()) scenes.push_back({request->scene_blob(), request->bvh_blob(), {}});
+    for (const FrameScene& scene : scenes)
+      for (const std::string& id : {scene.scene_blob, scene.bvh_blob}) {
+        if (!is_sha256_hex(id))
+          return {StatusCode::INVALID_ARGUMENT,
+                  "blob id: expected 64 lower-case hexadecimal digits, found \"" + id.substr(0, 80) + "\""};
+        if (!blobs_.has(id)) return {StatusCode::FAILED_PRECONDITION, "blob " + id + " must be uploaded first"};
+      }
     if (request->scene_name().empty() || request->scene_name().size() > 256 || request->camera_name().size() > 256)
       return {StatusCode::INVALID_ARGUMENT, "scene_name, camera_name: expected at most 256 bytes, and a scene name"};
     if (!std::isfinite(request->exposure_stops()) || std::abs(request->exposure_stops()) > 100)
       return {StatusCode::INVALID_ARGUMENT, "exposure_stops: expected -100 to 100"};
     JobRequest job;
     job.scene_name = request->scene_name();
-    job.scene_blob = request->scene_blob();
-    job.bvh_blob = request->bvh_blob();
     job.camera_name = request->camera_name();
     job.settings = from_proto(request->settings());
     job.exposure_stops = request->exposure_stops();
@@ -130,7 +135,8 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
       job.last_frame = request->last_frame();
     }
     for (const pb::Camera& camera : request->frame_cameras()) job.cameras.push_back(from_proto(camera));
-    job.scene = summary_of(job.scene_blob, job.scene_name);
+    for (FrameScene& scene : scenes) scene.summary = summary_of(scene.scene_blob, job.scene_name);
+    job.scenes = std::move(scenes);
     reply->set_job(farm_.submit(job));
     return Status::OK;
   });

@@ -52,6 +52,7 @@ struct JobRemains {
   std::map<ArtifactId, std::shared_ptr<const ArtifactData>> data;
   std::deque<UndrawnItems> undrawn;
   std::vector<scene::Camera> cameras;
+  std::vector<FrameScene> scenes;
 };
 
 // The job's settings, with the camera that sees this frame; the way on which it lies was put there by submit().
@@ -91,7 +92,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
 
   // Frames (frame_run.cpp, write_frame.cpp; on the job's thread).
   void run_frames(const std::shared_ptr<Job>& job);
-  static bool same_camera(const Job& job, std::uint32_t a, std::uint32_t b);
+  static bool same_picture(const Job& job, std::uint32_t a, std::uint32_t b);
   // Runs `call`, which asks the plan or makes one, with the plan to itself; then a cancelled job ends here.
   template <typename Call>
   auto compute(Job& job, const Call& call);

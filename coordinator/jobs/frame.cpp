@@ -62,8 +62,9 @@ void add_progress(const Job& job, Seconds now, JobStatus& status) {
   const double frames = status.frames, done = status.frames_done;
   status.progress = std::min(1.0, (done + status.frame_progress) / frames);
   status.seconds_left = status.frame_seconds_left;
-  // Where the camera stands still, one frame serves for all.
-  const double to_come = job.request.cameras.empty() ? 0 : std::max(0.0, frames - done - 1);
+  // Where nothing moves, one frame serves for all.
+  const bool still = job.request.cameras.empty() && job.request.scenes.size() <= 1;
+  const double to_come = still ? 0 : std::max(0.0, frames - done - 1);
   if (status.seconds_left < 0 || to_come == 0) return;
   const Seconds of_a_frame =
       done > 0 ? (job.frame_begun - job.started) / done : now - job.frame_begun + status.frame_seconds_left;

@@ -90,6 +90,7 @@ struct UndrawnItems {
 struct Job : std::enable_shared_from_this<Job> {
   std::string id;
   JobRequest request;
+  FrameScene scene{};  // of the frame that runs
   JobState state = JobState::queued;
   std::string message;
   std::uint64_t version = 1;

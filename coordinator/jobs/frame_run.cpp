@@ -67,13 +67,13 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
       job->work_asked = job->work_done = job->work_to_come = 0;
       job->progress = FrameProgress(job->frame_begun);
     }
-    if (done == 0 || !same_camera(*job, frame, rendered)) {
+    if (done == 0 || !same_picture(*job, frame, rendered)) {
       film = {};  // before the next plan takes its memory
       aim(*job, frame);
       film = render(job, frame);
       rendered = frame;
     } else {
-      // Nothing but the camera moves: what was made for the one frame holds for the other.
+      // Neither scene nor camera moves: what was made for the one frame holds for the other.
       reuse(*job, frame, rendered);
     }
     write(*job, frame, film, begun);
@@ -86,7 +86,8 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
   }
 }
 
-bool Farm::Impl::same_camera(const Job& job, std::uint32_t a, std::uint32_t b) {
+bool Farm::Impl::same_picture(const Job& job, std::uint32_t a, std::uint32_t b) {
+  if (scene_of(job.request, a).scene_blob != scene_of(job.request, b).scene_blob) return false;
   const scene::Camera first = settings_of(job.request, a).camera, second = settings_of(job.request, b).camera;
   return std::memcmp(&first, &second, sizeof first) == 0;
 }
@@ -95,10 +96,11 @@ void Farm::Impl::aim(Job& job, std::uint32_t frame) {
   const FrameSettings frame_settings = settings_of(job.request, frame);
   compute(job, [&] {
     job.plan.reset();  // before the next one takes its memory
-    job.plan = settings.plan(frame_settings, job.request.scene);
+    job.plan = settings.plan(frame_settings, scene_of(job.request, frame).summary);
     job.drawn = false;
   });
   std::lock_guard lock(mutex);
+  job.scene = scene_of(job.request, frame);
   job.stages.clear();
   changed(job);
 }

@@ -10,12 +10,17 @@
 
 namespace gleaner::coordinator {
 
+struct FrameScene {
+  std::string scene_blob;  // id; the store holds it
+  std::string bvh_blob;    // id; empty: the embedded farm, none of whose workers needs one
+  SceneSummary summary;
+};
+
 struct JobRequest {
   std::string scene_name;   // for people and the report
-  std::string scene_blob;   // id; the store holds it
-  std::string bvh_blob;     // id; empty: the embedded farm, none of whose workers needs one
   std::string camera_name;  // for the report
-  SceneSummary scene;
+  // One, or where the scene moves one a frame.
+  std::vector<FrameScene> scenes;
   FrameSettings settings;
   std::uint32_t first_frame = 1, last_frame = 1;  // inclusive
   // One a frame, the settings' way is then theirs; or none: all are seen by the settings' camera.
@@ -25,6 +30,9 @@ struct JobRequest {
 };
 
 inline constexpr std::uint64_t most_frames = 100000;  // of a job
+inline const FrameScene& scene_of(const JobRequest& request, std::uint32_t frame) {
+  return request.scenes.size() == 1 ? request.scenes.front() : request.scenes[frame - request.first_frame];
+}
 inline std::uint64_t frames_of(const JobRequest& request) {
   return std::uint64_t{request.last_frame} - request.first_frame + 1;
 }

@@ -40,13 +40,20 @@ std::shared_ptr<Job> Farm::Impl::accept(const JobRequest& request) {
   if (!request.cameras.empty() && request.cameras.size() != frames_of(request))
     throw Error::usage("cameras: expected one for each of " + std::to_string(frames_of(request)) + " frames, found " +
                        std::to_string(request.cameras.size()));
-  for (const std::string& id : {request.scene_blob, request.bvh_blob})
-    if (!id.empty() && !blobs.has(id)) throw Error::bad_input("blob " + id, "", "to be uploaded first");
+  if (request.scenes.size() != 1 && request.scenes.size() != frames_of(request))
+    throw Error::usage("scenes: expected one, or one for each of " + std::to_string(frames_of(request)) +
+                       " frames, found " + std::to_string(request.scenes.size()));
+  for (const FrameScene& scene : request.scenes)
+    for (const std::string& id : {scene.scene_blob, scene.bvh_blob})
+      if (!id.empty() && !blobs.has(id) && !blobs.source(id))  // lent ones are there as well
+        throw Error::bad_input("blob " + id, "", "to be uploaded first");
   auto job = std::make_shared<Job>();
   job->request = request;
-  job->request.scene.blob = request.scene_blob;
-  if (!request.cameras.empty()) job->request.settings.trajectory = trajectory_of(request.cameras);
-  job->memory = settings.check(settings_of(job->request, request.first_frame), request.scene);
+  for (FrameScene& scene : job->request.scenes) scene.summary.blob = scene.scene_blob;
+  // What a trajectory's frames share is made for one scene.
+  if (!request.cameras.empty() && request.scenes.size() == 1)
+    job->request.settings.trajectory = trajectory_of(request.cameras);
+  job->memory = settings.check(settings_of(job->request, request.first_frame), request.scenes.front().summary);
   if (job->memory > settings.memory_bytes)
     throw Error::usage("a frame of " + std::to_string(request.settings.width) + "x" +
                        std::to_string(request.settings.height) + " pixels by " + request.settings.method + " needs " +
@@ -92,6 +99,7 @@ JobRemains Farm::Impl::end_job(Job& job, JobState state, const std::string& mess
   for (const auto& stage : job.stages) job.last_stages.push_back(status_of(*stage, job.ended));
   remains.stages = std::exchange(job.stages, {});
   remains.cameras = std::exchange(job.request.cameras, {});
+  remains.scenes = std::exchange(job.request.scenes, {});
   job.request.settings.trajectory = {};
   settings.log("job " + job.id + " " + job_state_name(state) + (message.empty() ? "" : ": " + message));
   changed(job);

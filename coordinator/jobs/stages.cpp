@@ -131,8 +131,8 @@ std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Job>& j
   work->kind = spec.kind;
   work->parameters = spec.parameters;
   work->output = spec.output;
-  work->scene_blob = job->request.scene_blob;
-  work->bvh_blob = job->request.bvh_blob;
+  work->scene_blob = job->scene.scene_blob;
+  work->bvh_blob = job->scene.bvh_blob;
   auto stage = std::make_shared<RunningStage>();
   stage->job = job;
   stage->spec = spec;

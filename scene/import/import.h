@@ -18,6 +18,8 @@ LightUnits parse_light_units(const std::string& word);
 
 struct ImportOptions {
   LightUnits light_units = LightUnits::automatic;
+  std::string animation = "all";                       // its name, its number, or all; of a file that has any
+  double seconds = 0;                                  // the time at which the animations are seen
   std::string variant;                                 // of KHR_materials_variants; empty: the file's own materials
   std::uint64_t most_texels = std::uint64_t{1} << 30;  // in all images together: 4 GiB
   bool strict = false;                                 // what would be a warning is an error

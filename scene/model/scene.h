@@ -30,6 +30,11 @@ struct Mesh {
   std::uint32_t first_triangle = 0, triangle_count = 0;
 };
 
+struct AnimationInfo {
+  std::string name;  // may be empty
+  double seconds = 0;
+};
+
 struct Scene {
   std::string name;  // the file's stem
   // Where, in the file's coordinates, the origin of this scene's lies. Does not travel: who reads or writes the file's
@@ -54,6 +59,7 @@ struct Scene {
   // What the importer wants a person to know. Like `origin`, these do not travel.
   std::vector<std::string> warnings;
   std::string light_units;            // what a file's candela and lux were taken for, and why; empty: it has none
+  std::vector<AnimationInfo> animations;
   std::vector<std::string> variants;  // material variants that the file offers
 
   std::size_t vertex_count() const { return positions.size() / 3; }

@@ -335,7 +335,7 @@ TEST_F(FarmEngine, RefusesWhatCannotBeAJob) {
   unknown.settings.method = "paint";
   EXPECT_THROW(farm.submit(unknown), Error);
   JobRequest blobless = request();
-  blobless.scene_blob = std::string(64, 'a');
+  blobless.scenes.front().scene_blob = std::string(64, 'a');
   EXPECT_THROW(farm.submit(blobless), Error);
   JobRequest backwards = request();
   backwards.first_frame = 3;

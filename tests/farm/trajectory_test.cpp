@@ -25,7 +25,7 @@ using testing::StartsWith;
 JobRequest request_of(const scene::Scene& scene) {
   JobRequest request;
   request.scene_name = "box";
-  request.scene = coordinator::summarize(scene);
+  request.scenes = {{{}, {}, coordinator::summarize(scene)}};
   request.settings.method = "vpl";
   request.settings.width = request.settings.height = 48;
   request.settings.spp = 4;
@@ -36,15 +36,20 @@ JobRequest request_of(const scene::Scene& scene) {
 }
 
 // The frames' reports, of a farm that has rendered nothing before.
-std::vector<json> render(const scene::Scene& scene, JobRequest request) {
+std::vector<json> render(const std::vector<scene::Scene>& scenes, JobRequest request) {
   TemporaryFolder folder;
   cli::EmbeddedSettings settings;
   settings.paths = [&](const std::string&, std::uint32_t frame) {
     return coordinator::FramePaths{{}, {}, folder.path() / (std::to_string(frame) + ".json")};
   };
   cli::EmbeddedFarm embedded(settings);
-  request.scene_blob = embedded.blobs().put(scene::serialize(scene));
-  if (embedded.needs_bvh()) request.bvh_blob = embedded.blobs().put(scene::serialize(scene::build_bvh(scene)));
+  request.scenes.clear();
+  for (const scene::Scene& scene : scenes) {
+    coordinator::FrameScene& blobs = request.scenes.emplace_back();
+    blobs.summary = coordinator::summarize(scene);
+    blobs.scene_blob = embedded.blobs().put(scene::serialize(scene));
+    if (embedded.needs_bvh()) blobs.bvh_blob = embedded.blobs().put(scene::serialize(scene::build_bvh(scene)));
+  }
   const std::string job = embedded.farm().submit(request);
   while (!ended(embedded.farm().status(job)->state)) embedded.farm().wait(job, ~std::uint64_t{0}, 0.1);
   EXPECT_EQ(embedded.farm().status(job)->state, coordinator::JobState::done) << embedded.farm().status(job)->message;
@@ -54,6 +59,10 @@ std::vector<json> render(const scene::Scene& scene, JobRequest request) {
     reports.push_back(json::parse(file));
   }
   return reports;
+}
+
+std::vector<json> render(const scene::Scene& scene, JobRequest request) {
+  return render(std::vector{scene}, std::move(request));
 }
 
 std::vector<std::string> names(const json& entries, const char* key) {
@@ -105,6 +114,24 @@ TEST(FarmTrajectory, FramesOfOneCameraHaveNone) {
   EXPECT_THAT(names(frames[0]["stages"], "name"), Contains("vpl.points"));
   EXPECT_THAT(names(frames[0]["stages"], "name"), Not(Contains(StartsWith("vpl.points."))));
   EXPECT_EQ(frames[1]["pixels_sha256"], frames[0]["pixels_sha256"]);
+}
+
+// Frame N of a sequence whose scene moves is the picture of that scene alone; frames that are alike are rendered once.
+TEST(FarmMovingScenes, FramesAreThoseOfTheirScenes) {
+  std::vector<scene::Scene> scenes(3, scene::make_scene("cornell-box", {}));
+  for (std::size_t i = 0; i < scenes[2].positions.size(); i += 3) scenes[2].positions[i] += 0.05f;
+  for (const char* method : {"path", "vpl"}) {
+    JobRequest request = request_of(scenes.front());
+    request.settings.method = method;
+    if (std::string(method) == "path") request.settings.set = {};
+    JobRequest alone = request;
+    request.last_frame = 3;
+    const std::vector<json> frames = render(scenes, request);
+    ASSERT_EQ(frames.size(), 3u);
+    EXPECT_EQ(frames[0]["pixels_sha256"], frames[1]["pixels_sha256"]) << method;
+    EXPECT_NE(frames[0]["pixels_sha256"], frames[2]["pixels_sha256"]) << method;
+    EXPECT_EQ(render(scenes[2], alone).at(0)["pixels_sha256"], frames[2]["pixels_sha256"]) << method;
+  }
 }
 
 }  // namespace

@@ -523,12 +523,6 @@ TEST_F(Gltf, BuffersWithoutDataAreInNobodysWay) {
   EXPECT_THAT(refusal(folder_.write("bad.gltf", document.dump())), HasSubstr("buffers[0]"));
 }
 
-TEST_F(Gltf, WhatIsNotReadGetsAWord) {
-  GltfFile file = triangle_file();
-  file.json["animations"] = {json::object()};
-  EXPECT_THAT(warnings(read(file)), ElementsAre(HasSubstr("animations")));
-}
-
 TEST_F(Gltf, ASceneWithoutTrianglesIsRead) {
   GltfFile file;
   file.json["nodes"] = {json::object()};

@@ -31,15 +31,14 @@ T load(const std::byte* from) {
 
 // What this importer reads.
 const std::set<std::string>& known_extensions() {
-  static const std::set<std::string> names = {"EXT_mesh_gpu_instancing",    "EXT_meshopt_compression",
-                                              "EXT_texture_webp",           "KHR_draco_mesh_compression",
-                                              "KHR_lights_punctual",        "KHR_materials_anisotropy",
-                                              "KHR_materials_clearcoat",    "KHR_materials_emissive_strength",
-                                              "KHR_materials_ior",          "KHR_materials_iridescence",
-                                              "KHR_materials_sheen",        "KHR_materials_specular",
-                                              "KHR_materials_transmission", "KHR_materials_unlit",
-                                              "KHR_materials_variants",     "KHR_materials_volume",
-                                              "KHR_mesh_quantization",      "KHR_texture_transform"};
+  static const std::set<std::string> names = {
+      "EXT_mesh_gpu_instancing",    "EXT_meshopt_compression",    "EXT_texture_webp",
+      "KHR_draco_mesh_compression", "KHR_lights_punctual",        "KHR_materials_anisotropy",
+      "KHR_animation_pointer",      "KHR_materials_clearcoat",    "KHR_materials_emissive_strength",
+      "KHR_materials_ior",          "KHR_materials_iridescence",  "KHR_materials_sheen",
+      "KHR_materials_specular",     "KHR_materials_transmission", "KHR_materials_unlit",
+      "KHR_materials_variants",     "KHR_materials_volume",       "KHR_mesh_quantization",
+      "KHR_texture_transform"};
   return names;
 }
 
@@ -53,8 +52,7 @@ std::string what_is_left_out(const std::string& extension) {
       {"EXT_texture_avif", "the texture's other image is taken, or none"},
       {"EXT_lights_image_based", "--environment lights a scene"},
       {"EXT_lights_ies", "light profiles"},
-      {"KHR_node_visibility", "every node is seen"},
-      {"KHR_animation_pointer", "animations"}};
+      {"KHR_node_visibility", "every node is seen"}};
   const auto known = words.find(extension);
   return known == words.end() ? "" : " (left out: " + known->second + ")";
 }

@@ -30,6 +30,9 @@ class Document {
   // The number of elements of a top-level array; 0 where there is none.
   std::size_t size(const char* array) const;
 
+  // Puts a value where the pointer leads; objects on the way that are not there are made.
+  void put(const nlohmann::json::json_pointer& pointer, nlohmann::json value) { json_[pointer] = std::move(value); }
+
   // Bytes of all buffers together.
   std::uint64_t buffer_bytes() const;
 

@@ -1,6 +1,7 @@
 // glTF 2.0 to flat arrays in the scene's space. Transforms are composed in double precision.
 
 #include "scene/import/formats.h"
+#include "scene/import/gltf/animation.h"
 #include "scene/import/gltf/cameras.h"
 #include "scene/import/gltf/document.h"
 #include "scene/import/gltf/lights.h"
@@ -37,8 +38,10 @@ std::optional<std::size_t> chosen_variant(const Document& document, const std::s
 
 Scene read_gltf(const std::string& path, const ImportOptions& options, Warnings& warnings) {
   Document document(path, warnings);
-  if (document.size("animations") > 0) warnings.add("animations are not played: everything stands as at rest");
   Scene scene;
+  const gltf::Animations animations(document, options.animation, warnings);
+  scene.animations = animations.list();
+  animations.pose(options.seconds, document);
   const auto variant = chosen_variant(document, options.variant, scene);
   gltf::Materials materials(document, scene, warnings);
   materials.read(options.most_texels);
