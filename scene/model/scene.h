@@ -58,7 +58,7 @@ struct Scene {
   Environment environment;
   // What the importer wants a person to know. Like `origin`, these do not travel.
   std::vector<std::string> warnings;
-  std::string light_units;            // what a file's candela and lux were taken for, and why; empty: it has none
+  std::string light_units;  // what a file's candela and lux were taken for, and why; empty: it has none
   std::vector<AnimationInfo> animations;
   std::vector<std::string> variants;  // material variants that the file offers
 
