@@ -129,9 +129,9 @@ void KernelCompilers::claim(const std::string& file, const std::string& options,
   changed_.wait(lock, [&] { return state == State::done || ended_; });
 }
 
-// With the lock.
+// With the lock. As many as there are units, those that are being compiled included.
 void KernelCompilers::start() {
-  while (threads_.size() < processes_ && !queue_.empty() && !ended_ && threads_.size() < queue_.size())
+  while (!ended_ && threads_.size() < std::min<std::size_t>(processes_, busy_ + queue_.size()))
     threads_.emplace_back([this] { serve(); });
   changed_.notify_all();
 }
@@ -149,6 +149,7 @@ bool KernelCompilers::take(Unit& unit) {
   unit = std::move(*next);
   queue_.erase(next);
   states_[unit] = State::runs;
+  ++busy_;
   return true;
 }
 
@@ -157,6 +158,7 @@ void KernelCompilers::finish(const Unit& unit, bool compiled) {
   {
     std::lock_guard lock(mutex_);
     states_[unit] = State::done;
+    --busy_;
     for (const auto& [other, state] : states_)
       whole = whole && (other.program() != unit.program() || state == State::done);
   }

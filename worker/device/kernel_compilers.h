@@ -58,6 +58,7 @@ class KernelCompilers {
   std::mutex mutex_;
   std::condition_variable changed_;
   bool ended_ = false;
+  std::size_t busy_ = 0;  // units that run
   std::deque<Unit> queue_;
   std::map<Unit, State> states_;
   std::vector<Child*> children_;  // of the threads
