@@ -133,6 +133,11 @@ scene::NamedCamera choose_camera(const FrameOptions& options, const scene::Scene
   return scene::framing_camera(scene);
 }
 
+// Makes the camera's picture as wide as the film is.
+void fit_to_film(scene::Camera& camera, const coordinator::FrameSettings& settings) {
+  camera.half_width = camera.half_height * static_cast<float>(settings.width) / static_cast<float>(settings.height);
+}
+
 void settle_size(const FrameOptions& options, const scene::NamedCamera& camera, coordinator::FrameSettings& settings) {
   if (!options.size.empty()) {
     parse_size(options.size, settings.width, settings.height);
@@ -151,8 +156,7 @@ void settle_size(const FrameOptions& options, const scene::NamedCamera& camera, 
     }
   }
   settings.camera = camera.camera;
-  settings.camera.half_width =
-      settings.camera.half_height * static_cast<float>(settings.width) / static_cast<float>(settings.height);
+  fit_to_film(settings.camera, settings);
 }
 
 }  // namespace
@@ -227,14 +231,13 @@ LoadedFrame load_frame(const FrameOptions& options) {
   scene::NamedCamera camera = choose_camera(options, frame.scene, words);
   frame.camera_name = camera.name;
   settle_size(options, camera, settings);
-  if (trajectory.size() > 1)
+  if (trajectory.size() > 1 && !frame.moves)
     for (std::uint64_t f = 0; f <= frame.last_frame - frame.first_frame; ++f) {
       const double frames = std::max(1.0, static_cast<double>(frame.last_frame - frame.first_frame));
       scene::Camera moved = camera_of(along(trajectory, static_cast<double>(f) / frames), frame.scene).camera;
-      moved.half_width = moved.half_height * static_cast<float>(settings.width) / static_cast<float>(settings.height);
+      fit_to_film(moved, settings);
       frame.cameras.push_back(moved);
     }
-  if (frame.moves) frame.cameras.clear();
   settings.trajectory = coordinator::trajectory_of(frame.cameras);
   scene::SceneNeeds needs = scene::needs_of(frame.scene);
   if (!needs.punctual_lights && !needs.emissive_triangles && !needs.environment && !needs.unlit)
@@ -245,22 +248,22 @@ LoadedFrame load_frame(const FrameOptions& options) {
   return frame;
 }
 
-MovedScene load_moved(const FrameOptions& options, const LoadedFrame& frame, std::uint32_t number) {
+MovedScene load_moved(const FrameOptions& options, LoadedFrame& frame, std::uint32_t number) {
+  if (number == frame.first_frame) return {std::move(frame.scene), frame.settings.camera};
   const double since = static_cast<double>(number) - static_cast<double>(frame.first_frame);
   ImportWords files = options.files;
   files.seconds = options.time_offset + since / options.fps;
   MovedScene moved{read_scene(files, false), {}};
   if (!options.look_at.empty()) {
     const double frames = static_cast<double>(frame.last_frame) - static_cast<double>(frame.first_frame);
-    moved.camera = camera_of(along(parse_trajectory(options), frames > 0 ? since / frames : 0), moved.scene).camera;
+    moved.camera = camera_of(along(parse_trajectory(options), since / frames), moved.scene).camera;
   } else {
     FrameOptions same = options;
     same.camera = frame.camera_name;
     std::vector<std::string> unused;
     moved.camera = choose_camera(same, moved.scene, unused).camera;
   }
-  moved.camera.half_width =
-      moved.camera.half_height * static_cast<float>(frame.settings.width) / static_cast<float>(frame.settings.height);
+  fit_to_film(moved.camera, frame.settings);
   return moved;
 }
 

@@ -49,11 +49,12 @@ struct LoadedFrame {
 // quiet. Throws Error::usage for malformed words, Error::bad_input for what the files say.
 LoadedFrame load_frame(const FrameOptions& options);
 
-// The scene of one of the frames and its camera, where the scene moves. Throws as load_frame().
+// The scene of one of the frames and its camera, where the scene moves. The first frame's has been read: it is moved
+// out of `frame`, once. Throws as load_frame().
 struct MovedScene {
   scene::Scene scene;
   scene::Camera camera;
 };
-MovedScene load_moved(const FrameOptions& options, const LoadedFrame& frame, std::uint32_t number);
+MovedScene load_moved(const FrameOptions& options, LoadedFrame& frame, std::uint32_t number);
 
 }  // namespace gleaner::cli

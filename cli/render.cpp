@@ -143,7 +143,6 @@ int render(const RenderOptions& options) {
     return 0;
   }
   // A job a frame: no more than one scene is in memory.
-  frame.scene = {};
   for (std::uint64_t number = frame.first_frame; number <= frame.last_frame; ++number) {
     request.first_frame = request.last_frame = static_cast<std::uint32_t>(number);
     MovedScene moved = load_moved(options.frame, frame, request.first_frame);

@@ -46,7 +46,6 @@ int submit(const SubmitOptions& options) {
   for (const scene::Camera& camera : frame.cameras) *request.add_frame_cameras() = gateway::to_proto(camera);
   request.set_exposure_stops(options.frame.exposure_stops);
   if (frame.moves) {
-    frame.scene = {};
     for (std::uint64_t number = frame.first_frame; number <= frame.last_frame; ++number) {
       const MovedScene moved = load_moved(options.frame, frame, static_cast<std::uint32_t>(number));
       *request.add_frame_scenes() = upload(client, moved.scene);
