@@ -185,9 +185,10 @@ Device::Device(const DeviceChoice& choice) {
   // Beside this process: one a further core, of which more than a few find nothing to do.
   const unsigned others = std::min(info_.threads ? info_.threads - 1 : 0, kMostCompilers);
   if (info_.platform == kPoclPlatform && !choice.compiler.empty() && others > 0)
-    compilers_ = std::make_unique<KernelCompilers>(
-        choice.compiler, info_.index, others,
-        [this](const std::string& file, const std::string& options) { remember_compiled(file, options); });
+    compilers_ = std::make_unique<KernelCompilers>(choice.compiler, info_.index, others,
+                                                   [this](const std::string& file, const std::string& options) {
+                                                     remember_compiled(program_text(file), options);
+                                                   });
 }
 
 namespace {
@@ -202,27 +203,28 @@ std::vector<std::string> kernel_names(const KernelDeclarations& kernels) {
 }  // namespace
 
 void Device::compile_ahead(const std::string& file, const std::string& options) const {
-  if (!compilers_ || was_compiled(file, options)) return;
-  compilers_->ask(file, options, kernel_names(parse_kernels(program_text(file), file)));
+  if (!compilers_) return;
+  const std::string text = program_text(file);
+  if (!was_compiled(text, options)) compilers_->ask(file, options, kernel_names(parse_kernels(text, file)));
 }
 
 // An empty file in our cache folder stands for a program of which PoCL's holds every kernel. Where PoCL's has been
 // emptied since, this process compiles alone once more.
-std::filesystem::path Device::compiled_mark(const std::string& file, const std::string& options) const {
+std::filesystem::path Device::compiled_mark(const std::string& text, const std::string& options) const {
   const std::filesystem::path folder = cache_folder();
   if (folder.empty()) return {};
   const char* pocl = std::getenv("POCL_CACHE_DIR");
-  return folder / (build_name(program_text(file), options + (pocl ? pocl : "")) + ".compiled");
+  return folder / (build_name(text, options + (pocl ? pocl : "")) + ".compiled");
 }
 
-bool Device::was_compiled(const std::string& file, const std::string& options) const {
+bool Device::was_compiled(const std::string& text, const std::string& options) const {
   std::error_code ignored;
-  const auto mark = compiled_mark(file, options);
+  const auto mark = compiled_mark(text, options);
   return !mark.empty() && std::filesystem::exists(mark, ignored);
 }
 
-void Device::remember_compiled(const std::string& file, const std::string& options) const {
-  const auto mark = compiled_mark(file, options);
+void Device::remember_compiled(const std::string& text, const std::string& options) const {
+  const auto mark = compiled_mark(text, options);
   if (mark.empty()) return;
   std::error_code ignored;
   std::filesystem::create_directories(mark.parent_path(), ignored);
@@ -243,7 +245,7 @@ Program Device::build(const std::string& file, const std::string& options) const
       const auto kernels = std::make_shared<const KernelDeclarations>(parse_kernels(text, file));
       if (compilers_) compilers_->claim(file, options);
       program->second = {file, options, compile(file, text, options), kernels};
-      if (compilers_ && !was_compiled(file, options)) compilers_->ask_kernels(file, options, kernel_names(*kernels));
+      if (compilers_ && !was_compiled(text, options)) compilers_->ask_kernels(file, options, kernel_names(*kernels));
     } catch (...) {
       programs_.erase(program);
       throw;

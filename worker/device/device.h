@@ -46,9 +46,9 @@ class Device {
 
  private:
   std::string build_name(const std::string& text, const std::string& options) const;
-  std::filesystem::path compiled_mark(const std::string& file, const std::string& options) const;
-  bool was_compiled(const std::string& file, const std::string& options) const;
-  void remember_compiled(const std::string& file, const std::string& options) const;
+  std::filesystem::path compiled_mark(const std::string& text, const std::string& options) const;
+  bool was_compiled(const std::string& text, const std::string& options) const;
+  void remember_compiled(const std::string& text, const std::string& options) const;
   cl::Program compile(const std::string& file, const std::string& text, const std::string& options) const;
 
   DeviceInfo info_;

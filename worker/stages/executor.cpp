@@ -34,13 +34,14 @@ struct Executor::Impl {
     throw Error::failed("scene " + id + " was not loaded");
   }
 
-  // Once for each scene and kind.
+  // Once for each kind and variant of the kernels: scenes of the same needs share their programs.
   void compile_later(const StageKind& kind, const std::string& scene_id) {
-    if (kind.later.empty() || !foreseen.emplace(scene_id, kind.kind).second) return;
+    if (kind.later.empty()) return;
+    const std::string& variant = scene(scene_id).kernel_options();
+    if (!foreseen.emplace(variant, kind.kind).second) return;
     for (const LaterProgram& one : kind.later)
-      device.compile_ahead(
-          std::string(one.file),
-          (one.plain ? plain_options(device) : scene(scene_id).kernel_options()) + std::string(one.options));
+      device.compile_ahead(std::string(one.file),
+                           (one.plain ? plain_options(device) : variant) + std::string(one.options));
   }
 
   Device device;
