@@ -47,23 +47,20 @@ std::string Farm::Impl::misfit(const RunningStage& stage, const Lease& lease, co
     return fits(stage, lease, *output.part) ? "" : "keeps a part of a shape that its items cannot have";
   }
   if (output.part) return "kept its records, which it was to send";
-  if (!wanted.counted) {
-    const std::uint64_t expected = lease.count * wanted.record_bytes;
-    return output.image.size() == expected
-               ? ""
-               : "sent " + std::to_string(output.image.size()) + " bytes instead of " + std::to_string(expected);
+  std::uint64_t expected = lease.count * wanted.record_bytes;
+  if (wanted.counted) {
+    if (output.image.size() < lease.count * count_bytes) return "sent fewer counts than items";
+    std::uint64_t records = 0;
+    for (std::uint64_t item = 0; item < lease.count; ++item) {
+      std::uint32_t count;
+      std::memcpy(&count, output.image.data() + item * count_bytes, count_bytes);
+      if (count > wanted.most_records)
+        return "sent " + std::to_string(count) + " records of item " + std::to_string(lease.first + item) +
+               ", expected at most " + std::to_string(wanted.most_records);
+      records += count;
+    }
+    expected = lease.count * count_bytes + records * wanted.record_bytes;
   }
-  std::uint64_t records = 0;
-  if (output.image.size() < lease.count * count_bytes) return "sent fewer counts than items";
-  for (std::uint64_t item = 0; item < lease.count; ++item) {
-    std::uint32_t count;
-    std::memcpy(&count, output.image.data() + item * count_bytes, count_bytes);
-    if (count > wanted.most_records)
-      return "sent " + std::to_string(count) + " records of item " + std::to_string(lease.first + item) +
-             ", expected at most " + std::to_string(wanted.most_records);
-    records += count;
-  }
-  const std::uint64_t expected = lease.count * count_bytes + records * wanted.record_bytes;
   return output.image.size() == expected
              ? ""
              : "sent " + std::to_string(output.image.size()) + " bytes instead of " + std::to_string(expected);

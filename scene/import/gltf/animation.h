@@ -22,7 +22,6 @@ class Sampler {
 
   // Holds the first and the last value outside of the keys. Rotations are unit quaternions.
   std::vector<double> at(double seconds) const;
-  double seconds() const { return times_.back(); }  // of the last key
   std::size_t components() const { return components_; }
 
  private:
