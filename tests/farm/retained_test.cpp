@@ -6,8 +6,6 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <condition_variable>
-#include <deque>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -17,6 +15,7 @@
 #include "coordinator/jobs/farm.h"
 #include "proto/sha256.h"
 #include "tests/farm/fake_chain.h"
+#include "tests/farm/leased_worker.h"
 
 namespace gleaner::test {
 namespace {
@@ -29,40 +28,18 @@ using testing::IsEmpty;
 using testing::Not;
 using testing::SizeIs;
 
-struct Offered {
-  Lease lease;
-  std::shared_ptr<const StageWork> work;
-};
-
-class HoldingWorker final : public WorkerSession {
+class HoldingWorker final : public LeasedWorker {
  public:
   ~HoldingWorker() override { leave(); }
   void join(Farm& farm, const std::string& wish, const std::string& device = "a script") {
-    farm_ = &farm;
     WorkerHello hello;
     hello.name = wish;
     hello.device.name = device;
     hello.token = token = "token of " + wish;
     hello.peer_address = wish + ":1";
-    id = farm.join(hello, std::shared_ptr<WorkerSession>(this, [](WorkerSession*) {})).id;
-  }
-  void leave() {
-    if (farm_) std::exchange(farm_, nullptr)->leave(id);
-    std::lock_guard lock(mutex_);
-    offered_.clear();
+    LeasedWorker::join(farm, hello);
   }
 
-  void welcome(const std::string& given) override { name = given; }
-  void lease(const Lease& lease, std::shared_ptr<const StageWork> work) override {
-    std::lock_guard lock(mutex_);
-    offered_.push_back({lease, std::move(work)});
-    changed_.notify_all();
-  }
-  void revoke(const Lease& lease) override {
-    std::lock_guard lock(mutex_);
-    std::erase_if(offered_, [&](const Offered& offer) { return offer.lease.epoch == lease.epoch; });
-  }
-  void drain() override { drained = true; }
   void release(const std::vector<ArtifactId>& artifacts) override {
     std::lock_guard lock(mutex_);
     released_.insert(released_.end(), artifacts.begin(), artifacts.end());
@@ -74,16 +51,6 @@ class HoldingWorker final : public WorkerSession {
   void send_part(std::uint64_t request, const PartRange&) override {
     std::lock_guard lock(mutex_);
     asked_.push_back(request);
-  }
-  void close(const std::string&) override {}
-
-  std::optional<Offered> next(double seconds = 20) {
-    std::unique_lock lock(mutex_);
-    changed_.wait_for(lock, std::chrono::duration<double>(seconds), [&] { return !offered_.empty(); });
-    if (offered_.empty()) return std::nullopt;
-    Offered offer = offered_.front();
-    offered_.pop_front();
-    return offer;
   }
 
   static BatchOutput output_of(const Offered& offer, const FakeChain& chain) {
@@ -139,15 +106,9 @@ class HoldingWorker final : public WorkerSession {
     return asked_;
   }
 
-  WorkerId id = 0;
-  std::string name, token;
-  std::atomic<bool> drained{false};
+  std::string token;
 
  private:
-  Farm* farm_ = nullptr;
-  std::mutex mutex_;
-  std::condition_variable changed_;
-  std::deque<Offered> offered_;
   std::vector<ArtifactId> released_;
   std::vector<std::uint64_t> dropped_, asked_;
 };

@@ -4,66 +4,36 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <condition_variable>
-#include <deque>
 #include <fstream>
 #include <nlohmann/json.hpp>
-#include <optional>
 
 #include "coordinator/jobs/farm.h"
 #include "tests/farm/fake_frame.h"
+#include "tests/farm/leased_worker.h"
 
 namespace gleaner::test {
 
 using namespace coordinator;
 
-struct Offered {
-  Lease lease;
-  std::shared_ptr<const StageWork> work;
-};
-
 // A worker that does what the test says, when it says so.
-class ScriptedWorker final : public WorkerSession {
+class ScriptedWorker final : public LeasedWorker {
  public:
-  ~ScriptedWorker() override {
-    if (farm_) farm_->leave(id);
-  }
-  void welcome(const std::string& given) override { name = given; }
-  void lease(const Lease& lease, std::shared_ptr<const StageWork> work) override {
-    std::lock_guard lock(mutex_);
-    offered_.push_back({lease, std::move(work)});
-    changed_.notify_all();
-  }
+  ~ScriptedWorker() override { leave(); }
   void revoke(const Lease& lease) override {
+    LeasedWorker::revoke(lease);
     std::lock_guard lock(mutex_);
     revoked_.push_back(lease);
-    std::erase_if(offered_, [&](const Offered& offer) { return offer.lease.epoch == lease.epoch; });
   }
-  void drain() override { drained = true; }
-  void release(const std::vector<ArtifactId>&) override {}
-  void drop_part(const ArtifactId&, std::uint64_t, const std::string&) override {}
-  void send_part(std::uint64_t, const PartRange&) override {}
   void close(const std::string& reason) override {
     std::lock_guard lock(mutex_);
     closed_ = reason;
   }
 
   void join(Farm& farm, const std::string& wish = "scripted") {
-    farm_ = &farm;
     WorkerHello hello;
     hello.name = wish;
     hello.device.name = "a script";
-    // The farm keeps the session as long as it likes; the test keeps the worker.
-    id = farm.join(hello, std::shared_ptr<WorkerSession>(this, [](WorkerSession*) {})).id;
-  }
-
-  std::optional<Offered> next(double seconds = 20) {
-    std::unique_lock lock(mutex_);
-    changed_.wait_for(lock, std::chrono::duration<double>(seconds), [&] { return !offered_.empty(); });
-    if (offered_.empty()) return std::nullopt;
-    Offered offer = offered_.front();
-    offered_.pop_front();
-    return offer;
+    LeasedWorker::join(farm, hello);
   }
 
   // The right records, from the blobs that the farm names.
@@ -100,15 +70,7 @@ class ScriptedWorker final : public WorkerSession {
     return closed_;
   }
 
-  WorkerId id = 0;
-  std::string name;
-  std::atomic<bool> drained{false};
-
  private:
-  Farm* farm_ = nullptr;
-  std::mutex mutex_;
-  std::condition_variable changed_;
-  std::deque<Offered> offered_;
   std::vector<Lease> revoked_;
   std::string closed_;
 };
