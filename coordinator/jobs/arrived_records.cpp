@@ -19,4 +19,10 @@ std::optional<ArrivedRecords::Batch> ArrivedRecords::next() {
   return batch;
 }
 
+std::uint64_t ArrivedRecords::ready_end() const {
+  std::uint64_t end = given_;
+  for (auto batch = batches_.find(end); batch != batches_.end(); batch = batches_.find(end)) end += batch->second.count;
+  return end;
+}
+
 }  // namespace gleaner::coordinator

@@ -22,6 +22,7 @@ class ArrivedRecords {
   std::optional<Batch> next();
   bool ready() const { return !batches_.empty() && batches_.begin()->first == given_; }
   std::uint64_t given() const { return given_; }  // items that next() has returned: those before this one
+  std::uint64_t ready_end() const;                // items that next() could have returned by now
   std::uint64_t bytes() const { return bytes_; }  // held
 
  private:

@@ -107,6 +107,10 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   // The lock is held before and after.
   bool stream(Job& job, std::unique_lock<std::mutex>& lock);
   bool draw(Job& job, std::unique_lock<std::mutex>& lock);
+  // Hands the plan the next batch of a streamed stage, which has arrived.
+  void take_next(Job& job, std::shared_ptr<RunningStage> stage, std::unique_lock<std::mutex>& lock);
+  // Hands the plan what of streamed stages has arrived by now, in item order.
+  void take_what_arrived(Job& job, std::unique_lock<std::mutex>& lock);
   // Offers the plan what came in of the stages that run. The lock is held before and after.
   bool conclude(Job& job, std::unique_lock<std::mutex>& lock);
   // Whatever the frame still has with scheduler and workers is taken back; its figures move into the report.

@@ -198,6 +198,8 @@ std::optional<FinishedStage> Farm::Impl::await_stage(Job& job) {
     }
     const double left = job.frame_begun + limit - now();
     if (concludes && left <= 0) {
+      take_what_arrived(job, lock);
+      if (!job.finished.empty() || job.cancel || stopping || !job.failure.empty()) continue;
       if (conclude(job, lock)) return std::nullopt;
       concludes = false;  // too early for a picture: this stage must be whole, the next one need not
       continue;
@@ -211,21 +213,31 @@ std::optional<FinishedStage> Farm::Impl::await_stage(Job& job) {
 }
 
 bool Farm::Impl::stream(Job& job, std::unique_lock<std::mutex>& lock) {
-  for (const auto& shared : job.stages) {
-    const std::shared_ptr<RunningStage> stage = shared;
-    if (stage->delivered || !stage->arrived.ready()) continue;
-    const ArrivedRecords::Batch batch = *stage->arrived.next();
-    lock.unlock();
-    compute(job, [&] {
-      job.plan->take(stage->spec.name, batch.first, batch.count, batch.records);
-      job.drawn = true;
-    });
-    lock.lock();
-    records_ready.notify_all();
-    deliver_if_complete(stage);
-    return true;
-  }
+  for (const auto& stage : job.stages)
+    if (!stage->delivered && stage->arrived.ready()) {
+      take_next(job, stage, lock);
+      return true;
+    }
   return false;
+}
+
+void Farm::Impl::take_next(Job& job, std::shared_ptr<RunningStage> stage, std::unique_lock<std::mutex>& lock) {
+  const ArrivedRecords::Batch batch = *stage->arrived.next();
+  lock.unlock();
+  compute(job, [&] {
+    job.plan->take(stage->spec.name, batch.first, batch.count, batch.records);
+    job.drawn = true;
+  });
+  lock.lock();
+  records_ready.notify_all();
+  deliver_if_complete(stage);
+}
+
+void Farm::Impl::take_what_arrived(Job& job, std::unique_lock<std::mutex>& lock) {
+  std::vector<std::pair<std::shared_ptr<RunningStage>, std::uint64_t>> ends;
+  for (const auto& stage : job.stages) ends.emplace_back(stage, stage->arrived.ready_end());
+  for (const auto& [stage, end] : ends)
+    while (!stage->delivered && !job.cancel && !stopping && stage->arrived.given() < end) take_next(job, stage, lock);
 }
 
 bool Farm::Impl::draw(Job& job, std::unique_lock<std::mutex>& lock) {
