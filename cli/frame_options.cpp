@@ -184,6 +184,8 @@ void add_frame_options(CLI::App& command, FrameOptions& options) {
   command
       .add_option("--time-limit", options.time_limit, "seconds after which the frame is finished with what there is")
       ->check(CLI::PositiveNumber);
+  command.add_flag("--denoise{high},--no-denoise{off}", options.denoise,
+                   "off, fast or high: the picture is denoised, with an estimate of its error (layer error.Y)");
   command.add_option("--set", options.set, "NAME=VALUE: one of the settings below")
       ->take_all()
       ->allow_extra_args(false);
@@ -208,6 +210,7 @@ LoadedFrame load_frame(const FrameOptions& options) {
   settings.spp = options.spp;
   settings.seed = options.seed;
   settings.target_error = options.target_error;
+  settings.denoise = coordinator::parse_denoise(options.denoise);
   for (const std::string& entry : options.set) {
     auto equals = entry.find('=');
     if (equals == std::string::npos || equals == 0) throw malformed("--set", "NAME=VALUE", entry);

@@ -25,6 +25,7 @@ struct FrameOptions {
   double fps = 24, time_offset = 0;  // a frame's time: time_offset + (frame - A) / fps, s
   std::uint64_t seed = 0;
   double target_error = 0;
+  std::string denoise = "off";
   double time_limit = 0;             // seconds
   std::vector<std::string> set;      // KEY=VALUE
   std::vector<std::string> look_at;  // EX,EY,EZ,TX,TY,TZ[,FOV]; several: a camera trajectory over the frames

@@ -169,6 +169,10 @@ void Accumulator::add_pass(std::span<const float> rgb) {
     pass_sum_[i] += rgb[i];
     pass_square_[i] += rgb[i] * rgb[i];
   }
+  if (halves_ && passes_ % 2 == 0) {
+    pass_half_.resize(pixel_count() * 3);
+    for (std::size_t i = 0; i < rgb.size(); ++i) pass_half_[i] += rgb[i];
+  }
   ++passes_;
 }
 
@@ -203,9 +207,16 @@ Film Accumulator::take_film() {
   }
   free_memory(square_);
   free_memory(preview_pass_);
-  Channels<float> all, direct, indirect, spread;
+  Channels<float> all, direct, indirect, spread, half;
+  const auto half_mean = [&](std::size_t i, int k) {
+    const Samples by_sequence = sequence_samples(i);
+    // A pixel of one sequence has no halves.
+    return by_sequence[0] && by_sequence[1] ? static_cast<float>(first_[k][i] / by_sequence[0])
+                                            : mean(direct_[k][i] + indirect_[k][i], samples(i));
+  };
   for (int k = 0; k < 3; ++k) {
     spread[k] = layer([&](std::size_t i) { return static_cast<float>(variance(i, k)); });
+    if (halves_) half[k] = layer([&](std::size_t i) { return half_mean(i, k); });
     free_memory(first_[k]);
     direct[k] = layer([&](std::size_t i) { return mean(direct_[k][i], samples(i)); });
     free_memory(direct_[k]);
@@ -222,6 +233,13 @@ Film Accumulator::take_film() {
   for (int k = 0; k < 3; ++k) put(std::string("direct.") + kColor[k], direct[k]);
   for (int k = 0; k < 3; ++k) put(std::string("indirect.") + kColor[k], indirect[k]);
   for (int k = 0; k < 3; ++k) put(std::string("variance.") + kColor[k], spread[k]);
+  for (int k = 0; k < 3 && halves_; ++k) put(std::string("half.") + kColor[k], half[k]);
+  std::vector<float> share = halves_ ? layer([&](std::size_t i) {
+    const Samples by_sequence = sequence_samples(i);
+    return by_sequence[0] && by_sequence[1] ? mean(by_sequence[0], by_sequence[0] + by_sequence[1]) : 1.0f;
+  })
+                                     : std::vector<float>();
+  if (halves_) put("half.A", share);
   std::vector<float> count = layer([&](std::size_t i) { return static_cast<float>(samples(i)); });
   put("samples.Y", count);
   for (int k = 0; k < 3 && !clamped_[0].empty(); ++k) {
@@ -258,6 +276,12 @@ void Accumulator::take_features(Film& film) {
 void Accumulator::add_passes(Film& film) {
   const auto n = static_cast<float>(passes_);
   for (std::size_t k = 0; k < 3; ++k) {
+    if (halves_) {
+      // A single pass is in both halves: what it is off by, they do not tell.
+      const auto of_half = static_cast<float>((passes_ + 1) / 2);
+      std::vector<float>& half = film.channel(std::string("half.") + kColor[k]).values;
+      for (std::size_t i = 0; i < half.size(); ++i) half[i] += pass_half_[3 * i + k] / of_half;
+    }
     std::vector<float>& indirect = film.channel(std::string("indirect.") + kColor[k]).values;
     const std::vector<float>& direct = film.channel(std::string("direct.") + kColor[k]).values;
     std::vector<float>& all = film.channel(kColor[k]).values;

@@ -35,6 +35,8 @@ struct FeatureSums {
 class Accumulator {
  public:
   Accumulator(std::uint32_t width, std::uint32_t height);
+  // The film shall tell apart two independent halves of what it is made of. Before anything is added.
+  void keep_halves() { halves_ = true; }
 
   // One record: sums over `samples` samples of a pixel's chunk; `whole`: a chunk of full size, which noise() may count.
   // All whole chunks of a film have one size, else Error::failed is thrown.
@@ -61,7 +63,8 @@ class Accumulator {
   Film preview() const;  // R G B of the samples so far, and of that pass
 
   // Layers R G B, direct.*, indirect.*, variance.*, samples.Y and, where features were added, albedo.*, normal.*,
-  // depth.Z; where add_clamped() was called, clamped.* (a part of indirect.*).
+  // depth.Z; where add_clamped() was called, clamped.* (a part of indirect.*); where halves are kept, half.* (radiance
+  // by the first half alone) and half.A (its share of the samples, in [0, 1]).
   Film film() const;
   // The same. The layers take the place of what they are made of: afterwards nothing is left here.
   Film take_film();
@@ -101,7 +104,9 @@ class Accumulator {
   std::uint64_t feature_samples_ = 0;          // of all pixels
   Channels<float> clamped_;                    // sums
   std::vector<float> pass_sum_, pass_square_;  // RGB over the passes
+  std::vector<float> pass_half_;               // of passes 0, 2, 4 and so on, where halves are kept
   std::uint32_t passes_ = 0;
+  bool halves_ = false;
   std::vector<float> preview_pass_;
 
  public:

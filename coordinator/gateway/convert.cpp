@@ -110,6 +110,7 @@ pb::FrameSettings to_proto(const FrameSettings& settings) {
   out.set_depth(settings.depth);
   out.set_seed(settings.seed);
   out.set_target_error(settings.target_error);
+  out.set_denoise(word_of(settings.denoise));
   for (const auto& [key, value] : settings.set) (*out.mutable_set())[key] = value;
   *out.mutable_camera() = to_proto(settings.camera);
   return out;
@@ -130,6 +131,11 @@ FrameSettings from_proto(const pb::FrameSettings& in) {
   out.depth = in.depth();
   out.seed = in.seed();
   out.target_error = in.target_error();
+  if (!in.denoise().empty()) {
+    require(in.denoise() == "off" || in.denoise() == "fast" || in.denoise() == "high", "settings.denoise",
+            "off, fast or high");
+    out.denoise = coordinator::parse_denoise(in.denoise());
+  }
   for (const auto& [key, value] : in.set()) {
     require(key.size() <= 256 && value.size() <= 4096, "settings.set",
             "keys of at most 256 bytes, values of at most 4096");

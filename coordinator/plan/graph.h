@@ -168,7 +168,9 @@ class GraphPlan : public Plan {
 
  protected:
   GraphPlan(const FrameSettings& settings, const SceneSummary& scene)
-      : graph_(scene.blob), film_(settings.width, settings.height) {}
+      : graph_(scene.blob), film_(settings.width, settings.height) {
+    if (settings.denoise != Denoise::off) film_.keep_halves();
+  }
   // Asks for the first stages. The film is whole once nothing is left that was asked for.
   virtual void begin() = 0;
 

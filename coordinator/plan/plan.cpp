@@ -3,10 +3,22 @@
 #include <cmath>
 
 #include "coordinator/film/accumulator.h"
+#include "coordinator/plan/denoise_plan.h"
 #include "coordinator/plan/methods.h"
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {
+
+Denoise parse_denoise(const std::string& word) {
+  for (const Denoise denoise : {Denoise::off, Denoise::fast, Denoise::high})
+    if (word == word_of(denoise)) return denoise;
+  throw Error::usage("--denoise: expected off, fast or high, found \"" + word + "\"");
+}
+
+const char* word_of(Denoise denoise) {
+  return denoise == Denoise::off ? "off" : denoise == Denoise::fast ? "fast" : "high";
+}
+
 SceneSummary summarize(const scene::Scene& scene) {
   SceneSummary summary;
   summary.needs = scene::needs_of(scene);
@@ -33,6 +45,8 @@ FrameSettings checked(const FrameSettings& given) {
     throw Error::usage("--spp: expected 1 to 1048576 samples a pixel, found " + std::to_string(settings.spp));
   if (!(settings.target_error >= 0) || !std::isfinite(settings.target_error))
     throw Error::usage("--target-error: expected a number above 0");
+  if (settings.denoise != Denoise::off && settings.spp < 2)
+    throw Error::usage("--denoise: expected --spp 2 or more, since two halves of the samples tell its error; found 1");
   rename_old_settings(settings.set);
   check_set(settings.set);
   settings.depth = whole_setting(settings, "depth").value_or(settings.depth);
@@ -49,12 +63,15 @@ void check_settings(const FrameSettings& settings, const SceneSummary&) { checke
 std::uint64_t predicted_memory(const FrameSettings& given, const SceneSummary&) {
   const FrameSettings settings = checked(given);
   return std::uint64_t{settings.width} * settings.height *
-         (Accumulator::bytes_a_pixel + method_of(settings.method).bytes_a_pixel);
+         (Accumulator::bytes_a_pixel + method_of(settings.method).bytes_a_pixel +
+          (settings.denoise == Denoise::off ? 0 : kDenoiseBytesAPixel));
 }
 
 std::unique_ptr<Plan> make_plan(const FrameSettings& given, const SceneSummary& scene) {
   const FrameSettings settings = checked(given);
-  return method_of(settings.method).make(settings, scene);
+  std::unique_ptr<Plan> plan = method_of(settings.method).make(settings, scene);
+  return settings.denoise == Denoise::off ? std::move(plan)
+                                          : std::make_unique<DenoisePlan>(settings, scene, std::move(plan));
 }
 
 }  // namespace gleaner::coordinator

@@ -39,6 +39,11 @@ struct Skip {
   std::uint64_t count = 0;
 };
 
+enum class Denoise { off, fast, high };
+// "off", "fast" or "high"; throws Error::usage for another word.
+Denoise parse_denoise(const std::string& word);
+const char* word_of(Denoise denoise);
+
 struct FrameSettings {
   std::string method = "path";
   std::uint32_t width = 0, height = 0;  // pixels
@@ -50,6 +55,7 @@ struct FrameSettings {
   // frames of the trajectory is made for these. Empty: a single camera.
   std::vector<scene::Camera> trajectory;
   double target_error = 0;                 // 0 = none
+  Denoise denoise = Denoise::off;
   std::map<std::string, std::string> set;  // --set KEY=VALUE
 };
 

@@ -5,6 +5,7 @@
 #include "scene/model/error.h"
 #include "worker/stages/ao_stage.h"
 #include "worker/stages/cluster_stage.h"
+#include "worker/stages/denoise_stage.h"
 #include "worker/stages/path_stage.h"
 #include "worker/stages/vpl/host_stages.h"
 #include "worker/stages/vpl/stages.h"
@@ -35,6 +36,7 @@ const std::vector<StageKind>& stage_table() {
   static const std::vector<StageKind> table = {
       {"path", run_path_stage, {"kernels/path.cl"}, {{.name = "items", .required = false, .own_items = true}}},
       {"ao", run_ao_stage, {"kernels/ao.cl"}, {{.name = "items", .required = false, .own_items = true}}},
+      {"denoise", run_denoise_stage, {}, {{.name = "film"}}},
       {"vpl_trace",
        run_vpl_trace_stage,
        {"kernels/vpl/trace.cl"},

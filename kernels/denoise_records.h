@@ -1,0 +1,41 @@
+// Records of denoising, which runs on a worker's host. Never compiled for a device.
+#ifndef GLEANER_KERNELS_DENOISE_RECORDS_H
+#define GLEANER_KERNELS_DENOISE_RECORDS_H
+
+#include "kernels/records.h"
+
+namespace gleaner::kernels {
+
+// Solo stage kind "denoise". An item is a pixel. Its input "film" holds planes one behind the other, of width * height
+// pixels each: radiance of the first half of the samples (RGB a pixel), of the second half (RGB), albedo (RGB), normal
+// (XYZ), and the first half's share of the samples (one float).
+constexpr gl_uint kDenoiseWords = 13;  // floats a pixel
+
+constexpr gl_uint kDenoiseFast = 0, kDenoiseHigh = 1;
+
+struct DenoiseParameters {
+  gl_uint width, height;  // pixels
+  gl_uint quality;        // kDenoiseFast or kDenoiseHigh
+  gl_uint reserved;
+};
+GLEANER_SIZE(DenoiseParameters, 16);
+
+struct DenoiseRecord {
+  gl_float color[3];       // radiance
+  gl_float squared_error;  // that `color` is expected to have, mean over the channels, smoothed over neighbours
+};
+GLEANER_SIZE(DenoiseRecord, 16);
+
+// What the plan is told.
+struct DenoiseFacts {
+  char version[16];      // of the library, ends with 0
+  char device[16];       // that it ran on: "CPU", "CUDA", ...
+  double squared_error;  // mean over pixels and channels
+  double mean;           // radiance, mean over pixels and channels
+  double denoised;       // share of the picture that is denoised, the rest is as it was sampled
+};
+GLEANER_SIZE(DenoiseFacts, 56);
+
+}  // namespace gleaner::kernels
+
+#endif

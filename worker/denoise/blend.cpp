@@ -1,0 +1,115 @@
+#include "worker/denoise/blend.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace gleaner::worker {
+namespace {
+
+// Pixels. Squared errors of single pixels have a standard deviation larger than themselves: the choice rests on
+// some hundred neighbours, and what is told of the picture on more.
+constexpr double kChoiceRadius = 4, kErrorRadius = 8;
+
+using Plane = std::vector<float>;
+
+std::vector<float> gaussian(double sigma) {
+  const int radius = static_cast<int>(std::ceil(3 * sigma));
+  std::vector<float> weights(static_cast<std::size_t>(2 * radius + 1));
+  for (int i = -radius; i <= radius; ++i)
+    weights[static_cast<std::size_t>(i + radius)] = static_cast<float>(std::exp(-0.5 * i * i / (sigma * sigma)));
+  return weights;
+}
+
+// Along one axis of `length` places, each of `size` values that lie together: place i becomes the weighted mean of its
+// neighbours that exist.
+void smooth_axis(float* values, std::size_t length, std::size_t size, const std::vector<float>& weights, Plane& from) {
+  const std::size_t radius = weights.size() / 2;
+  from.assign(values, values + length * size);
+  for (std::size_t i = 0; i < length; ++i) {
+    float* const to = values + i * size;
+    std::fill_n(to, size, 0.0f);
+    float whole = 0;
+    for (std::size_t k = i < radius ? 0 : i - radius; k <= std::min(length - 1, i + radius); ++k) {
+      const float weight = weights[k + radius - i];
+      whole += weight;
+      for (std::size_t x = 0; x < size; ++x) to[x] += weight * from[k * size + x];
+    }
+    for (std::size_t x = 0; x < size; ++x) to[x] /= whole;
+  }
+}
+
+void smooth(Plane& plane, std::uint32_t width, std::uint32_t height, double sigma) {
+  const std::vector<float> weights = gaussian(sigma);
+  Plane from;
+  for (std::uint32_t y = 0; y < height; ++y) smooth_axis(&plane[std::size_t{y} * width], width, 1, weights, from);
+  smooth_axis(plane.data(), height, width, weights, from);
+}
+
+// Estimates without bias, each by itself as noisy as a pixel: squared error of the denoised picture and of the raw one,
+// and the product of their errors, means over the channels.
+struct Errors {
+  Plane denoised, raw, both;
+};
+
+// With truth u, raw halves A and B (weights a + b = 1 by their samples), denoised halves f(A) and f(B), and d = A - B,
+// independence gives, in expectation:
+//   var A = b d^2, var B = a d^2
+//   (f(A) - u)^2 = (f(A) - B)^2 - var B
+//   (f(A) - u) (A - u) = (f(A) - B) d - var B
+//   (f(A) - u) (f(B) - u) = ((f(A) - u)^2 + (f(B) - u)^2 - (f(A) - f(B))^2) / 2
+// and from these the errors of a f(A) + b f(B) and of a A + b B.
+Errors errors_of(const Halves& h) {
+  const std::size_t pixels = std::size_t{h.width} * h.height;
+  Errors errors{Plane(pixels), Plane(pixels), Plane(pixels)};
+  for (std::size_t i = 0; i < pixels; ++i) {
+    const double a = h.share[i], b = 1 - a;
+    double denoised = 0, raw = 0, both = 0;
+    for (std::size_t k = 3 * i; k < 3 * i + 3; ++k) {
+      const double first = h.first[k], second = h.second[k], d = first - second;
+      const double f_first = h.denoised_first[k], f_second = h.denoised_second[k], f_d = f_first - f_second;
+      const double of_first = (f_first - second) * (f_first - second) - a * d * d;
+      const double of_second = (f_second - first) * (f_second - first) - b * d * d;
+      denoised += a * of_first + b * of_second - a * b * f_d * f_d;
+      raw += a * b * d * d;
+      both += a * a * ((f_first - second) * d - a * d * d) - b * b * ((f_second - first) * d + b * d * d);
+    }
+    errors.denoised[i] = static_cast<float>(denoised / 3);
+    errors.raw[i] = static_cast<float>(raw / 3);
+    errors.both[i] = static_cast<float>(both / 3);
+  }
+  return errors;
+}
+
+// The share of the denoised picture: nearly all or nothing, since the estimates say which of the two is better with
+// more certainty than how much of each were best.
+double denoised_share(double denoised, double raw) {
+  if (!(raw > 0)) return 0;  // no noise was seen
+  const double ratio = std::max(denoised, 0.0) / raw;
+  return 1 / (1 + ratio * ratio * ratio * ratio);
+}
+
+}  // namespace
+
+BlendedPicture blend(const Halves& h) {
+  const std::size_t pixels = std::size_t{h.width} * h.height;
+  const Errors errors = errors_of(h);
+  Plane denoised = errors.denoised, raw = errors.raw;
+  smooth(denoised, h.width, h.height, kChoiceRadius);
+  smooth(raw, h.width, h.height, kChoiceRadius);
+  BlendedPicture picture{std::vector<float>(3 * pixels), Plane(pixels), 0};
+  for (std::size_t i = 0; i < pixels; ++i) {
+    const double w = denoised_share(denoised[i], raw[i]), a = h.share[i], b = 1 - a;
+    picture.denoised += w;
+    for (std::size_t k = 3 * i; k < 3 * i + 3; ++k)
+      picture.color[k] = static_cast<float>(w * (a * h.denoised_first[k] + b * h.denoised_second[k]) +
+                                            (1 - w) * (a * h.first[k] + b * h.second[k]));
+    picture.squared_error[i] = static_cast<float>(w * w * errors.denoised[i] + (1 - w) * (1 - w) * errors.raw[i] +
+                                                  2 * w * (1 - w) * errors.both[i]);
+  }
+  picture.denoised /= static_cast<double>(pixels);
+  smooth(picture.squared_error, h.width, h.height, kErrorRadius);
+  for (float& error : picture.squared_error) error = std::max(error, 0.0f);
+  return picture;
+}
+
+}  // namespace gleaner::worker
