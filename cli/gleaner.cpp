@@ -1,12 +1,33 @@
 // `gleaner`: the command that people type.
 
 #include <CLI/CLI.hpp>
+#include <string_view>
+#include <vector>
 
 #include "cli/commands.h"
 #include "cli/kernel_compiler.h"
 #include "cli/present_commands.h"
 #include "cli/program.h"
 #include "gleaner/version.h"
+
+namespace {
+
+// "--denoise fast" as "--denoise=fast": the word may be missing, and then what follows may be the scene's name.
+std::vector<std::string> with_joined_words(int argc, char** argv) {
+  std::vector<std::string> words;
+  for (int i = 0; i < argc; ++i) {
+    const std::string_view word(argv[i]);
+    const bool joins =
+        !words.empty() && words.back() == "--denoise" && (word == "off" || word == "fast" || word == "high");
+    if (joins)
+      words.back() += "=" + std::string(word);
+    else
+      words.emplace_back(word);
+  }
+  return words;
+}
+
+}  // namespace
 
 int main(int argc, char** argv) {
   if (gleaner::cli::served_as_kernel_compiler(argc, argv)) return 0;
@@ -18,5 +39,8 @@ int main(int argc, char** argv) {
 #define GLEANER_ADD(command) gleaner::cli::add_##command(app, run);
   GLEANER_COMMANDS(GLEANER_ADD)
 #undef GLEANER_ADD
-  return gleaner::cli::run_program(app, argc, argv, [&] { return run(); });
+  std::vector<std::string> words = with_joined_words(argc, argv);
+  std::vector<char*> arguments;
+  for (std::string& word : words) arguments.push_back(word.data());
+  return gleaner::cli::run_program(app, static_cast<int>(arguments.size()), arguments.data(), [&] { return run(); });
 }

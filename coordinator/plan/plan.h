@@ -54,7 +54,7 @@ struct FrameSettings {
   // Cameras that stand for the trajectory on which `camera` is one place (trajectory_of()): what a plan makes for all
   // frames of the trajectory is made for these. Empty: a single camera.
   std::vector<scene::Camera> trajectory;
-  double target_error = 0;                 // 0 = none
+  double target_error = 0;  // 0 = none
   Denoise denoise = Denoise::off;
   std::map<std::string, std::string> set;  // --set KEY=VALUE
 };
