@@ -18,7 +18,7 @@ namespace {
 static_assert(std::endian::native == std::endian::little, "blobs are little-endian and copied as they stand");
 
 constexpr std::uint64_t kAlignment = 64;
-constexpr std::uint32_t kVersion = 3;
+constexpr std::uint32_t kVersion = 4;
 
 struct Header {
   char magic[8];
@@ -48,6 +48,7 @@ enum SceneSection : std::uint32_t {
   kIndices,
   kTriangleMaterial,
   kMeshes,
+  kInstances,
   kMaterials,
   kTextures,
   kTexels,
@@ -72,7 +73,9 @@ struct FilmRecord {
 
 struct MeshRecord {
   std::uint32_t first_triangle, triangle_count;
+  std::uint32_t flags;  // kInstanced, kDeforming
 };
+constexpr std::uint32_t kInstanced = 1, kDeforming = 2;
 
 class Writer {
  public:
@@ -210,7 +213,8 @@ Bytes serialize(const Scene& scene) {
   name(scene.name);
   for (const Mesh& m : scene.meshes) {
     name(m.name);
-    meshes.push_back({m.first_triangle, m.triangle_count});
+    meshes.push_back(
+        {m.first_triangle, m.triangle_count, (m.instanced ? kInstanced : 0u) | (m.deforming ? kDeforming : 0u)});
   }
   for (std::size_t i = 0; i < scene.materials.size(); ++i)
     name(i < scene.material_names.size() ? scene.material_names[i] : std::string());
@@ -225,7 +229,8 @@ Bytes serialize(const Scene& scene) {
                      scene.albedo_tables.size() + scene.environment.radiance.size()) +
                 2 * scene.colors.size() + sizeof(Material) * scene.materials.size() +
                 sizeof(Texture) * scene.textures.size() + sizeof(Light) * scene.lights.size() +
-                sizeof(Camera) * cameras.size() + text.size() + 16 * lengths.size());
+                sizeof(Camera) * cameras.size() + sizeof(Instance) * scene.instances.size() + text.size() +
+                16 * lengths.size());
   writer.add(kPositions, scene.positions);
   writer.add(kNormals, scene.normals);
   writer.add(kUvs, scene.uvs);
@@ -234,6 +239,7 @@ Bytes serialize(const Scene& scene) {
   writer.add(kIndices, scene.indices);
   writer.add(kTriangleMaterial, scene.triangle_material);
   writer.add(kMeshes, meshes);
+  writer.add(kInstances, scene.instances);
   writer.add(kMaterials, scene.materials);
   writer.add(kTextures, scene.textures);
   writer.add(kTexels, scene.texels);
@@ -265,8 +271,12 @@ Scene parse_scene(std::span<const std::byte> bytes, const std::string& origin) {
   scene.lights = reader.read<Light>(kLights);
   NameReader names(reader);
   scene.name = names.next();
-  for (const MeshRecord& m : reader.read<MeshRecord>(kMeshes))
-    scene.meshes.push_back({names.next(), m.first_triangle, m.triangle_count});
+  for (const MeshRecord& m : reader.read<MeshRecord>(kMeshes)) {
+    if (m.flags & ~(kInstanced | kDeforming)) reader.fail("mesh flags", "known bits alone", m.flags);
+    scene.meshes.push_back(
+        {names.next(), m.first_triangle, m.triangle_count, (m.flags & kInstanced) != 0, (m.flags & kDeforming) != 0});
+  }
+  scene.instances = reader.read<Instance>(kInstances);
   for (std::size_t i = 0; i < scene.materials.size(); ++i) scene.material_names.push_back(names.next());
   const std::vector<Camera> cameras = reader.read<Camera>(kCameras);
   const std::vector<FilmRecord> films = reader.read<FilmRecord>(kFilms, cameras.size());

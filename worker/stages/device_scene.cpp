@@ -11,6 +11,7 @@
 #include "kernels/scene_layout.h"
 #include "scene/model/emission.h"
 #include "scene/model/error.h"
+#include "scene/model/instances.h"
 #include "worker/stages/light_clusters.h"
 
 namespace gleaner::worker {
@@ -124,6 +125,36 @@ void write_triangles(const scene::Scene& scene, const std::vector<std::uint32_t>
   }
 }
 
+std::vector<scene::Bounds> boxes_of_instanced(const scene::Scene& scene) {
+  std::vector<scene::Bounds> boxes(scene.meshes.size());
+  for (std::size_t m = 0; m < boxes.size(); ++m)
+    if (scene.meshes[m].instanced) boxes[m] = bounds_of(scene, scene.meshes[m]);
+  return boxes;
+}
+
+// Rows of kernels/scene_layout.h. `boxes`: about each instanced mesh.
+std::vector<float> table_of_instances(std::span<const scene::Instance> instances,
+                                      const std::vector<scene::Bounds>& boxes) {
+  std::vector<float> rows((instances.size() + 1) * INSTANCE_WORDS);
+  for (unsigned k = 0; k < 3; ++k) rows[INSTANCE_LINEAR + 4 * k] = rows[INSTANCE_NORMAL + 4 * k] = 1;
+  rows[INSTANCE_SIDE] = 1;
+  float* row = rows.data() + INSTANCE_WORDS;
+  for (const scene::Instance& instance : instances) {
+    const scene::DerivedInstance d = scene::derived(instance.transform, boxes[instance.mesh]);
+    for (unsigned r = 0; r < 3; ++r) {
+      for (unsigned c = 0; c < 3; ++c) {
+        row[INSTANCE_LINEAR + 3 * r + c] = instance.transform[4 * r + c];
+        row[INSTANCE_NORMAL + 3 * r + c] = static_cast<float>(d.inverse[3 * c + r]);
+      }
+      row[INSTANCE_TRANSLATION + r] = instance.transform[4 * r + 3];
+      row[INSTANCE_ERROR + r] = static_cast<float>(d.error[r]);
+    }
+    row[INSTANCE_SIDE] = d.mirrored ? -1.0f : 1.0f;
+    row += INSTANCE_WORDS;
+  }
+  return rows;
+}
+
 // Ranks take 16 bits.
 constexpr std::size_t kMostMedia = 65535;
 
@@ -216,6 +247,10 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
   bytes_ += triangle_bytes;
 
   const auto bytes_of = [](const auto& v) { return v.size() * sizeof(v[0]); };
+  instance_count_ = scene->instances.size();
+  instanced_boxes_ = boxes_of_instanced(*scene);
+  const std::vector<float> instances = table_of_instances(scene->instances, instanced_boxes_);
+  instances_ = upload(device, queue, instances.data(), bytes_of(instances));
   const std::vector<std::uint32_t> media = needs.media ? scene::media_by_rank(*scene) : std::vector<std::uint32_t>{};
   if (media.size() > kMostMedia)
     throw Error::bad_input(scene->name, "solids", "at most " + std::to_string(kMostMedia) + " transmitting materials",
@@ -285,6 +320,7 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
       {needs.two_sided_emitters, "TWO_SIDED_EMITTERS"},
       {alpha_emitters, "ALPHA_EMITTERS"},
       {needs.environment, "ENVIRONMENT"},
+      {needs.instances, "INSTANCES"},
   };
   options_ = "-D LANES=" + std::to_string(device.lanes());
   // Lights of no power make no clusters: the scene is as good as without lights.
@@ -306,6 +342,7 @@ bool DeviceScene::has_albedo_row(std::uint32_t table, float row) const {
 
 void DeviceScene::set_arguments(Kernel& kernel) const {
   kernel.set("triangles", triangles_)
+      .set("instances", instances_)
       .set("materials", materials_)
       .set("textures", textures_)
       .set("texels", texels_)
@@ -317,8 +354,8 @@ void DeviceScene::set_arguments(Kernel& kernel) const {
 }
 
 unsigned DeviceScene::set_arguments(cl::Kernel& kernel, unsigned first) const {
-  for (const cl::Buffer* buffer :
-       {&triangles_, &materials_, &textures_, &texels_, &srgb_, &albedo_tables_, &emitters_, &clusters_, &environment_})
+  for (const cl::Buffer* buffer : {&triangles_, &instances_, &materials_, &textures_, &texels_, &srgb_, &albedo_tables_,
+                                   &emitters_, &clusters_, &environment_})
     kernel.setArg(first++, *buffer);
   return first;
 }

@@ -46,6 +46,9 @@ struct MotionReport {
 // starts at the tree of the mesh at rest, so that the answers do not depend on what was shown before.
 inline constexpr double kMostSahGrowth = 1.5;
 
+// Throws Error::failed where a motion is not of a scene with so many instances and position values.
+void check_motion(const SceneMotion& motion, std::size_t instances, std::size_t position_values);
+
 class Tracer {
  public:
   virtual ~Tracer() = default;
