@@ -281,7 +281,7 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
     tracer_ = make_embree_tracer(*scene, device.info().threads);
   } else {
     if (!bvh) throw Error::failed("the OpenCL tracer needs the scene's BVH");
-    tracer_ = make_opencl_tracer(device, *bvh, triangles_, triangle_words_);
+    tracer_ = make_opencl_tracer(device, *scene, *bvh, triangles_, triangle_words_);
   }
 
   bool emission_textures = false, alpha_emitters = false;

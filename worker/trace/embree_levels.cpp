@@ -6,6 +6,7 @@
 #include <string>
 
 #include "scene/model/error.h"
+#include "scene/model/instances.h"
 
 namespace gleaner::worker {
 namespace {
@@ -65,23 +66,12 @@ void EmbreeLevels::attach_triangles(RTCScene scene, std::uint32_t first, std::ui
   rtcReleaseGeometry(geometry);
 }
 
-// Meshes that follow each other make one geometry.
 void EmbreeLevels::build_world(const scene::Scene& scene) {
-  struct Run {
-    std::uint32_t first, count;
-  };
-  std::vector<Run> runs;
-  for (const scene::Mesh& mesh : scene.meshes) {
-    if (mesh.instanced || mesh.deforming || mesh.triangle_count == 0) continue;
-    if (!runs.empty() && runs.back().first + runs.back().count == mesh.first_triangle)
-      runs.back().count += mesh.triangle_count;
-    else
-      runs.push_back({mesh.first_triangle, mesh.triangle_count});
-  }
+  std::vector<scene::TriangleRun> runs = scene::still_triangles(scene);
   if (runs.empty() && scene.triangle_count() > 0) return;
   if (runs.empty()) runs.push_back({0, 0});
   world_ = new_scene();
-  for (const Run& run : runs) {
+  for (const scene::TriangleRun& run : runs) {
     attach_triangles(world_.get(), run.first, run.count, RTC_BUILD_QUALITY_MEDIUM);
     world_firsts_.push_back(run.first);
   }
@@ -90,9 +80,8 @@ void EmbreeLevels::build_world(const scene::Scene& scene) {
 }
 
 void EmbreeLevels::build_parts(const scene::Scene& scene) {
-  for (std::uint32_t m = 0; m < scene.meshes.size(); ++m) {
+  for (const std::uint32_t m : scene::meshes_with_own_bvh(scene)) {
     const scene::Mesh& mesh = scene.meshes[m];
-    if (!(mesh.instanced || mesh.deforming) || mesh.triangle_count == 0) continue;
     Part& part = parts_.emplace_back();
     part.mesh = m;
     part.first_triangle = mesh.first_triangle;
@@ -179,7 +168,7 @@ MotionReport::Mesh EmbreeLevels::deform(Part& part, std::span<const float> posit
 
 MotionReport EmbreeLevels::follow(const SceneMotion& motion) {
   MotionReport report;
-  check_motion(motion, instances_.size(), 3 * vertex_count_);
+  check_motion(motion, instances_, 3 * vertex_count_);
   for (const std::uint32_t mesh : motion.deformed) {
     const auto part = std::ranges::find_if(parts_, [&](const Part& p) { return p.mesh == mesh && p.end_vertex > 0; });
     if (part == parts_.end()) throw Error::failed("mesh " + std::to_string(mesh) + " does not deform");
@@ -197,8 +186,6 @@ MotionReport EmbreeLevels::follow(const SceneMotion& motion) {
   for (std::size_t i = 0; i < motion.instances.size(); ++i) {
     const scene::Instance& moved = motion.instances[i];
     if (std::memcmp(&moved, &instances_[i], sizeof moved) == 0) continue;
-    if (moved.mesh != instances_[i].mesh)
-      throw Error::failed("instance " + std::to_string(i) + " is of another mesh than when the scene was loaded");
     instances_[i] = moved;
     RTCGeometry geometry = rtcGetGeometry(top_.get(), row + static_cast<unsigned>(i));
     rtcSetGeometryTransform(geometry, 0, RTC_FORMAT_FLOAT3X4_ROW_MAJOR, moved.transform);

@@ -46,8 +46,9 @@ struct MotionReport {
 // starts at the tree of the mesh at rest, so that the answers do not depend on what was shown before.
 inline constexpr double kMostSahGrowth = 1.5;
 
-// Throws Error::failed where a motion is not of a scene with so many instances and position values.
-void check_motion(const SceneMotion& motion, std::size_t instances, std::size_t position_values);
+// Throws Error::failed where a motion is not of a scene with these instances, but for their transforms, and so many
+// coordinates.
+void check_motion(const SceneMotion& motion, std::span<const scene::Instance> instances, std::size_t position_values);
 
 class Tracer {
  public:
@@ -58,12 +59,12 @@ class Tracer {
   virtual void any(cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) = 0;
   // Follows what moved: deformed meshes are refitted or rebuilt, then the top level is built anew. Nothing else is
   // touched. The caller sees to it that no query runs meanwhile.
-  virtual MotionReport follow(const SceneMotion& motion);
+  virtual MotionReport follow(const SceneMotion& motion) = 0;
 };
 
 std::unique_ptr<Tracer> make_embree_tracer(const scene::Scene& scene, unsigned threads);
 // `triangles`: the table of kernels/scene_layout.h.
-std::unique_ptr<Tracer> make_opencl_tracer(const Device& device, const scene::Bvh& bvh, const cl::Buffer& triangles,
-                                           unsigned triangle_words);
+std::unique_ptr<Tracer> make_opencl_tracer(const Device& device, const scene::Scene& scene, const scene::Bvh& bvh,
+                                           const cl::Buffer& triangles, unsigned triangle_words);
 
 }  // namespace gleaner::worker
