@@ -246,11 +246,11 @@ kernel WIDE void vpl_residual_rays(global const VplPointParameters* restrict par
   vu instance = (vu)0u;
 #ifdef NEED_INSTANCES
   instance = as_vu(w[POINT_INSTANCE]);
-  vf place[16];
-  load_words(scene->instances, instance_row(instance), place);
-  error = placed_error(place, e1, e2, p);
-  e1 = place_vector(place, e1);
-  e2 = place_vector(place, e2);
+  vf placing[16];
+  load_words(scene->instances, instance_row(instance), placing);
+  error = placed_error(placing, e1, e2, p);
+  e1 = place_vector(placing, e1);
+  e2 = place_vector(placing, e2);
 #else
   surface_point(p0, e1, e2, w[POINT_B1], w[POINT_B2], &error);
 #endif

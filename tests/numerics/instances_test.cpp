@@ -5,11 +5,12 @@
 
 #include <cmath>
 #include <random>
+#include <set>
 
 #include "scene/library/bake.h"
 #include "scene/library/builder.h"
 #include "scene/library/library.h"
-#include "scene/model/instances.h"
+#include "scene/model/error.h"
 #include "tests/kernels/kernel_bench.h"
 #include "tests/numerics/rendering.h"
 
@@ -382,6 +383,107 @@ TEST(InstancedHits, AreTheSameForBothTracers) {
   std::printf("%zu of %zu rays differ, places by %.2g m\n", differ, count, worst);
   EXPECT_LE(differ, count / 2000);
   EXPECT_LE(worst, 1e-3);
+}
+
+// --- Motion ---
+
+// A sheet that deforms, a ring in two places, and a floor.
+scene::Scene moving_scene() {
+  scene::SceneBuilder b("moving");
+  const auto wall = b.material("wall", scene::lambert(scene::grey(0.5)));
+  b.mesh("floor");
+  b.quad({-8, -3, 8}, {8, -3, 8}, {8, -3, -8}, {-8, -3, -8}, wall);
+  b.instanced_mesh("ring");
+  b.torus({}, 1, 0.4, 24, wall);
+  b.instance({1, 0, 0}, {0, 1, 0}, {0, 0, 1}, {3, 0, 0});
+  b.instance({1, 0, 0}, {0, 2, 0}, {0, 0, -1}, {-3, 1, 0});
+  b.mesh("sheet");
+  b.grid(60, 60,
+         [](std::uint32_t i, std::uint32_t j) {
+           return Vec{0.1 * i - 3, 2, 0.1 * j - 3};
+         },
+         wall, {.smooth = false});
+  scene::Scene scene = b.finish();
+  scene.meshes[2].deforming = true;
+  return scene;
+}
+
+// The sheet's vertices at `time`: waves; or, `torn`, scattered so that no box of a refitted tree is of any use.
+scene::Scene moved(const scene::Scene& scene, float time, bool torn) {
+  scene::Scene shown = scene;
+  Random random(31);
+  const scene::Mesh& sheet = scene.meshes[2];
+  std::set<std::uint32_t> vertices(scene.indices.begin() + 3 * sheet.first_triangle,
+                                   scene.indices.begin() + 3 * (sheet.first_triangle + sheet.triangle_count));
+  for (const std::uint32_t v : vertices) {
+    float* p = &shown.positions[3 * v];
+    p[1] += 0.3f * std::sin(2 * p[0] + time) * std::cos(p[2]);
+    if (!torn) continue;
+    const Vec away = 6 * random.unit() * random.direction();
+    p[0] += static_cast<float>(away.x), p[2] += static_cast<float>(away.z);
+  }
+  shown.instances[0].transform[3] += time;
+  shown.instances[1].transform[7] -= 0.3f * time;
+  return shown;
+}
+
+std::vector<Hit> hits_of(TracedScene& traced, std::size_t count) {
+  std::vector<Hit> hits(count);
+  Random random(37);
+  traced.closest(
+      count, [&](std::size_t) { return across(random, {}); },
+      [&](std::size_t i, const Ray&, const Hit& hit) { hits[i] = hit; });
+  return hits;
+}
+
+std::size_t differing(const std::vector<Hit>& a, const std::vector<Hit>& b) {
+  std::size_t count = 0;
+  for (std::size_t i = 0; i < a.size(); ++i)
+    count +=
+        a[i].primitive != b[i].primitive ||
+        (a[i].found() && (a[i].instance != b[i].instance || a[i].t != b[i].t || a[i].u != b[i].u || a[i].v != b[i].v));
+  return count;
+}
+
+TEST_P(Instances, MotionIsFollowed) {
+  const scene::Scene scene = moving_scene();
+  TracedScene traced(*device_, scene);
+  const std::vector<std::uint32_t> sheet{2};
+  constexpr std::size_t count = 40'000;
+  const std::vector<Hit> at_rest = hits_of(traced, count);
+  for (const bool torn : {false, true}) {
+    const scene::Scene shown = moved(scene, 1.5f, torn);
+    const worker::MotionReport report = traced.on_device().move(shown, sheet);
+    ASSERT_EQ(report.meshes.size(), 1u);
+    EXPECT_EQ(report.meshes[0].mesh, 2u);
+    EXPECT_EQ(report.meshes[0].rebuilt, torn) << report.meshes[0].growth;
+    EXPECT_EQ(report.meshes[0].rebuilt, report.meshes[0].growth > worker::kMostSahGrowth);
+    TracedScene fresh(*device_, shown);
+    const std::vector<Hit> followed = hits_of(traced, count), expected = hits_of(fresh, count);
+    // Embree may settle a tie at an edge otherwise in another tree.
+    const std::size_t differ = differing(followed, expected);
+    std::printf("growth %.2f, %s: %zu of %zu rays differ from a scene of its own, %zu from rest\n",
+                report.meshes[0].growth, torn ? "rebuilt" : "refitted", differ, count, differing(followed, at_rest));
+    EXPECT_LE(differ, embree() ? 2u : 0u);
+    EXPECT_GT(differing(followed, at_rest), count / 100);
+  }
+  // What was shown before leaves no trace.
+  traced.on_device().move(scene, sheet);
+  EXPECT_EQ(differing(hits_of(traced, count), at_rest), 0u);
+}
+
+TEST_P(Instances, MotionOfAnotherSceneIsRefused) {
+  const scene::Scene scene = moving_scene();
+  TracedScene traced(*device_, scene);
+  const std::vector<std::uint32_t> floor{0}, beyond{9}, none;
+  EXPECT_THROW(traced.on_device().move(scene, floor), Error);
+  EXPECT_THROW(traced.on_device().move(scene, beyond), Error);
+  scene::Scene other = scene;
+  other.instances.pop_back();
+  EXPECT_THROW(traced.on_device().move(other, none), Error);
+  other = scene;
+  other.positions.resize(3);
+  EXPECT_THROW(traced.on_device().move(other, none), Error);
 }
 
 using InstancedPictures = WithRenderer;

@@ -155,6 +155,17 @@ std::vector<float> table_of_instances(std::span<const scene::Instance> instances
   return rows;
 }
 
+// What moves of a mesh's rows: places and normals of the corners.
+void write_corners(const scene::Scene& shown, const scene::Mesh& mesh, unsigned words, float* out) {
+  for (std::size_t t = mesh.first_triangle; t < std::size_t{mesh.first_triangle} + mesh.triangle_count;
+       ++t, out += words)
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::size_t vertex = shown.indices[3 * t + k];
+      std::memcpy(out + TRIANGLE_P0 + 3 * k, &shown.positions[3 * vertex], 12);
+      std::memcpy(out + TRIANGLE_N0 + 3 * k, &shown.normals[3 * vertex], 12);
+    }
+}
+
 // Ranks take 16 bits.
 constexpr std::size_t kMostMedia = 65535;
 
@@ -230,7 +241,8 @@ cl::Buffer DeviceScene::upload(const Device& device, cl::CommandQueue& queue, co
   return buffer;
 }
 
-DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scene> scene, const scene::Bvh* bvh) {
+DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scene> scene, const scene::Bvh* bvh)
+    : device_(device), scene_(scene) {
   scene::SceneNeeds needs = scene::needs_of(*scene);
   cl::CommandQueue queue = device.make_queue();
   LightTables lights = make_light_tables(*scene);
@@ -332,6 +344,32 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
   path_rows_ = needs.media ? MEDIA_PATH_ROWS : transparent_shadows_ ? TRANSPARENT_PATH_ROWS : PLAIN_PATH_ROWS;
   shadow_rows_ = !transparent_shadows_ ? PLAIN_SHADOW_ROWS : needs.media ? MEDIA_SHADOW_ROWS : TRANSPARENT_SHADOW_ROWS;
   if (lights.cluster_slots) options_ += " -D CLUSTERS=" + std::to_string(lights.cluster_slots);
+}
+
+MotionReport DeviceScene::move(const scene::Scene& shown, std::span<const std::uint32_t> deformed) {
+  const scene::Scene& base = *scene_;
+  if (shown.positions.size() != base.positions.size() || shown.indices.size() != base.indices.size() ||
+      shown.meshes.size() != base.meshes.size())
+    throw Error::failed("a scene that moved has other vertices, triangles or meshes than as it was loaded");
+  cl::CommandQueue queue = device_.make_queue();
+  for (const std::uint32_t m : deformed) {
+    if (m >= base.meshes.size() || !base.meshes[m].deforming)
+      throw Error::failed("mesh " + std::to_string(m) + " does not deform");
+    const scene::Mesh& mesh = base.meshes[m];
+    if (mesh.triangle_count == 0) continue;
+    const std::size_t row_bytes = 4 * std::size_t{triangle_words_};
+    auto* rows =
+        static_cast<float*>(queue.enqueueMapBuffer(triangles_, CL_TRUE, CL_MAP_READ | CL_MAP_WRITE,
+                                                   row_bytes * mesh.first_triangle, row_bytes * mesh.triangle_count));
+    write_corners(shown, mesh, triangle_words_, rows);
+    queue.enqueueUnmapMemObject(triangles_, rows);
+  }
+  if (!shown.instances.empty()) {
+    const std::vector<float> rows = table_of_instances(shown.instances, instanced_boxes_);
+    queue.enqueueWriteBuffer(instances_, CL_TRUE, 0, rows.size() * sizeof(float), rows.data());
+  }
+  queue.finish();
+  return tracer_->follow({shown.positions, deformed, shown.instances});
 }
 
 bool DeviceScene::has_albedo_row(std::uint32_t table, float row) const {

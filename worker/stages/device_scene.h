@@ -55,6 +55,8 @@ class DeviceScene {
   std::size_t bytes() const { return bytes_; }
 
  private:
+  const Device& device_;
+  std::shared_ptr<const scene::Scene> scene_;  // as it was loaded
   cl::Buffer upload(const Device& device, cl::CommandQueue& queue, const void* data, std::size_t bytes);
 
   std::string options_;
