@@ -156,7 +156,7 @@ void measure_motion(const Device& device, int rounds) {
   for (int round = 0; round < rounds; ++round) {
     for (std::size_t i = 3 * std::size_t{sheet.first_triangle}; i < shown.indices.size(); ++i) {
       float* p = &shown.positions[3 * std::size_t{shown.indices[i]}];
-      p[1] = 2 + 0.2f * std::sin(3 * p[0] + static_cast<float>(round)) * std::cos(2 * p[2]);
+      p[1] = 2 + 0.05f * std::sin(3 * p[0] + static_cast<float>(round)) * std::cos(2 * p[2]);
     }
     const auto report = held->move(shown, moved);
     refit.push_back(report.meshes[0].seconds + report.top_level_seconds);
