@@ -62,7 +62,8 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
   const std::uint32_t first = job->request.first_frame;
   const std::uint64_t frames = frames_of(job->request);
   std::uint32_t rendered = first;
-  for (std::uint64_t done = 0; done < frames; ++done) {
+  const std::uint64_t done_before = job->frames_done;  // by a coordinator before this one
+  for (std::uint64_t done = done_before; done < frames; ++done) {
     const auto frame = static_cast<std::uint32_t>(first + done);
     {
       std::lock_guard lock(mutex);
@@ -70,7 +71,7 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
       job->work_asked = job->work_done = job->work_to_come = 0;
       job->progress = FrameProgress(job->frame_begun);
     }
-    if (done == 0 || !same_picture(*job, frame, rendered)) {
+    if (done == done_before || !same_picture(*job, frame, rendered)) {
       film = {};  // before the next plan takes its memory
       aim(*job, frame);
       film = render(job, frame);
@@ -85,6 +86,7 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
     ++job->frames_done;
     job->progress = FrameProgress(begun);  // of the next one
     ++totals.frames_written;
+    journal_changed(*job, JobState::queued);
     changed(*job);
   }
 }
