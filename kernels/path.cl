@@ -19,6 +19,9 @@
 // the result.
 
 #include "kernels/lights.h"
+#ifdef PHOTON_GATHER
+#include "kernels/photon/layer.h"
+#endif
 #include "kernels/transport/camera_samples.h"
 #include "kernels/transport/shadow_rays.h"
 
@@ -308,7 +311,8 @@ FN void write_reads(global float* reads, uint block, const Path* path, const Pat
 #ifdef NEED_TRANSMISSIVE
   factor = scale3(factor, one_f() - m->transmission);
 #endif
-  vi reading = filter->reads & v->active & none(v->passes) & (max_component(factor) > zero_f()) & finite3(factor);
+  vi reading = (filter->reads | filter->reads_caustics) & v->active & none(v->passes) &
+               (max_component(factor) > zero_f()) & finite3(factor);
   vf w[READ_WORDS];
   put_words3(w, READ_POSITION, v->hit.p);
   put_words3(w, READ_GEOMETRIC, v->frame.geometric);
@@ -321,7 +325,8 @@ FN void write_reads(global float* reads, uint block, const Path* path, const Pat
 #endif
   put_words3(w, READ_FACTOR, factor);
   w[READ_SLOT] = as_vf(pick_u((vu)slot_count, path->slot, reading));
-  w[READ_DEPTH] = as_vf(most ? (vu)(most - 1u) - min(path->depth, (vu)(most - 1u)) : (vu)GLEANER_NONE);
+  vu limits = min(scatterings_left(most, path->depth), (vu)PHOTON_MOST_DEPTH);
+  w[READ_LIMITS] = as_vf(limits | pick_u((vu)READ_CAUSTICS, (vu)0u, filter->reads));
   store_words(reads, ((vu)(block * LANES) + lane_index()) * READ_WORDS, w);
 }
 #endif

@@ -21,7 +21,8 @@
 // they gather by the path tracer itself (PHOTON_GATHER, kernels/photon/gather.cl): a path that has left the first
 // surface by its broad part reads the diffuse layers that it meets off the map, instead of lighting them and being
 // scattered by them. Their lobes it goes on with: a rough lobe sends it all light, a sharp one all but CAUSTIC. A layer
-// nearer than `spacing` is not read: the density of photons says little there.
+// nearer than `spacing` is a first surface of its own, since the density of photons says little there: it is lit, it
+// scatters, and the map is read for its CAUSTIC light alone.
 //
 // The path tracer calls, in this order: load_filter(); shows_emission() where its ray finds light; filter_vertex() at a
 // surface; filter_reflectance() and filter_sharp() of a light sample; filter_scattering() and filter_passing() for the
@@ -60,8 +61,9 @@ typedef struct {
   vf geometry;     // of a straight segment: cosines over the squared distance, 1/m^2
   vf broad_share;  // of this vertex's diffuse layer, what the path tracer computes
 #ifdef PHOTON_GATHER
-  vi gathers;  // lanes that left the first surface by its broad part
-  vi reads;    // of these: lanes whose diffuse layer is read off the map here
+  vi gathers;         // lanes that left the first surface by its broad part
+  vi reads;           // of these: lanes whose diffuse layer is read off the map here
+  vi reads_caustics;  // the others, where caustics are the partner's: caustic photons alone are read
 #endif
 } PathFilter;
 
@@ -84,6 +86,7 @@ FN PathFilter load_filter(global const float* paths, uint block) {
 #ifdef PHOTON_GATHER
   f.gathers = (f.state > zero_f()) | f.chained | (f.state == (vf)FILTER_GATHERS);
   f.reads = no_lanes();
+  f.reads_caustics = no_lanes();
 #endif
   return f;
 }
@@ -104,6 +107,9 @@ FN void filter_vertex(PathFilter* f, float limit, v3 origin, v3 direction, Verte
   v3 segment = sub3(v->hit.p, origin);
   f->reads = v->active & none(v->passes) & f->gathers & (dot3(segment, segment) >= (vf)(limit * limit));
   f->broad_share = pick(one_f(), zero_f(), f->reads);
+#if FILTERS(PATH_CLASS_CAUSTIC)
+  f->reads_caustics = v->active & none(v->passes) & f->gathers & none(f->reads);
+#endif
 #else
 #if FILTERS(PATH_CLASS_DIFFUSE)
   v3 segment = sub3(v->hit.p, origin);
@@ -201,9 +207,11 @@ FN vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v
   by_broad = by_broad & none(within);
 #ifdef PHOTON_GATHER
   *throughput = pick3(*throughput, scale3(*throughput, share), f->gathers & by_broad);
-  vi turns = f->gathers & ((by_broad | by_rough) | (f->state == (vf)FILTER_GATHERS));
-  vf state = pick(f->state, (vf)FILTER_SHARP_CHAIN, f->gathers & none(turns));
-  state = pick(state, (vf)FILTER_GATHERS, turns);
+  vi turns = by_broad | by_rough | (f->state == (vf)FILTER_GATHERS);
+  vf state = pick(f->state, pick((vf)FILTER_SHARP_CHAIN, (vf)FILTER_GATHERS, turns), f->gathers);
+#if FILTERS(PATH_CLASS_CAUSTIC)
+  state = pick(state, max_f(direction.z, (vf)1e-6f), f->gathers & by_broad);
+#endif
 #else
   *throughput = pick3(*throughput, scale3(*throughput, share), (f->straight | f->chained) & by_broad);
   vf state = pick(f->state, (vf)(FILTERS_CHAINS ? FILTER_SHARP_CHAIN : FILTER_KEEP), f->straight);

@@ -90,7 +90,8 @@ GLEANER_SIZE(PhotonGatherParameters, 144);
 #define READ_ROW 10u       // its fractional row
 #define READ_FACTOR 11u    // RGB: what irradiance here adds to the picture
 #define READ_SLOT 14u      // uint: where it is added
-#define READ_DEPTH 15u     // uint: scatterings of a photon, at most
+#define READ_LIMITS 15u    // uint: scatterings of a photon, at most; with this bit, caustic photons alone
+#define READ_CAUSTICS 0x80000000u
 
 // Stage kind "photon_caustics" (inputs "guide", "map": maps of caustic photons; of the guide's photons the radius is
 // made). An item is a pixel; its record is RGB, what the map's photons bring to its samples in the mean.

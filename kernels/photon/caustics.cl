@@ -66,8 +66,7 @@ kernel WIDE void photon_point_step(global const PhotonCausticsParameters* restri
   w[READ_ROW] = point.table_row;
   put_words3(w, READ_FACTOR, scale3(mul3(point.throughput, point.albedo), (vf)INV_PI));
   w[READ_SLOT] = as_vf(point.slot);
-  vu depth = meta & META_DEPTH_MASK;
-  w[READ_DEPTH] = as_vf(most ? (vu)(most - 1u) - min(depth, (vu)(most - 1u)) : (vu)GLEANER_NONE);
+  w[READ_LIMITS] = as_vf(scatterings_left(most, meta & META_DEPTH_MASK));
   store_words(reads, row * READ_WORDS, w);
 #ifdef NEED_LOBE
   write_lobe(lobes, row, &point);

@@ -12,8 +12,6 @@
 // the k - 1 nearest photons by the disc that the k-th is on: of photons strewn evenly its mean is their density.
 #define PHOTON_GATHER
 #include "kernels/path.cl"
-#include "kernels/photon/layer.h"
-#include "kernels/photon/map.h"
 
 kernel void photon_read(global const float* restrict reads, uint count, SCENE_PARAMETERS,
                         global const float* restrict map, uint map_nodes, uint neighbours, float most_radius,

@@ -41,7 +41,14 @@ typedef struct {
   float x, y, z;
   float nx, ny, nz;  // the triangle's normal, on the viewer's side
   uint most_depth;
+  uint caustics;  // not 0: caustic photons alone count
 } MapPlace;
+
+// Scatterings that a photon may have where `depth` of a light's way are the camera path's own, and one is the place's.
+// `most`: of all; 0: no limit.
+FN vu scatterings_left(uint most, vu depth) {
+  return most ? (vu)(most - 1u) - min(depth, (vu)(most - 1u)) : (vu)PHOTON_MOST_DEPTH;
+}
 
 FN MapPlace map_place(global const float* read) {
   MapPlace p;
@@ -51,7 +58,9 @@ FN MapPlace map_place(global const float* read) {
   p.nx = read[READ_GEOMETRIC];
   p.ny = read[READ_GEOMETRIC + 1u];
   p.nz = read[READ_GEOMETRIC + 2u];
-  p.most_depth = ((global const uint*)read)[READ_DEPTH];
+  uint limits = ((global const uint*)read)[READ_LIMITS];
+  p.most_depth = limits & ~READ_CAUSTICS;
+  p.caustics = limits & READ_CAUSTICS;
   return p;
 }
 
@@ -107,6 +116,7 @@ FN vi photons_near(const PhotonMap* map, uint block, uint part, const MapPlace* 
   v3 n = unpack_unit(surface, 12u);
   near = near & (n.x * p->nx + n.y * p->ny + n.z * p->nz > (vf)MAP_LEAST_COSINE);
   if (p->most_depth < PHOTON_MOST_DEPTH) near = near & ((surface >> PHOTON_DEPTH_SHIFT) <= p->most_depth);
+  if (p->caustics) near = near & (((surface >> PHOTON_CLASS_SHIFT) & PHOTON_CLASS_MASK) == PHOTON_CAUSTIC);
   return near;
 }
 
