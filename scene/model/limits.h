@@ -15,6 +15,9 @@ inline constexpr std::uint32_t kMaxTextureSide = 65536;
 inline constexpr std::uint32_t kMaxEnvironmentSide = 16384;
 // Squared areas of triangles stay below the largest float.
 inline constexpr float kMaxCoordinate = 1e9f;
+inline constexpr std::size_t kMaxInstances = std::size_t(1) << 22;
+inline constexpr double kMaxInstanceScale = 1e6;     // of what a transform enlarges, or shrinks by
+inline constexpr double kMaxInstanceStretch = 1e3;   // see refused_transform() in instances.h
 inline constexpr float kMaxCameraCoordinate = 8e9f;  // far enough off to see the largest scene whole
 inline constexpr double kUnitTolerance = 1e-3;       // of a unit vector's squared length
 
