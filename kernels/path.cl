@@ -19,9 +19,6 @@
 // the result.
 
 #include "kernels/lights.h"
-#ifdef PHOTON_GATHER
-#include "kernels/photon/layer.h"
-#endif
 #include "kernels/transport/camera_samples.h"
 #include "kernels/transport/shadow_rays.h"
 

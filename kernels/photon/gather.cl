@@ -10,6 +10,8 @@
 // The first surface is scattered from by its BSDF, so that over a diffuse layer gather rays are distributed by the
 // cosine. kernels/path_filter.h tells which light is read and which the path finds. The estimate divides the power of
 // the k - 1 nearest photons by the disc that the k-th is on: of photons strewn evenly its mean is their density.
+#include "kernels/photon/layer.h"
+
 #define PHOTON_GATHER
 #include "kernels/path.cl"
 
