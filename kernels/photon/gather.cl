@@ -13,6 +13,9 @@
 #include "kernels/photon/layer.h"
 
 #define PHOTON_GATHER
+#ifndef PATH_FILTER
+#define PATH_FILTER 7  // of both maps
+#endif
 #include "kernels/path.cl"
 
 kernel void photon_read(global const float* restrict reads, uint count, SCENE_PARAMETERS,
