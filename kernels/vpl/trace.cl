@@ -250,8 +250,9 @@ kernel WIDE void vpl_trace_step(global const VplTraceParameters* restrict parame
                &thresholds);
 
   vi straight = (meta & LIGHT_STRAIGHT) != 0u;
+  BsdfSample unused;
   NextRay next =
-      scatter_flux(scene, &v, geometric, correction, direction, flux, depth, parameters->depth, &u, &straight);
+      scatter_flux(scene, &v, geometric, correction, direction, flux, depth, parameters->depth, &u, &straight, &unused);
   next.alive = next.alive & (bounce < (vu)LIGHT_BOUNCE_MASK);
   uint kept;
   rank_lanes(next.alive, &kept);

@@ -15,7 +15,8 @@ class PathThread : public SampleThread {
     shade_.set("shadows", shadows_)
         .set("slots", part.slots)
         .set("features", part.features)
-        .set("capacity", wave_.capacity());
+        .set("capacity", wave_.capacity())
+        .set("reads", shadows_);  // not touched: of photon maps alone
   }
 
  private:

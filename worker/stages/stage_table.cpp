@@ -6,6 +6,7 @@
 #include "worker/stages/ao_stage.h"
 #include "worker/stages/cluster_stage.h"
 #include "worker/stages/path_stage.h"
+#include "worker/stages/photon/stages.h"
 #include "worker/stages/vpl/host_stages.h"
 #include "worker/stages/vpl/stages.h"
 #include "worker/wavefront/counters.h"
@@ -35,6 +36,21 @@ const std::vector<StageKind>& stage_table() {
   static const std::vector<StageKind> table = {
       {"path", run_path_stage, {"kernels/path.cl"}, {{.name = "items", .required = false, .own_items = true}}},
       {"ao", run_ao_stage, {"kernels/ao.cl"}, {{.name = "items", .required = false, .own_items = true}}},
+      {"photon_trace",
+       run_photon_trace_stage,
+       {"kernels/photon/trace.cl"},
+       {},
+       // With both maps.
+       {{.file = "kernels/photon/gather.cl", .options = " -D PATH_FILTER=7"}, {.file = "kernels/photon/caustics.cl"}}},
+      {"photon_map", on_host<build_photon_map>, {}, {{.name = "photons"}}},
+      {"photon_gather",
+       run_photon_gather_stage,
+       {"kernels/photon/gather.cl"},
+       {{.name = "items", .required = false, .own_items = true}, {.name = "map"}}},
+      {"photon_caustics",
+       run_photon_caustics_stage,
+       {"kernels/photon/caustics.cl"},
+       {{.name = "guide"}, {.name = "map"}}},
       {"vpl_trace",
        run_vpl_trace_stage,
        {"kernels/vpl/trace.cl"},
