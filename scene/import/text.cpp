@@ -45,9 +45,7 @@ std::string lower_case(std::string_view text) {
   return lower;
 }
 
-std::string name_in_utf8(std::string_view text) {
-  return is_utf8(text) ? std::string(text) : utf8_from_latin1(text);
-}
+std::string name_in_utf8(std::string_view text) { return is_utf8(text) ? std::string(text) : utf8_from_latin1(text); }
 
 std::string in_quotes(std::string_view text) {
   constexpr std::size_t most = 80;

@@ -92,6 +92,17 @@ class PieceReader {
     return {take(length, what), length};
   }
 
+  // Whether nothing but blanks is left of the line, or of the file; passes over the blanks.
+  bool ends_line(const char* what) {
+    for (; left_ > 0; ++begin_, --left_) {
+      if (begin_ == end_) fill(what, 1);
+      const char c = buffer_[begin_];
+      if (c == '\n' || c == '\r') return true;
+      if (c != ' ' && c != '\t') return false;
+    }
+    return true;
+  }
+
  private:
   static constexpr std::size_t kPiece = std::size_t(1) << 21;
 

@@ -292,7 +292,8 @@ class PlyReader {
         if (target >= kRed && target <= kBlue) values[target] /= largest_of(property.type);
       }
       for (const Target t : {kX, kY, kZ}) {
-        if (!std::isfinite(values[t])) warnings_.add("vertex " + std::to_string(i), "without a place: no face may use it");
+        if (!std::isfinite(values[t]))
+          warnings_.add("vertex " + std::to_string(i), "without a place: no face may use it");
         points_.push_back(values[t]);
       }
       if (has_normals) add_normal(values[kNormalX], values[kNormalY], values[kNormalZ]);

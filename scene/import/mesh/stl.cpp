@@ -122,15 +122,17 @@ class StlReader {
     if (is_open) warnings_.add("end", "no endsolid: the file may have been cut");
   }
 
-  // The words up to the next facet or solid, which `keyword` becomes.
+  // The rest of the line, or the words up to the next facet or solid; `keyword` becomes the word after it.
   std::string take_name(std::string& keyword) {
     std::string name;
-    for (;;) {
+    while (!in_.ends_line("name")) {
       const std::string word(in_.take_word("name"));
       keyword = lower_case(word);
-      if (word.empty() || keyword == "facet" || keyword == "solid" || keyword == "endsolid") return name;
+      if (keyword == "facet" || keyword == "solid" || keyword == "endsolid") return name;
       name += (name.empty() ? "" : " ") + word;
     }
+    keyword = lower_case(in_.take_word("text"));
+    return name;
   }
 
   void close_solid(const std::string& name) {

@@ -37,8 +37,8 @@ std::string_view without_comment(std::string_view line) {
 // Whether a line begins a statement of OBJ or MTL.
 bool begins_statement(std::string_view line) {
   const std::string word = lower_case(take_word(line));
-  for (const char* each : {"", "v", "vn", "vt", "vp", "f", "l", "p", "s", "ka", "kd", "ks", "ke", "ns", "ni", "d", "tr", "tf",
-                           "illum", "pr", "pm"})
+  for (const char* each : {"",   "v",  "vn", "vt", "vp", "f",  "l",  "p",     "s",  "ka", "kd",
+                           "ks", "ke", "ns", "ni", "d",  "tr", "tf", "illum", "pr", "pm"})
     if (word == each) return true;
   return takes_a_name(word) || word.starts_with('#');
 }
