@@ -18,7 +18,8 @@
 // and light that passes a surface straight (alpha, panes) behind the first one.
 //
 // Virtual point lights take DIFFUSE (kernels/vpl/). A map of photons takes CAUSTIC, or DIFFUSE with it; a cache of
-// irradiance takes DIFFUSE, CAUSTIC and MIXED.
+// irradiance takes DIFFUSE, CAUSTIC and MIXED. Radiance links between vertices take another class, by itself: RADIOSITY
+// (kernels/radiosity_filter.h).
 //
 // The path tracer calls, in this order: load_filter(); shows_emission() where its ray finds light; filter_vertex() at a
 // surface; filter_reflectance() and filter_sharp() of a light sample; filter_scattering() and filter_passing() for the
@@ -27,9 +28,12 @@
 #define GLEANER_KERNELS_PATH_FILTER_H
 
 #include "kernels/path_records.h"
+#include "kernels/transport/parts.h"
 #include "kernels/transport/scattering.h"
 
-#ifdef PATH_FILTER
+#if defined(PATH_FILTER) && PATH_FILTER == PATH_CLASS_RADIOSITY
+#include "kernels/radiosity_filter.h"
+#elif defined(PATH_FILTER)
 
 // States. Above 0: the ray left the first surface's broad part, at this cosine (times the gain of a rough lobe); what
 // it meets decides the class.
@@ -77,6 +81,8 @@ FN vi shows_emission(const PathFilter* f, vi found) {
 #endif
   return found;
 }
+// The same where the light is an unlit surface.
+FN vi shows_unlit(const PathFilter* f, vi found) { return shows_emission(f, found); }
 
 // At a surface, before its lobes are loaded: ends paths whose light is all the partner's.
 FN void filter_vertex(PathFilter* f, float clamp_to, v3 origin, v3 direction, Vertex* v) {
@@ -133,28 +139,6 @@ FN v3 filter_sharp(const PathFilter* f, v3 glass) {
   return glass;
 }
 
-#ifdef NEED_LOBE
-// Whether the broad part scattered a ray or the sharp one: at random, in proportion to what each sends this way, which
-// *factor makes up for. `gain`: of a rough lobe.
-FN vi choose_part(const Scene* scene, const Surface* m, v3 view, v3 direction, vi opaque, vf u, vf* gain, v3* factor) {
-  vf unused_pdf;
-  vi rough = has_rough_lobe(m);
-  vf z = max_f(direction.z, (vf)1e-6f);
-  v3 both = eval_bsdf(scene, m, view, make3(direction.x, direction.y, z), &unused_pdf);
-  v3 broad = eval_layer(scene, m, z);
-  *gain = pick(one_f(), lobe_gain(scale3(sub3(both, broad), one_f() / z)), rough & opaque);
-  broad = pick3(broad, both, rough);
-  vf chance = clamp_f((broad.x + broad.y + broad.z) / (both.x + both.y + both.z), zero_f(), one_f());
-  vi by_broad = opaque & (u < chance);
-  v3 part = pick3(sub3(both, broad), broad, by_broad);
-  vf odds = one_f() / pick(one_f() - chance, chance, by_broad);
-  *factor = make3(pick(zero_f(), max_f(part.x, zero_f()) / both.x * odds, both.x > zero_f()),
-                  pick(zero_f(), max_f(part.y, zero_f()) / both.y * odds, both.y > zero_f()),
-                  pick(zero_f(), max_f(part.z, zero_f()) / both.z * odds, both.z > zero_f()));
-  return by_broad;
-}
-#endif
-
 // A scattered ray, `direction` in the local frame: weighs its throughput and gives the path's next state. `glass`:
 // lanes in which glass sends it on.
 FN vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v, float clamp_to, v3 direction,
@@ -168,7 +152,7 @@ FN vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v
   v3 factor;
   sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 4u, &u_part, &u_spare);
   vi opaque = by_broad;
-  by_broad = choose_part(scene, m, v->frame.view, direction, opaque, u_part, &gain, &factor);
+  by_broad = choose_part(scene, m, v->frame.view, direction, opaque, rough, u_part, &gain, &factor);
   *throughput = pick3(*throughput, mul3(*throughput, factor), opaque);
   through = through | ((m->lobe_share >= one_f()) & none(rough));
   share = share_of_rough(f, clamp_to, gain, rough);
@@ -214,6 +198,7 @@ FN PathFilter load_filter(global const float* paths, uint block) {
   return f;
 }
 FN vi shows_emission(const PathFilter* f, vi found) { return found; }
+FN vi shows_unlit(const PathFilter* f, vi found) { return found; }
 FN void filter_vertex(PathFilter* f, float clamp_to, v3 origin, v3 direction, Vertex* v) {}
 FN v3 filter_reflectance(const PathFilter* f, const Scene* scene, const Surface* m, float clamp_to, vf nl,
                          v3 reflectance) {

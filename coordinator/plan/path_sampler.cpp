@@ -107,7 +107,7 @@ void PathSampler::ask(Asked asked) {
   p.features = asked.features ? 1 : 0;
   p.items_low = static_cast<std::uint32_t>(asked.items);
   p.items_high = static_cast<std::uint32_t>(asked.items >> 32);
-  p.filter = complement_.complement ? PATH_CLASS_DIFFUSE : 0;
+  p.filter = complement_.complement ? complement_.classes : 0;
   p.clamp = complement_.clamp;
   StageSpec spec;
   spec.name = program_.kind + "." + std::to_string(stages_.size());

@@ -17,10 +17,12 @@ namespace gleaner::coordinator {
 
 class PathSampler {
  public:
-  // Part of a method whose virtual point lights (VPLs) carry what one non-specular surface sends straight to the next:
-  // paths bring the rest, and compensate the bounded geometry term.
+  // Part of a method that has some classes of light itself: paths bring the rest. Virtual point lights (VPLs) carry
+  // what one non-specular surface sends straight to the next, and paths compensate the bounded geometry term.
   struct Complement {
     bool complement = false;
+    // What the partner has: PATH_CLASS_... (kernels/path_filter.h).
+    std::uint32_t classes = PATH_CLASS_DIFFUSE;
     float clamp = 0;  // bound of the geometry term, 1/m^2; infinity: none
     // What the VPLs are predicted to add to the picture: mean radiance, and squared error (a mean over pixels and
     // channels), for which the samples have to leave room where a target error is given.

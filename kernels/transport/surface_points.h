@@ -57,17 +57,13 @@ FN SurfacePoint step_to_surface_point(const Scene* scene, global float* paths, u
   point.slot = slot;
   point.direction = direction;
   point.throughput = throughput;
-  point.albedo = m->base;
+  point.albedo = layer_albedo(m);
   point.table = (vu)GLEANER_NONE;
   point.table_row = zero_f();
 #ifdef NEED_LOBE
   // A bare metal has no layer below its lobe; unless it is rough, a path goes through it as through a mirror.
   point.rough = has_rough_lobe(m);
   vi bare = (m->lobe_share >= one_f()) & none(point.rough);
-  point.albedo = scale3(point.albedo, m->left_view * (one_f() - m->metallic) / m->left_mean);
-#ifdef NEED_LAYERS
-  point.albedo = pick3(splat3(zero_f()), point.albedo, has_plain_layer(m));
-#endif
   point.table = m->table;
   point.table_row = m->table_row;
 #else

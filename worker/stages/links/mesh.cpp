@@ -1,0 +1,134 @@
+#include "worker/stages/links/mesh.h"
+
+#include <cmath>
+
+#include "scene/model/error.h"
+#include "worker/stages/links/stages.h"
+#include "worker/wavefront/counters.h"
+
+namespace gleaner::worker {
+namespace {
+
+// Checks words of a mesh section by section, as they pass.
+class MeshCheck {
+ public:
+  MeshCheck(const InputRows& input, const MeshLayout& layout, std::uint64_t triangles)
+      : input_(input), l_(layout), triangles_(triangles) {}
+
+  void word(std::uint64_t at, std::uint32_t value) {
+    if (at < MESH_HEADER) return;
+    if (at < l_.nodes_at())
+      triangle(at, value);
+    else if (at < l_.rings_at())
+      below(at, "node", value, l_.vertices);
+    else if (at < l_.corners_at())
+      ring(at, value);
+    else if (at < l_.areas_at())
+      corner(at, value);
+  }
+
+ private:
+  void below(std::uint64_t at, const char* what, std::uint32_t value, std::uint64_t limit) const {
+    if (value >= limit) input_.fail(at, what, "below " + std::to_string(limit), std::to_string(value));
+  }
+  void triangle(std::uint64_t at, std::uint32_t value) {
+    if ((at - MESH_HEADER) % MESH_TRIANGLE_WORDS == 0) {
+      first_node_ = value;
+      return;
+    }
+    below(at, "level", value, MESH_MOST_LEVEL + 1);
+    if (first_node_ + nodes_of_level(value) > l_.nodes)
+      input_.fail(at, "nodes", "among " + std::to_string(l_.nodes), std::to_string(first_node_) + " and on");
+  }
+  // Every vertex has a corner: kernels read one without looking.
+  void ring(std::uint64_t at, std::uint32_t value) {
+    const std::uint64_t vertex = at - l_.rings_at();
+    const bool ok = vertex == 0 ? value == 0 : value > ring_ && (vertex < l_.vertices || value == l_.corners);
+    if (!ok) input_.fail(at, "first corner", "above the last vertex' and within all", std::to_string(value));
+    ring_ = value;
+  }
+  void corner(std::uint64_t at, std::uint32_t value) const {
+    const std::uint64_t word = (at - l_.corners_at()) % CORNER_WORDS;
+    if (word == CORNER_TRIANGLE) below(at, "triangle", value, triangles_);
+    if (word == CORNER_PLACE) below(at, "kind", value >> 24, CORNER_KINDS);
+  }
+
+  const InputRows& input_;
+  const MeshLayout& l_;
+  std::uint64_t triangles_;
+  std::uint64_t first_node_ = 0;
+  std::uint32_t ring_ = 0;
+};
+
+}  // namespace
+
+MeshLayout read_mesh_layout(const StageTask& task) {
+  const InputRows input(task, "mesh", 4);
+  MeshLayout layout;
+  if (input.rows() < MESH_HEADER)
+    throw Error::bad_input("stage " + task.kind, "input mesh", "a header", std::to_string(input.rows()) + " words");
+  input.visit(0, MESH_HEADER, [&](std::uint64_t, std::span<const std::byte> words) {
+    layout.triangles = row_word<std::uint32_t>(words.data(), MESH_TRIANGLES);
+    layout.nodes = row_word<std::uint32_t>(words.data(), MESH_NODES);
+    layout.vertices = row_word<std::uint32_t>(words.data(), MESH_VERTICES);
+    layout.corners = row_word<std::uint32_t>(words.data(), MESH_CORNERS);
+  });
+  input.expect_rows(layout.words());
+  return layout;
+}
+
+cl::Buffer mesh_to_device(const StageRun& run, cl::CommandQueue& queue, MeshLayout* layout) {
+  *layout = read_mesh_layout(run.task);
+  if (layout->triangles != run.scene.triangles())
+    throw Error::bad_input(run.where(), "input mesh", std::to_string(run.scene.triangles()) + " triangles",
+                           std::to_string(layout->triangles));
+  const InputRows input(run.task, "mesh", 4);
+  MeshCheck check(input, *layout, run.scene.triangles());
+  return input.to_device(run.device, queue, [&](std::uint64_t row, std::span<const std::byte> words) {
+    for (std::size_t at = 0; at < words.size(); at += 4) check.word(row++, row_word<std::uint32_t>(&words[at], 0));
+  });
+}
+
+std::size_t MeshTables::bytes() const {
+  std::size_t sum = mesh.getInfo<CL_MEM_SIZE>();
+  if (rows()) sum += rows.getInfo<CL_MEM_SIZE>();
+  return sum;
+}
+
+std::shared_ptr<const MeshTables> mesh_tables(const StageRun& run, const char* rows, unsigned words) {
+  return run.tables.get<MeshTables>(run.task, [&] {
+    MeshTables tables;
+    cl::CommandQueue queue = run.device.make_queue();
+    tables.mesh = mesh_to_device(run, queue, &tables.layout);
+    if (rows) {
+      const InputRows input(run.task, rows, std::size_t{words} * 4);
+      input.expect_rows(tables.layout.elements());
+      tables.rows = input.to_device(run.device, queue, {});
+    }
+    return tables;
+  });
+}
+
+// Stage kind "links_mesh".
+BatchResult run_links_mesh_stage(const StageRun& run) {
+  const auto p = run.parameters<kernels::LinksMeshParameters>();
+  run.check_range(1);
+  const double start = seconds_now();
+  const std::uint64_t triangles = run.scene.triangles();
+  const unsigned words = run.scene.triangle_words();
+  cl::CommandQueue queue = run.device.make_queue();
+  std::vector<float> rows(triangles * words);
+  if (triangles) queue.enqueueReadBuffer(run.scene.triangle_rows(), CL_TRUE, 0, rows.size() * 4, rows.data());
+  kernels::LinksMeshFacts facts{};
+  const std::vector<std::uint32_t> mesh = make_links_mesh(rows.data(), words, triangles, p.vertices, &facts);
+  BatchResult result;
+  result.records.resize(mesh.size() * 4);
+  std::memcpy(result.records.data(), mesh.data(), result.records.size());
+  result.counts = {static_cast<std::uint32_t>(mesh.size())};
+  result.facts.resize(sizeof facts);
+  std::memcpy(result.facts.data(), &facts, sizeof facts);
+  result.counters.seconds = seconds_now() - start;
+  return result;
+}
+
+}  // namespace gleaner::worker
