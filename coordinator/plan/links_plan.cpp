@@ -184,7 +184,7 @@ void LinksPlan::link(const LinksMeshFacts& facts) {
       graph_.add(elements("links.light", "links_light", reusable(retained(RADIOSITY_WORDS * 4)), links_.light_samples),
                  p, {{"mesh", mesh_}, {"albedo", albedo_}});
   sent_ = light_;
-  graph_.when({made_}, [this] { link_words_ = made_.record_count(); });
+  graph_.when({made_}, [this, made = made_] { link_words_ = made.record_count(); });
   gather(1);
 }
 

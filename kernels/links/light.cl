@@ -8,6 +8,7 @@
 //
 // The points are spread over the one-ring as the paper's 1:4 oversampling has them: divided once, the small triangle at
 // the vertex holds half of the samples, its neighbours the rest.
+#include "kernels/lights.h"
 #include "kernels/links/mesh.h"
 #include "kernels/transport/shadow_rays.h"
 #include "kernels/wide.h"
