@@ -1,9 +1,7 @@
 // Broad and sharp parts of a surface, one of which scatters a ray.
 //
 // A surface's broad part is its diffuse layer and, where it is rough, its specular lobe (has_rough_lobe()); the rest is
-// its sharp part: mirrors, glass, other lobes. Methods that store light on surfaces store what broad parts get, and tell
-// by these parts whose light is whose: camera paths (kernels/path_filter.h) and light paths (kernels/photon/trace.cl)
-// split each scattering alike.
+// its sharp part: mirrors, glass, other lobes. Whose light is whose is told by these parts (kernels/path_filter.h).
 #ifndef GLEANER_KERNELS_TRANSPORT_PARTS_H
 #define GLEANER_KERNELS_TRANSPORT_PARTS_H
 
