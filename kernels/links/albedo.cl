@@ -22,7 +22,7 @@ kernel WIDE void links_albedo_samples(global const LinksParameters* restrict par
   if (!any_lane(active)) return;
   vu sample = (vu)(first_lane % samples) + lane_index();
   vu key = element_key(parameters->seed_low, parameters->seed_high, element, 0x41u);
-  RingPoint at = random_ring_point(&m, element, key, sample);
+  RingPoint at = random_ring_point(&m, element, 1.0f, key, sample);
   Vertex v = element_surface(scene, &at, element, active);
   v3 albedo = layer_albedo(&v.surface);
   vf opacity = one_f();

@@ -43,7 +43,7 @@ kernel WIDE void links_light_rays(global const LinksParameters* restrict paramet
   if (any_lane(active)) {
     vu sample = (vu)(first_lane % samples) + lane_index();
     vu key = element_key(parameters->seed_low, parameters->seed_high, element, 0x4cu);
-    RingPoint at = random_ring_point(&m, element, key, sample);
+    RingPoint at = random_ring_point(&m, element, 1.0f, key, sample);
     Vertex v = element_surface(scene, &at, element, active);
     primitive = v.primitive;
     vf u_choice, u_spare, l0, l1;

@@ -53,6 +53,18 @@ FN Corners corners_at(const Mesh* mesh, vu triangle, vf b1, vf b2) {
   return c;
 }
 
+// Weights of those corners alone that lie in the open, where any does. `outside`: a lane's corners, 1 or 0 each.
+FN void weigh_outside(Corners* c, const vf* outside) {
+  vf sum = zero_f(), weight[3];
+  for (uint k = 0; k < 3u; ++k) {
+    weight[k] = c->weight[k] * outside[k];
+    sum += weight[k];
+  }
+  // A point that is all on the others keeps their light.
+  vi any = sum > (vf)1e-3f;
+  for (uint k = 0; k < 3u; ++k) c->weight[k] = pick(c->weight[k], weight[k] / sum, any);
+}
+
 // A point of a vertex's one-ring, with density in proportion to the vertex's hat function: 1 at the vertex, 0 at the
 // ring's edge. All lanes ask for one vertex. Vertices at the edge of a wall or in a corner of the room are so sampled
 // where the wall is, and never behind the one that it meets.
@@ -61,7 +73,8 @@ typedef struct {
   vf b1, b2;
 } RingPoint;
 
-FN RingPoint ring_point(const Mesh* mesh, uint vertex, vf u_corner, vf u_height, vf u_across) {
+// `reach`: of the way to the ring's edge.
+FN RingPoint ring_point(const Mesh* mesh, uint vertex, float reach, vf u_corner, vf u_height, vf u_across) {
   uint first = mesh->rings[vertex], end = mesh->rings[vertex + 1u];
   vu corner = (vu)first;
   global const float* shares = (global const float*)mesh->corners + CORNER_SHARE;
@@ -78,6 +91,7 @@ FN RingPoint ring_point(const Mesh* mesh, uint vertex, vf u_corner, vf u_height,
   vi j2 = select(select((vi)0, (vi)1, (kind == 0u) | (kind == 1u)), (vi)-1, (kind == 3u) | (kind == 4u));
   // The corner's weight t has the density 6 t (1 - t).
   vf t = (vf)0.5f - sin(asin(clamp_f(one_f() - 2.0f * u_height, (vf)-1.0f, one_f())) * (vf)(1.0f / 3.0f));
+  t = fma(t - one_f(), (vf)reach, one_f());
   vf w1 = (one_f() - t) * u_across, w2 = (one_f() - t) * (one_f() - u_across);
   RingPoint p;
   p.triangle = gather_u(mesh->corners + CORNER_TRIANGLE, at);
@@ -125,11 +139,11 @@ FN vu element_key(uint seed_low, uint seed_high, uint element, uint purpose) {
   return hash_combine(hash_combine(hash_combine((vu)seed_low, (vu)seed_high), (vu)(element >> 1)), (vu)purpose);
 }
 
-FN RingPoint random_ring_point(const Mesh* mesh, uint element, vu key, vu sample) {
+FN RingPoint random_ring_point(const Mesh* mesh, uint element, float reach, vu key, vu sample) {
   vf u0, u1, u2, u3;
   sample_pair(key, sample, LINKS_MOST_DIRECTIONS, 4u, &u0, &u1);
   sample_pair(key, sample, LINKS_MOST_DIRECTIONS, 5u, &u2, &u3);
-  return ring_point(mesh, element >> 1, u2, u0, u1);
+  return ring_point(mesh, element >> 1, reach, u2, u0, u1);
 }
 
 #endif

@@ -29,6 +29,10 @@ kernel WIDE void links_interpolate(SCENE_PARAMETERS, global const uint* restrict
     // The point's normal is the hit's, on the viewer's side.
     vu side = pick_u((vu)0u, (vu)1u, dot3(h.normal, words3(w, POINT_NORMAL)) < zero_f());
     Corners c = corners_at(&m, triangle, b1, b2);
+    vf outside[3];
+    for (uint k = 0; k < 3u; ++k)
+      outside[k] = gather_f(irradiance + RADIOSITY_OUTSIDE, (c.vertex[k] * 2u + side) * RADIOSITY_WORDS);
+    weigh_outside(&c, outside);
     for (uint k = 0; k < 3u; ++k)
       sum = mad3(gather3(irradiance + RADIOSITY_IRRADIANCE, (c.vertex[k] * 2u + side) * RADIOSITY_WORDS), c.weight[k],
                  sum);

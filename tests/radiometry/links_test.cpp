@@ -192,6 +192,89 @@ TEST(Links, CompressionChangesNothing) {
   EXPECT_GT(rounded, 0);
 }
 
+// --- Smoothing, and edges ---
+
+// What the mesh of a frame says of each vertex, and a smoothing stage of it whose irradiance is made up.
+struct MadeUp {
+  explicit MadeUp(const Frame& frame) : made(render(frame)), task(made.tasks.at("links.smooth")) {
+    const worker::BatchResult& mesh = made.results.at("links.mesh");
+    const std::uint64_t triangles = word(mesh, MESH_TRIANGLES), nodes = word(mesh, MESH_NODES);
+    vertices = word(mesh, MESH_VERTICES);
+    hanging = word(mesh, MESH_HANGING);
+    places_at = MESH_HEADER + MESH_TRIANGLE_WORDS * triangles + nodes + vertices + 1 +
+                CORNER_WORDS * std::uint64_t{word(mesh, MESH_CORNERS)} + vertices;
+    hanging_at = places_at + PLACE_WORDS * std::uint64_t{vertices};
+  }
+  float normal(std::uint32_t vertex, unsigned axis) const {
+    return std::bit_cast<float>(word(made.results.at("links.mesh"), places_at + PLACE_WORDS * vertex + axis));
+  }
+  // Irradiance `value(vertex)` on both sides, smoothed.
+  template <typename Value>
+  std::vector<float> smoothed(double degrees, Value value) {
+    kernels::LinksSmoothParameters p{};
+    p.elements = 2 * vertices;
+    p.least_cosine = degrees > 0 ? static_cast<float>(std::cos(degrees * 3.14159265 / 180)) : 2.0f;
+    std::memcpy(task.parameters.data(), &p, sizeof p);
+    auto bytes = std::make_shared<scene::Bytes>(std::size_t{2} * vertices * RADIOSITY_WORDS * 4);
+    auto* rows = reinterpret_cast<float*>(bytes->data());
+    for (std::uint32_t e = 0; e < 2 * vertices; ++e) rows[e * RADIOSITY_WORDS] = value(e / 2);
+    task.inputs["irradiance"] = worker::TaskInput(std::move(bytes));
+    const worker::BatchResult result = executor(worker::TraceKind::automatic).run(task, 0, std::uint64_t{2} * vertices);
+    std::vector<float> out(2 * vertices);
+    for (std::uint32_t e = 0; e < 2 * vertices; ++e)
+      out[e] = std::bit_cast<float>(word(result, std::uint64_t{e} * RADIOSITY_WORDS));
+    return out;
+  }
+
+  Rendered made;
+  worker::StageTask task;
+  std::uint32_t vertices = 0, hanging = 0;
+  std::uint64_t places_at = 0, hanging_at = 0;
+};
+
+TEST(Links, SmoothingKeepsFeatureEdges) {
+  MadeUp mesh(frame_of(scene::make_scene("cornell-box", {}), "", 16, 1,
+                       {{"links.vertices", "800"}, {"links.refine", "0"}, {"links.smooth_angle", "30"}}));
+  const auto floors = [&](std::uint32_t v) { return mesh.normal(v, 1) > 0.9f ? 1.0f : 0.0f; };
+  const auto waves = [&](std::uint32_t v) { return static_cast<float>(v % 7); };
+  const std::vector<float> kept = mesh.smoothed(30, floors), crossed = mesh.smoothed(100, floors);
+  const std::vector<float> none = mesh.smoothed(0, waves), smooth = mesh.smoothed(30, waves);
+  std::uint32_t across = 0, changed = 0;
+  for (std::uint32_t e = 0; e < 2 * mesh.vertices; ++e) {
+    EXPECT_FLOAT_EQ(kept[e], floors(e / 2)) << e;
+    if (mesh.hanging == 0) {
+      EXPECT_EQ(none[e], waves(e / 2)) << e;
+    }
+    across += crossed[e] != floors(e / 2);
+    changed += smooth[e] != waves(e / 2);
+  }
+  EXPECT_GT(across, 20u);
+  EXPECT_GT(changed, mesh.vertices);
+}
+
+// Where a triangle is divided more than its neighbour, the vertices on their edge show what the neighbour interpolates.
+TEST(Links, EdgesHaveNoCracks) {
+  MadeUp mesh(frame_of(scene::make_scene("cornell-box", {}), "", 16, 1, {{"links.vertices", "2000"}}));
+  ASSERT_GT(mesh.hanging, 20u) << "nothing hangs in this mesh";
+  const std::vector<float> shown = mesh.smoothed(0, [](std::uint32_t v) { return static_cast<float>(v % 11); });
+  const worker::BatchResult& words = mesh.made.results.at("links.mesh");
+  std::uint32_t between = 0;
+  for (std::uint32_t h = 0; h < mesh.hanging; ++h) {
+    const auto at = [&](unsigned k) { return word(words, mesh.hanging_at + HANGING_WORDS * h + k); };
+    const float part = std::bit_cast<float>(at(HANGING_PART));
+    EXPECT_GT(part, 0);
+    EXPECT_LT(part, 1);
+    for (std::uint32_t side = 0; side < 2; ++side) {
+      const float a = shown[2 * at(HANGING_FROM) + side], b = shown[2 * at(HANGING_TO) + side];
+      const float found = shown[2 * at(HANGING_VERTEX) + side];
+      // An end inside of something gives nothing.
+      EXPECT_TRUE(std::abs(found - ((1 - part) * a + part * b)) < 1e-5f || found == a || found == b) << h;
+      between += std::abs(found - ((1 - part) * a + part * b)) < 1e-5f;
+    }
+  }
+  EXPECT_GT(between, mesh.hanging);
+}
+
 // --- The house ---
 
 TEST(Links, RecordsDoNotDependOnBatches) {
@@ -199,7 +282,8 @@ TEST(Links, RecordsDoNotDependOnBatches) {
   const Rendered made = render(frame);
   worker::Executor two({.device = -1, .threads = 2, .trace = worker::TraceKind::automatic});
   two.load_scene("two", frame.scene, nullptr);
-  for (const char* name : {"links.albedo", "links.make", "links.light", "links.gather.2", "links.shade"}) {
+  for (const char* name :
+       {"links.probe", "links.albedo", "links.make", "links.light", "links.gather.2", "links.shade"}) {
     const coordinator::StageSpec& spec = made.specs.at(name);
     const worker::BatchResult& whole = made.results.at(name);
     worker::StageTask task = made.tasks.at(name);
@@ -251,6 +335,7 @@ TEST(Links, RefusesWhatIsOutOfRange) {
   refused("links.make", "mesh", corners + CORNER_TRIANGLE, word(mesh, MESH_TRIANGLES));
   refused("links.make", "mesh", corners + CORNER_PLACE, CORNER_KINDS << 24);
   refused("links.gather.1", "links", 0, elements);
+  refused("links.smooth", "mesh", MESH_HANGING, 0x7fffffffu);
 }
 
 }  // namespace

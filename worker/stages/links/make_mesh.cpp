@@ -43,11 +43,6 @@ struct Triangle {
     area = 0.5 * std::sqrt(dot(normal, normal));
     geometric = unit(normal);
   }
-  double longest_edge() const {
-    double longest = 0;
-    for (int k = 0; k < 3; ++k) longest = std::max(longest, dot(p[(k + 1) % 3] - p[k], p[(k + 1) % 3] - p[k]));
-    return std::sqrt(longest);
-  }
   Vec normal_at(double b1, double b2) const {
     const Vec normal = n[0] * (1 - b1 - b2) + n[1] * b1 + n[2] * b2;
     return dot(normal, normal) > 1e-12 ? unit(normal) : geometric;
@@ -78,12 +73,22 @@ class VertexTable {
     std::uint32_t& head = heads_.try_emplace(key, GLEANER_NONE).first->second;
     for (std::uint32_t at = head; at != GLEANER_NONE; at = shared_[at].next)
       if (shared_[at].material == material && dot(shared_[at].normal, normal) >= kSameNormal) return shared_[at].vertex;
-    shared_.push_back({add(), material, head, normal});
+    const std::uint32_t vertex = add(normal);
+    if (head != GLEANER_NONE) places_[vertex].first = places_[shared_[head].vertex].first;
+    shared_.push_back({vertex, material, head, normal});
     head = static_cast<std::uint32_t>(shared_.size() - 1);
     return shared_.back().vertex;
   }
-  std::uint32_t add() { return count_++; }
-  std::uint32_t count() const { return count_; }
+  std::uint32_t add(const Vec& normal) {
+    places_.push_back({normal, count()});
+    return count() - 1;
+  }
+  std::uint32_t count() const { return static_cast<std::uint32_t>(places_.size()); }
+  struct Place {
+    Vec normal;
+    std::uint32_t first;  // vertex at the same place
+  };
+  const std::vector<Place>& places() const { return places_; }
 
  private:
   struct Shared {
@@ -99,35 +104,8 @@ class VertexTable {
   };
   std::unordered_map<std::array<std::uint32_t, 3>, std::uint32_t, Hash> heads_;
   std::vector<Shared> shared_;
-  std::uint32_t count_ = 0;
+  std::vector<Place> places_;
 };
-
-std::uint32_t level_for(double edge, double spacing) {
-  std::uint32_t level = 0;
-  while (level < MESH_MOST_LEVEL && edge > spacing * static_cast<double>(1u << level)) ++level;
-  return level;
-}
-
-// Levels such that no edge is longer than a spacing, the smallest that leaves about as many vertices as wanted.
-std::vector<std::uint32_t> choose_levels(const std::vector<double>& edges, std::uint32_t wanted) {
-  std::vector<std::uint32_t> levels(edges.size(), 0);
-  if (wanted == 0 || edges.empty()) return levels;
-  const double longest = std::max(1e-30, *std::ranges::max_element(edges));
-  // A vertex for each two small triangles.
-  const auto vertices = [&](double spacing) {
-    double sum = 0;
-    for (const double edge : edges) sum += 0.5 * std::pow(4.0, level_for(edge, spacing));
-    return sum;
-  };
-  double coarse = longest, fine = longest / static_cast<double>(1u << MESH_MOST_LEVEL);
-  if (vertices(coarse) > wanted) return levels;
-  for (int step = 0; step < 40; ++step) {
-    const double middle = std::sqrt(coarse * fine);
-    (vertices(middle) > wanted ? fine : coarse) = middle;
-  }
-  for (std::size_t t = 0; t < edges.size(); ++t) levels[t] = level_for(edges[t], coarse);
-  return levels;
-}
 
 // Calls `one` with the three nodes of each small triangle, as grid places.
 template <typename One>
@@ -140,15 +118,12 @@ void each_small_triangle(std::uint32_t n, One one) {
     }
 }
 
-std::uint32_t node_number(std::uint32_t i, std::uint32_t j, std::uint32_t n) {
-  return j * (n + 1) - (j * (j - 1)) / 2 + i;
-}
-
 void add_nodes(const Triangle& triangle, std::uint32_t level, VertexTable& table, std::vector<std::uint32_t>& nodes) {
   const std::uint32_t n = 1u << level;
   const auto& p = triangle.p;
   for (std::uint32_t j = 0; j <= n; ++j)
     for (std::uint32_t i = 0; i + j <= n; ++i) {
+      const Vec normal = triangle.normal_at(static_cast<double>(i) / n, static_cast<double>(j) / n);
       std::array<float, 3> place{};
       if (j == 0)
         place = on_edge(p[0], p[1], i, n);
@@ -157,21 +132,66 @@ void add_nodes(const Triangle& triangle, std::uint32_t level, VertexTable& table
       else if (i + j == n)
         place = on_edge(p[1], p[2], j, n);
       else {
-        nodes.push_back(table.add());
+        nodes.push_back(table.add(normal));
         continue;
       }
-      const Vec normal = triangle.normal_at(static_cast<double>(i) / n, static_cast<double>(j) / n);
       nodes.push_back(table.find_or_add(place, triangle.material, normal));
     }
 }
 
+// The lowest level of the triangles at an edge, by its ends.
+class EdgeLevels {
+ public:
+  EdgeLevels(const TriangleRows& triangles, const std::vector<std::uint32_t>& levels) {
+    for (std::uint64_t t = 0; t < triangles.count; ++t)
+      for (unsigned k = 0; k < 3; ++k) {
+        const auto [place, added] = levels_.try_emplace(key(triangles.rows + t * triangles.words, k), levels[t]);
+        if (!added) place->second = std::min(place->second, levels[t]);
+      }
+  }
+  // Of the edge from corner k to the next one.
+  std::uint32_t at(const float* row, unsigned k) const { return levels_.at(key(row, k)); }
+
+ private:
+  using Key = std::array<float, 6>;
+  static Key key(const float* row, unsigned k) {
+    const float *a = row + TRIANGLE_P0 + 3 * k, *b = row + TRIANGLE_P0 + 3 * ((k + 1) % 3);
+    if (std::lexicographical_compare(b, b + 3, a, a + 3)) std::swap(a, b);
+    return {a[0] + 0.0f, a[1] + 0.0f, a[2] + 0.0f, b[0] + 0.0f, b[1] + 0.0f, b[2] + 0.0f};
+  }
+  struct Hash {
+    std::size_t operator()(const Key& key) const {
+      std::uint64_t h = 0x9e3779b97f4a7c15ull;
+      for (const float x : key) h = (h ^ std::bit_cast<std::uint32_t>(x)) * 0xff51afd7ed558ccdull, h ^= h >> 32;
+      return h;
+    }
+  };
+  std::unordered_map<Key, std::uint32_t, Hash> levels_;
+};
+
+// Vertices of one triangle that hang on its edges, as words of the mesh.
+void add_hanging(const float* row, std::uint32_t level, const EdgeLevels& edges, const std::uint32_t* nodes,
+                 std::vector<std::uint32_t>& hanging) {
+  const std::uint32_t n = 1u << level;
+  for (unsigned k = 0; k < 3; ++k) {
+    const std::uint32_t step = 1u << (level - edges.at(row, k));
+    const auto node = [&](std::uint32_t m) {
+      const std::uint32_t i = k == 0 ? m : k == 1 ? n - m : 0, j = k == 0 ? 0 : k == 1 ? m : n - m;
+      return nodes[node_number(i, j, n)];
+    };
+    for (std::uint32_t m = 0; m < n && step > 1; ++m)
+      if (m % step)
+        hanging.insert(hanging.end(),
+                       {node(m), node(m - m % step), node(m - m % step + step),
+                        std::bit_cast<std::uint32_t>(static_cast<float>(m % step) / static_cast<float>(step))});
+  }
+}
+
 }  // namespace
 
-std::vector<std::uint32_t> make_links_mesh(const float* rows, unsigned words, std::uint64_t triangles,
-                                           std::uint32_t wanted, kernels::LinksMeshFacts* facts) {
-  std::vector<double> edges(triangles);
-  for (std::uint64_t t = 0; t < triangles; ++t) edges[t] = Triangle(rows + t * words).longest_edge();
-  const std::vector<std::uint32_t> levels = choose_levels(edges, wanted);
+std::vector<std::uint32_t> make_links_mesh(const TriangleRows& input, const std::vector<std::uint32_t>& levels,
+                                           kernels::LinksMeshFacts* facts) {
+  const auto [rows, words, triangles] = input;
   std::uint64_t total = 0;
   for (const std::uint32_t level : levels) total += nodes_of_level(level);
   if (total > kMostNodes)
@@ -180,16 +200,19 @@ std::vector<std::uint32_t> make_links_mesh(const float* rows, unsigned words, st
 
   MeshLayout layout{.triangles = triangles};
   VertexTable table;
-  std::vector<std::uint32_t> nodes, first_node(triangles);
+  const EdgeLevels edges(input, levels);
+  std::vector<std::uint32_t> nodes, first_node(triangles), hanging;
   nodes.reserve(total);
   for (std::uint64_t t = 0; t < triangles; ++t) {
     first_node[t] = static_cast<std::uint32_t>(nodes.size());
     add_nodes(Triangle(rows + t * words), levels[t], table, nodes);
+    add_hanging(rows + t * words, levels[t], edges, &nodes[first_node[t]], hanging);
     layout.corners += 3 * (std::uint64_t{1} << (2 * levels[t]));
     facts->divided += levels[t] > 0;
   }
   layout.nodes = nodes.size();
   layout.vertices = table.count();
+  layout.hanging = hanging.size() / HANGING_WORDS;
   facts->vertices = table.count();
   facts->nodes = static_cast<std::uint32_t>(nodes.size());
   facts->triangles = static_cast<std::uint32_t>(triangles);
@@ -199,6 +222,14 @@ std::vector<std::uint32_t> make_links_mesh(const float* rows, unsigned words, st
   mesh[MESH_NODES] = facts->nodes;
   mesh[MESH_VERTICES] = facts->vertices;
   mesh[MESH_CORNERS] = static_cast<std::uint32_t>(layout.corners);
+  mesh[MESH_HANGING] = static_cast<std::uint32_t>(layout.hanging);
+  std::ranges::copy(hanging, mesh.begin() + static_cast<std::ptrdiff_t>(layout.hanging_at()));
+  for (std::uint64_t v = 0; v < layout.vertices; ++v) {
+    std::uint32_t* place = &mesh[layout.places_at() + PLACE_WORDS * v];
+    for (unsigned k = 0; k < 3; ++k)
+      place[PLACE_NORMAL + k] = std::bit_cast<std::uint32_t>(static_cast<float>(table.places()[v].normal[k]));
+    place[PLACE_FIRST] = table.places()[v].first;
+  }
   for (std::uint64_t t = 0; t < triangles; ++t) {
     mesh[MESH_HEADER + MESH_TRIANGLE_WORDS * t] = first_node[t];
     mesh[MESH_HEADER + MESH_TRIANGLE_WORDS * t + 1] = levels[t];

@@ -2,15 +2,10 @@
 
 #include <algorithm>
 #include <bit>
-#include <cmath>
 #include <mutex>
 
-#include "kernels/rays.h"
-#include "worker/stages/links/mesh.h"
+#include "worker/stages/links/link_rays.h"
 #include "worker/stages/links/stages.h"
-#include "worker/stages/links/waves.h"
-#include "worker/wavefront/host_threads.h"
-#include "worker/wavefront/path_wave.h"
 
 namespace gleaner::worker {
 namespace {
@@ -46,34 +41,26 @@ class Collected {
   std::vector<MadeLinks> all_;
 };
 
-class MakeThread : public HostThread {
+class MakeThread : public LinkRayThread {
  public:
-  MakeThread(const StageRun& run, const MeshTables& tables, const kernels::LinksParameters& p,
-             const cl::Buffer& parameters, const Program& program, WorkQueue& work, Collected& collected,
-             unsigned index)
-      : HostThread(run.device, run.workspace, run.scene.tracer(), work, index),
+  MakeThread(const LinkRayBatch& batch, WorkQueue& work, Collected& collected, unsigned index)
+      : LinkRayThread(batch, work, index),
         collected_(collected),
-        first_item_(run.first),
-        directions_(p.directions),
-        capacity_(elements_of_wave(run.device, p.directions)),
-        slots_(std::bit_ceil(6 * p.directions)),
-        paths_(take("paths", PathWave::bytes(rays(), RAY_HIT_ROWS + 1))),
+        slots_(std::bit_ceil(6 * directions_)),
         ends_(take("links.ends", std::size_t{rays()} * 12)),
         weights_(take("links.weights", std::size_t{rays()} * 12)),
-        table_(take("links.table", p.compress ? std::size_t{capacity_} * slots_ * 4 : 4)),
+        table_(take("links.table", batch.p.compress ? std::size_t{capacity_} * slots_ * 4 : 4)),
         packed_(take("links.packed", std::size_t{rays()} * 24)),
         words_(take("links.words", std::size_t{capacity_} * 4)),
-        make_rays_(run.device, program, "links_rays"),
-        hits_(run.device, program, "links_hits"),
-        compress_(run.device, program, "links_compress") {
-    run.scene.set_arguments(make_rays_);
-    make_rays_.set("parameters", parameters)
-        .set("mesh", tables.mesh)
-        .set("side", static_cast<cl_uint>(std::lround(std::sqrt(p.directions))))
-        .set("rays", paths_);
-    run.scene.set_arguments(hits_);
-    hits_.set("mesh", tables.mesh).set("rays", paths_).set("ends", ends_).set("weights", weights_);
-    compress_.set("parameters", parameters)
+        link_(batch.run.device, batch.program, "links_hits"),
+        compress_(batch.run.device, batch.program, "links_compress") {
+    batch.run.scene.set_arguments(link_);
+    link_.set("mesh", batch.tables->mesh)
+        .set("probe", batch.tables->rows)
+        .set("rays", hits_)
+        .set("ends", ends_)
+        .set("weights", weights_);
+    compress_.set("parameters", batch.parameters)
         .set("slots", slots_)
         .set("ends", ends_)
         .set("weights", weights_)
@@ -84,13 +71,10 @@ class MakeThread : public HostThread {
 
   void run(BatchResult& result) {
     while (const WorkQueue::Block block = work_.claim(capacity_)) {
-      const auto count = static_cast<std::uint32_t>(block.count), rays_here = count * directions_;
-      make_rays_.set("first", static_cast<cl_uint>(first_item_ + block.first)).set("count", rays_here);
-      launch(make_rays_, rays_here, rays());
-      counters.scatter += rays_here;
-      rays_.closest(paths_, single_rays(RAY_HIT_ROWS + 1, rays_here));
-      hits_.set("count", rays_here);
-      launch(hits_, rays_here, rays());
+      const auto count = static_cast<std::uint32_t>(block.count);
+      const std::uint32_t traced = trace(block.first, count);
+      link_.set("count", traced);
+      launch(link_, traced, rays());
       compress_.set("count", count);
       launch(compress_, count, capacity_, 1);
       collect(block, result);
@@ -98,8 +82,6 @@ class MakeThread : public HostThread {
   }
 
  private:
-  std::uint32_t rays() const { return capacity_ * directions_; }
-
   void collect(const WorkQueue::Block& block, BatchResult& result) {
     std::uint32_t* counts = &result.counts[block.first];
     queue_.enqueueReadBuffer(words_, CL_TRUE, 0, block.count * 4, counts);
@@ -116,29 +98,25 @@ class MakeThread : public HostThread {
   }
 
   Collected& collected_;
-  std::uint64_t first_item_;
-  std::uint32_t directions_, capacity_, slots_;
-  cl::Buffer paths_, ends_, weights_, table_, packed_, words_;
-  Kernel make_rays_, hits_, compress_;
+  std::uint32_t slots_;
+  cl::Buffer ends_, weights_, table_, packed_, words_;
+  Kernel link_, compress_;
 };
 
 }  // namespace
 
 BatchResult run_links_make_stage(const StageRun& run) {
-  const kernels::LinksParameters p = read_links_parameters(run);
+  LinkRayBatch batch{run, read_links_parameters(run), mesh_tables(run, "probe", PROBE_WORDS), run.build("make.cl")};
+  check_elements(run, batch.p.elements, batch.tables->layout.elements());
   const double start = seconds_now();
-  const auto tables = mesh_tables(run, nullptr, 0);
-  check_elements(run, p.elements, tables->layout.elements());
   BatchResult result;
   result.counts.resize(run.count);
   cl::CommandQueue queue = run.device.make_queue();
-  const cl::Buffer parameters = run.parameter_buffer(queue);
-  const Program program = run.build("make.cl");
+  batch.parameters = run.parameter_buffer(queue);
   WorkQueue work(run.count, host_threads(run.device));
   Collected collected;
-  run_host_threads(work, result, [&](unsigned index) {
-    return std::make_unique<MakeThread>(run, *tables, p, parameters, program, work, collected, index);
-  });
+  run_host_threads(work, result,
+                   [&](unsigned index) { return std::make_unique<MakeThread>(batch, work, collected, index); });
   result.records = collected.records();
   result.counters.seconds = seconds_now() - start;
   return result;

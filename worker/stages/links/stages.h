@@ -7,6 +7,7 @@
 namespace gleaner::worker {
 
 BatchResult run_links_mesh_stage(const StageRun& run);
+BatchResult run_links_probe_stage(const StageRun& run);
 BatchResult run_links_albedo_stage(const StageRun& run);
 BatchResult run_links_make_stage(const StageRun& run);
 BatchResult run_links_light_stage(const StageRun& run);
@@ -15,5 +16,6 @@ BatchResult run_links_shade_stage(const StageRun& run);
 
 // On the worker's host.
 BatchResult measure_links_flux(const StageTask& task);
+BatchResult smooth_links(const StageTask& task);
 
 }  // namespace gleaner::worker
