@@ -5,46 +5,54 @@
 //     sends      = albedo * (direct light + irradiance)                                   (eq. 4)
 //
 // After k such stages, each of which reads the last one's whole vector, light of k bounces is there.
+#include "kernels/lanes.h"
 #include "kernels/links_records.h"
-#include "kernels/wide.h"
 
-// Elements base to count - 1 of a batch. `words`: their links, those of element e from starts[e] on. An end that is no
-// element counts in `faults` and is left out.
+// What the end of a link sends. An end that is no element sends what the last one does, and is told of.
+FN float4 sent_by(global const float4* sent, uint end, uint last, uint* beyond) {
+  *beyond |= end > last ? 1u : 0u;
+  return sent[min(end, last)];
+}
+
+FN float4 gather_exact(global const float4* sent, global const uint* ends, uint links, uint last, uint* beyond) {
+  float4 sum = (float4)(0.0f);
+  for (uint k = 0; k < links; ++k) sum += as_float(ends[links + k]) * sent_by(sent, ends[k], last, beyond);
+  return sum;
+}
+
+// Two weights a word, in units of 1 / 65535. Four links at a time, with a sum each: one after another would wait for
+// its last sum.
+FN float4 gather_packed(global const float4* sent, global const uint* ends, uint links, uint last, uint* beyond) {
+  global const uint* weights = ends + links;
+  float4 sum[4] = {(float4)(0.0f), (float4)(0.0f), (float4)(0.0f), (float4)(0.0f)};
+  uint k = 0u;
+  for (; k + 3u < links; k += 4u) {
+    uint low = weights[k >> 1], high = weights[(k >> 1) + 1u];
+    sum[0] += (float)(low & 0xffffu) * sent_by(sent, ends[k], last, beyond);
+    sum[1] += (float)(low >> 16) * sent_by(sent, ends[k + 1u], last, beyond);
+    sum[2] += (float)(high & 0xffffu) * sent_by(sent, ends[k + 2u], last, beyond);
+    sum[3] += (float)(high >> 16) * sent_by(sent, ends[k + 3u], last, beyond);
+  }
+  for (; k < links; ++k) {
+    uint pair = weights[k >> 1];
+    sum[0] += (float)(k & 1u ? pair >> 16 : pair & 0xffffu) * sent_by(sent, ends[k], last, beyond);
+  }
+  return ((sum[0] + sum[1]) + (sum[2] + sum[3])) * (1.0f / 65535.0f);
+}
+
+// Elements base to count - 1 of a batch. `words`: their links, those of element e from starts[e] on. `sent`: of all
+// elements. Elements with an end that is none count in `faults`.
 kernel void links_gather(global const LinksGatherParameters* restrict parameters, uint base, uint count,
                          global const uint* restrict words, global const uint* restrict starts,
-                         global const float4* restrict radiosity, global const float4* restrict light,
+                         global const float4* restrict sent, global const float4* restrict light,
                          global const float4* restrict albedo, global float4* restrict records,
                          global uint* restrict faults) {
   uint element = base + (uint)get_global_id(0);
   if (element >= count) return;
-  uint first = starts[element], total = starts[element + 1u] - first, elements = parameters->elements;
-  global const uint* ends = words + first;
-  float4 sum = (float4)(0.0f);
+  uint first = starts[element], total = starts[element + 1u] - first, last = parameters->elements - 1u;
   uint beyond = 0u;
-  if (parameters->exact) {
-    uint links = total / 2u;
-    for (uint k = 0; k < links; ++k) {
-      uint end = ends[k];
-      beyond |= end >= elements ? 1u : 0u;
-      sum += as_float(ends[links + k]) * radiosity[2u * min(end, elements - 1u) + 1u];
-    }
-  } else {
-    uint links = 2u * total / 3u;
-    global const uint* weights = ends + links;
-    float4 odd = (float4)(0.0f);
-    for (uint k = 0; k + 1u < links; k += 2u) {
-      uint a = ends[k], b = ends[k + 1u], pair = weights[k >> 1];
-      beyond |= (a >= elements ? 1u : 0u) | (b >= elements ? 1u : 0u);
-      sum += (float)(pair & 0xffffu) * radiosity[2u * min(a, elements - 1u) + 1u];
-      odd += (float)(pair >> 16) * radiosity[2u * min(b, elements - 1u) + 1u];
-    }
-    if (links & 1u) {
-      uint a = ends[links - 1u];
-      beyond |= a >= elements ? 1u : 0u;
-      sum += (float)(weights[links >> 1] & 0xffffu) * radiosity[2u * min(a, elements - 1u) + 1u];
-    }
-    sum = (sum + odd) * (1.0f / 65535.0f);
-  }
+  float4 sum = parameters->exact ? gather_exact(sent, words + first, total / 2u, last, &beyond)
+                                 : gather_packed(sent, words + first, 2u * total / 3u, last, &beyond);
   records[2u * element] = sum;
   records[2u * element + 1u] = albedo[element] * (light[2u * element] + sum);
   if (beyond) atomic_inc(faults);

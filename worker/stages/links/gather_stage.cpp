@@ -29,7 +29,7 @@ cl::Buffer as_buffer(const StageRun& run, cl::CommandQueue& queue, const InputRo
 
 // A batch's inputs, as its host threads read them.
 struct GatherBatch {
-  cl::Buffer parameters{}, words{}, starts{}, radiosity{}, light{}, albedo{}, records{}, faults{};
+  cl::Buffer parameters{}, words{}, starts{}, sent{}, light{}, albedo{}, records{}, faults{};
 };
 
 cl::Buffer own_rows(const StageRun& run, cl::CommandQueue& queue, const char* name, std::size_t row_bytes,
@@ -37,6 +37,24 @@ cl::Buffer own_rows(const StageRun& run, cl::CommandQueue& queue, const char* na
   const InputRows rows(run.task, name, row_bytes);
   const std::uint64_t first = rows.first_row_of(run.first, run.count, elements);
   return as_buffer(run, queue, rows, run.task.inputs.at(name), first * row_bytes, run.count * row_bytes);
+}
+
+// What all elements send, without the rest of their rows: half as much for links to look up.
+cl::Buffer sent_by_all(const StageRun& run, cl::CommandQueue& queue, std::uint64_t elements) {
+  constexpr std::size_t stride = RADIOSITY_WORDS * 4, part = (RADIOSITY_WORDS - RADIOSITY_SENT) * 4;
+  const InputRows rows(run.task, "radiosity", stride);
+  rows.expect_rows(elements);
+  cl::Buffer buffer = run.workspace.take("links.sent", elements * part);
+  auto* out = static_cast<std::byte*>(
+      queue.enqueueMapBuffer(buffer, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, elements * part));
+  rows.visit(0, elements, [&](std::uint64_t row, std::span<const std::byte> bytes) {
+    std::byte* to = out + row * part;
+    for (std::size_t at = 0; at < bytes.size(); at += stride, to += part)
+      std::memcpy(to, &bytes[at + std::size_t{RADIOSITY_SENT} * 4], part);
+  });
+  queue.enqueueUnmapMemObject(buffer, out);
+  queue.finish();
+  return buffer;
 }
 
 void put_links(const StageRun& run, cl::CommandQueue& queue, std::uint64_t elements, GatherBatch& batch) {
@@ -70,7 +88,7 @@ class GatherThread : public HostThread {
     gather_.set("parameters", batch.parameters)
         .set("words", batch.words)
         .set("starts", batch.starts)
-        .set("radiosity", batch.radiosity)
+        .set("sent", batch.sent)
         .set("light", batch.light)
         .set("albedo", batch.albedo)
         .set("records", batch.records)
@@ -83,7 +101,8 @@ class GatherThread : public HostThread {
     while (const WorkQueue::Block block = work_.claim(capacity)) {
       gather_.set("base", static_cast<cl_uint>(block.first))
           .set("count", static_cast<cl_uint>(block.first + block.count));
-      launch(gather_, block.count, capacity, 1);
+      // On CPU devices a work-item has vectors of its own: groups of one keep PoCL from taking these apart.
+      gather_.launch(queue_, {.work = block.count, .capacity = capacity, .group = device_.info().cpu ? 1u : 0u});
       queue_.enqueueReadBuffer(records_, CL_TRUE, block.first * stride, block.count * stride,
                                result.records.data() + block.first * stride);
     }
@@ -108,9 +127,7 @@ BatchResult run_links_gather_stage(const StageRun& run) {
   put_links(run, queue, p.elements, batch);
   batch.light = own_rows(run, queue, "light", stride, p.elements);
   batch.albedo = own_rows(run, queue, "albedo", ALBEDO_WORDS * 4, p.elements);
-  const InputRows radiosity(run.task, "radiosity", stride);
-  radiosity.expect_rows(p.elements);
-  batch.radiosity = as_buffer(run, queue, radiosity, run.task.inputs.at("radiosity"), 0, p.elements * stride);
+  batch.sent = sent_by_all(run, queue, p.elements);
   batch.records = run.workspace.take("links.gathered", run.count * stride);
   batch.faults = run.workspace.take("links.faults", 64);
   constexpr cl_uint none = 0;

@@ -76,7 +76,7 @@ class MakeThread : public LinkRayThread {
       link_.set("count", traced);
       launch(link_, traced, rays());
       compress_.set("count", count);
-      launch(compress_, count, capacity_, 1);
+      compress_.launch(queue_, {.work = count, .capacity = capacity_, .group = device_.info().cpu ? 1u : 0u});
       collect(block, result);
     }
   }
