@@ -302,6 +302,25 @@ TEST(Links, RecordsDoNotDependOnBatches) {
   }
 }
 
+// Frames in which lights and cameras alone differ ask for the same links, and get the same records.
+TEST(Links, LinksKnowNoLightAndNoCamera) {
+  const Settings set = {{"links.vertices", "600"}};
+  Scene scene = scene::make_scene("cornell-box", {});
+  const Rendered one = render(frame_of(scene, "", 16, 4, set));
+  for (auto& material : scene.materials)
+    for (float& e : material.emission) e *= 3;
+  Frame moved = frame_of(scene, "", 24, 16, set);
+  moved.settings.camera.origin[0] += 0.1f;
+  const Rendered other = render(moved);
+  for (const char* name :
+       {"links.coarse_mesh", "links.coarse_probe", "links.mesh", "links.probe", "links.albedo", "links.make"}) {
+    EXPECT_EQ(one.specs.at(name).parameters, other.specs.at(name).parameters) << name;
+    EXPECT_EQ(one.results.at(name).records, other.results.at(name).records) << name;
+    EXPECT_TRUE(one.specs.at(name).output.reusable) << name;
+  }
+  EXPECT_NE(one.results.at("links.light").records, other.results.at("links.light").records);
+}
+
 TEST(Links, RefusesWhatIsOutOfRange) {
   const Frame frame = frame_of(scene::make_scene("cornell-box", {}), "", 16, 1, {{"links.vertices", "100"}});
   const Rendered made = render(frame);
