@@ -162,6 +162,28 @@ INSTANTIATE_TEST_SUITE_P(Scenes, LinksMeetPath,
                            return name;
                          });
 
+// Walls that glow and have a lobe: camera paths go on through chains of diffuse layers, and find at every turn light
+// that is the vertices'.
+TEST(Links, GlowingGlossyWallsMeetPath) {
+  Scene scene = scene::make_scene("furnace", {{"albedo", "0.6"}, {"emission", "1"}});
+  for (auto& material : scene.materials) {
+    material.specular = 1;
+    material.roughness = 0.3f;
+  }
+  finish_materials(scene);
+  Frame links = frame_of(scene, "", 16, 64,
+                         {{"links.vertices", "1000"}, {"links.directions", "64"}, {"links.light_samples", "64"}});
+  Frame path = links;
+  path.settings.method = "path";
+  path.settings.spp = 256;
+  const Sample truth = means_of(path, "G", 4), sample = means_of(links, "G", 4);
+  const double error = std::hypot(truth.standard_error(), sample.standard_error());
+  std::printf("  %.5f +- %.5f, path %.5f +- %.5f\n", sample.mean, sample.standard_error(), truth.mean,
+              truth.standard_error());
+  EXPECT_LT(std::abs(sample.mean - truth.mean), 4 * error + 0.003 * truth.mean);
+  EXPECT_LT(error, 0.01 * truth.mean) << "too noisy to prove anything";
+}
+
 // --- Limits ---
 
 double largest_difference(const Film& a, const Film& b) {
