@@ -58,11 +58,11 @@
 
 typedef struct {
   vf state;
-  vi compensates;  // light found in these lanes is what the partner lacks
-  vi straight;     // lanes whose ray came straight from the first surface's broad part
-  vi chained;      // lanes that came from there by way of sharp parts
-  vf geometry;     // of a straight segment: cosines over the squared distance, 1/m^2
-  vf broad_share;  // of this vertex's diffuse layer, what the path tracer computes
+  vi compensates;     // light found in these lanes is what the partner lacks
+  vi straight;        // lanes whose ray came straight from the first surface's broad part
+  vi chained;         // lanes that came from there by way of sharp parts
+  vf geometry;        // of a straight segment: cosines over the squared distance, 1/m^2
+  vf broad_share;     // of this vertex's diffuse layer, what the path tracer computes
 #ifdef PHOTON_GATHER
   vi gathers;         // lanes that left the first surface by its broad part
   vi reads;           // of these: lanes whose diffuse layer is read off the map here
