@@ -3,7 +3,7 @@
 #include "worker/stages/links/mesh.h"
 #include "worker/stages/links/stages.h"
 #include "worker/stages/links/waves.h"
-#include "worker/wavefront/host_threads.h"
+#include "worker/stages/split_stage.h"
 
 namespace gleaner::worker {
 namespace {
@@ -53,13 +53,10 @@ BatchResult run_links_albedo_stage(const StageRun& run) {
   check_elements(run, p.elements, tables->layout.elements());
   BatchResult result;
   result.records.resize(run.count * ALBEDO_WORDS * 4);
-  cl::CommandQueue queue = run.device.make_queue();
-  const cl::Buffer parameters = run.parameter_buffer(queue);
-  const Program program = run.build("albedo.cl");
-  WorkQueue work(run.count, host_threads(run.device));
-  run_host_threads(work, result, [&](unsigned index) {
-    return std::make_unique<AlbedoThread>(run, *tables, p, parameters, program, work, index);
-  });
+  run_split(run, "albedo.cl", result,
+            [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
+              return std::make_unique<AlbedoThread>(run, *tables, p, parameters, program, work, index);
+            });
   result.counters.seconds = seconds_now() - start;
   return result;
 }

@@ -1,51 +1,19 @@
 // Stage kind "links_make": links between elements (kernels/links/make.cl).
 
-#include <algorithm>
 #include <bit>
-#include <mutex>
 
 #include "worker/stages/links/link_rays.h"
 #include "worker/stages/links/stages.h"
+#include "worker/wavefront/joined_records.h"
 
 namespace gleaner::worker {
 namespace {
 
-// A block of elements, done: its links, one element's behind the other's.
-struct MadeLinks {
-  std::uint64_t first = 0;
-  scene::Bytes words;
-};
-
-// Puts the threads' blocks together in the order of their elements.
-class Collected {
- public:
-  void add(MadeLinks&& made) {
-    std::lock_guard lock(mutex_);
-    all_.push_back(std::move(made));
-  }
-  scene::Bytes records() {
-    std::ranges::sort(all_, {}, &MadeLinks::first);
-    std::size_t bytes = 0;
-    for (const MadeLinks& one : all_) bytes += one.words.size();
-    scene::Bytes records;
-    records.reserve(bytes);
-    for (MadeLinks& one : all_) {
-      records.insert(records.end(), one.words.begin(), one.words.end());
-      one.words = {};
-    }
-    return records;
-  }
-
- private:
-  std::mutex mutex_;
-  std::vector<MadeLinks> all_;
-};
-
 class MakeThread : public LinkRayThread {
  public:
-  MakeThread(const LinkRayBatch& batch, WorkQueue& work, Collected& collected, unsigned index)
+  MakeThread(const LinkRayBatch& batch, WorkQueue& work, JoinedRecords& records, unsigned index)
       : LinkRayThread(batch, work, index),
-        collected_(collected),
+        joined_(records),
         slots_(std::bit_ceil(6 * directions_)),
         ends_(take("links.ends", std::size_t{rays()} * 12)),
         weights_(take("links.weights", std::size_t{rays()} * 12)),
@@ -87,17 +55,17 @@ class MakeThread : public LinkRayThread {
     queue_.enqueueReadBuffer(words_, CL_TRUE, 0, block.count * 4, counts);
     std::size_t all = 0;
     for (std::uint64_t k = 0; k < block.count; ++k) all += counts[k];
-    MadeLinks links{block.first, scene::Bytes(all * 4)};
-    std::byte* to = links.words.data();
+    scene::Bytes links(all * 4);
+    std::byte* to = links.data();
     for (std::uint64_t k = 0; k < block.count; ++k) {
       if (counts[k]) queue_.enqueueReadBuffer(packed_, CL_FALSE, k * directions_ * 24, std::size_t{counts[k]} * 4, to);
       to += std::size_t{counts[k]} * 4;
     }
     queue_.finish();
-    collected_.add(std::move(links));
+    joined_.add(block.first, std::move(links));
   }
 
-  Collected& collected_;
+  JoinedRecords& joined_;
   std::uint32_t slots_;
   cl::Buffer ends_, weights_, table_, packed_, words_;
   Kernel link_, compress_;
@@ -114,10 +82,10 @@ BatchResult run_links_make_stage(const StageRun& run) {
   cl::CommandQueue queue = run.device.make_queue();
   batch.parameters = run.parameter_buffer(queue);
   WorkQueue work(run.count, host_threads(run.device));
-  Collected collected;
+  JoinedRecords records;
   run_host_threads(work, result,
-                   [&](unsigned index) { return std::make_unique<MakeThread>(batch, work, collected, index); });
-  result.records = collected.records();
+                   [&](unsigned index) { return std::make_unique<MakeThread>(batch, work, records, index); });
+  result.records = records.take();
   result.counters.seconds = seconds_now() - start;
   return result;
 }

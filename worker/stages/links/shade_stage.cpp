@@ -4,6 +4,7 @@
 #include "scene/model/error.h"
 #include "worker/stages/links/mesh.h"
 #include "worker/stages/links/stages.h"
+#include "worker/stages/split_stage.h"
 #include "worker/stages/vpl/point_thread.h"
 
 namespace gleaner::worker {
@@ -67,13 +68,10 @@ BatchResult run_links_shade_stage(const StageRun& run) {
   const auto tables = mesh_tables(run, "irradiance", RADIOSITY_WORDS);
   BatchResult result;
   result.records.resize(run.count * 12);
-  cl::CommandQueue queue = run.device.make_queue();
-  const cl::Buffer parameters = run.parameter_buffer(queue);
-  const Program program = run.build("shade.cl");
-  WorkQueue work(run.count, host_threads(run.device));
-  run_host_threads(work, result, [&](unsigned index) {
-    return std::make_unique<ShadeThread>(run, *tables, p, parameters, program, work, index);
-  });
+  run_split(run, "shade.cl", result,
+            [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
+              return std::make_unique<ShadeThread>(run, *tables, p, parameters, program, work, index);
+            });
   result.counters.seconds = seconds_now() - start;
   return result;
 }
