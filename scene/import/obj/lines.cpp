@@ -125,7 +125,7 @@ std::optional<std::string_view> Lines::next() {
       std::string_view rest = text;
       const bool is_name = takes_a_name(take_word(rest));
       joined_.assign(text);
-      for (text = trimmed(text); text.ends_with('\\'); text = trimmed(joined_)) {
+      for (text = trimmed(joined_); text.ends_with('\\'); text = trimmed(joined_)) {
         line = physical_line();
         // A name may end with a backslash; the next statement is then no part of it.
         if (is_name && line && begins_statement(*line)) {
