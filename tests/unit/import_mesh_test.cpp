@@ -159,6 +159,11 @@ TEST(Stl, WhatProgramsWrite) {
   EXPECT_EQ(triangles(upper), 1u);
   EXPECT_EQ(triangles("\xef\xbb\xbf\n  " + text), 1u);
   EXPECT_THAT(import_text(folder, "c.stl", "solid part\n" + facet).warnings, Contains(HasSubstr("no endsolid")));
+  std::string apart = text;
+  for (const char* word : {"loop\nendf", "facet\nends", "solid part\n"}) apart.insert(apart.rfind(word), 1, ' ');
+  const Scene of_words = import_text(folder, "w.stl", apart);
+  EXPECT_EQ(of_words.triangle_count(), 1u);
+  EXPECT_THAT(of_words.warnings, testing::Not(Contains(HasSubstr("no endsolid"))));
   // Binary, whatever the head says and however the length is wrong.
   EXPECT_EQ(triangles(binary_stl(2, "solid " + std::string(74, ' ')) + "\n"), 2u);
   EXPECT_THAT(refusal(folder.write("d.stl", binary_stl(2, "solid part").substr(0, 150))), HasSubstr("bytes of 2"));
@@ -253,6 +258,15 @@ TEST_F(PeoplesObj, WhatIsNoNumber) {
   EXPECT_THAT(s.warnings, Contains(HasSubstr("line 5: vn: not a finite number")));
   EXPECT_THAT(s.warnings, Contains(HasSubstr("line 6: vt: not a finite number")));
   EXPECT_EQ(read("mtllib m.mtl\n" + square_ + "usemtl a\nf 1 2 3\n", "newmtl a\nd 1.0000001\n").materials[0].alpha, 1);
+  // Vertices that are not there, and maps without a name.
+  const Scene holes = read("v nan nan nan\nv 1.#QNAN 0 0\n" + square_ + "f 3 4 5\n");
+  EXPECT_EQ(holes.triangle_count(), 1u);
+  EXPECT_THAT(holes.warnings, Contains(HasSubstr("line 1: v: without a place")));
+  EXPECT_THAT(refusal(folder_.write("h.obj", "v nan 0 0\n" + square_ + "f 1 2 3\n")), HasSubstr("finite coordinates"));
+  EXPECT_THAT(read("mtllib m.mtl\n" + square_ + "usemtl a\nf 1 2 3\n", "newmtl a\nmap_Kd\n").warnings,
+              Contains(HasSubstr("line 2: map_Kd: no file's name")));
+  folder_.write("lib/readme", "");
+  EXPECT_THAT(read("mtllib lib\n" + square_ + "f 1 2 3\n").warnings, Contains(HasSubstr("mtllib lib: a folder")));
   // A colour of a little more than 1 does not make counts of 255 of all.
   EXPECT_GT(read("v 0 0 0 1.01 0.5 0\nv 1 0 0 1 1 1\nv 1 1 0 1 1 1\nf 1 2 3\n").colors[1], 10000);
 }

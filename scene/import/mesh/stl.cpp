@@ -112,6 +112,10 @@ class StlReader {
         if (corners % 3 != 0)
           throw Error::bad_input(path_, "facet " + std::to_string(positions_.size() / 9), "3 vertices",
                                  std::to_string(corners % 3));
+      } else if (keyword == "end") {  // "end loop", "end facet", "end solid"
+        next();
+        keyword = "end" + keyword;
+        continue;
       } else if (keyword != "outer" && keyword != "loop") {
         throw Error::bad_input(path_, "text", "the words of an STL file", in_quotes(keyword));
       }

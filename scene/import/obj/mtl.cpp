@@ -90,7 +90,11 @@ class MtlReader {
         {"map_kn", &MtlMaterial::map_normal},   {"map_norm", &MtlMaterial::map_normal}};
     const auto known = maps.find(keyword);
     if (known == maps.end()) return false;
-    m.*known->second = texture_map(written_, rest);
+    if (trimmed(rest).empty())
+      warnings_.add(lines_.file() + ": " + lines_.here() + ": " + written_,
+                    "no file's name: the material does without it");
+    else
+      m.*known->second = texture_map(written_, rest);
     return true;
   }
 

@@ -95,6 +95,11 @@ class ObjReader {
   void add_vertex(const Lines& lines, std::string_view line) {
     for (int c = 0; c < 3; ++c) {
       const std::string_view word = take_word(line);
+      if (is_not_finite(word)) {
+        warnings_.add(lines.here() + ": v", "without a place: no face may use it");
+        vertices_.push_back(NAN);
+        continue;
+      }
       vertices_.push_back(lines.within(word, "v", -kMostCoordinate, kMostCoordinate));
       finest_step_ = std::min(finest_step_, step_of(word));
     }
@@ -141,6 +146,12 @@ class ObjReader {
     lines.fail("f", "an index among the " + std::to_string(count) + " " + what + " so far", in_quotes(word));
   }
 
+  void check_place(const Lines& lines, std::size_t vertex, std::string_view word) const {
+    const double* p = &vertices_[3 * vertex];
+    if (!std::isfinite(p[0] + p[1] + p[2]))
+      lines.fail("f", "vertices of finite coordinates", in_quotes(word) + ", which has none");
+  }
+
   Corner corner(const Lines& lines, std::string_view word) const {
     Corner c;
     const std::size_t counts[] = {vertices_.size() / 3, texture_vertices_.size() / 2, normals_.size() / 3};
@@ -153,6 +164,7 @@ class ObjReader {
         warnings_.add(lines.here() + ": f", std::string("names ") + names[k] + ", of which the file has none");
       else if (k == 0 || !part.empty())
         *parts[k] = resolve(lines, part, counts[k], names[k]);
+      if (k == 0) check_place(lines, static_cast<std::size_t>(c.v), part);
       if (slash == word.size()) return c;
       word.remove_prefix(slash + 1);
     }
@@ -335,6 +347,10 @@ class ObjReader {
       return;
     }
     has_library_ = true;
+    if (fs::is_directory(path, code)) {
+      warnings_.add(element, "a folder: its materials are grey");
+      return;
+    }
     if (fs::is_regular_file(path, code) && fs::file_size(path, code) == 0) {
       warnings_.add(element, "an empty file");
       return;
