@@ -113,9 +113,9 @@ class StlReader {
           throw Error::bad_input(path_, "facet " + std::to_string(positions_.size() / 9), "3 vertices",
                                  std::to_string(corners % 3));
       } else if (keyword == "end") {  // "end loop", "end facet", "end solid"
-        next();
-        keyword = "end" + keyword;
-        continue;
+        keyword = "end" + next();
+        if (keyword != "end") continue;
+        throw Error::bad_input(path_, "text", "the words of an STL file", in_quotes(keyword));
       } else if (keyword != "outer" && keyword != "loop") {
         throw Error::bad_input(path_, "text", "the words of an STL file", in_quotes(keyword));
       }
