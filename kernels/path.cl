@@ -60,7 +60,6 @@ FN Path load_path(global const float* paths, uint block, vu meta) {
 // Light that the path itself found.
 FN void add_found(global float* slots, uint slot_count, const Path* path, const PathFilter* filter, v3 found,
                   vi active) {
-  active = shows_emission(filter, active);
   add_to_slots(slots, slot_count, path->slot, path->indirect, found, active);
   add_compensation(slots, slot_count, path->slot, found, active & filter->compensates);
 }
@@ -76,7 +75,8 @@ FN void find_environment(const Scene* scene, global float* slots, uint slot_coun
   v3 radiance = environment_radiance(scene, u, v);
   vf light = environment_pdf(scene, u, v, safe_sqrt(one_f() - d.y * d.y)) * environment_chance(scene, path->total);
   vf weight = pick(one_f(), power_heuristic(path->pdf, light), path->pdf > zero_f());
-  add_found(slots, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight), missed);
+  add_found(slots, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight),
+            shows_emission(filter, missed));
 }
 #endif
 
@@ -107,7 +107,8 @@ FN void find_emission(const Scene* scene, global float* slots, uint slot_count, 
   vf light = light_pdf(scene, e, path->origin, path->direction, path->segment_length, path->total);
 #endif
   vf weight = pick(one_f(), power_heuristic(path->pdf, light), path->pdf > zero_f());
-  add_found(slots, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight), emits);
+  add_found(slots, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight),
+            shows_emission(filter, emits));
 }
 #endif
 
@@ -370,7 +371,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   v.passes = stochastic_alpha(&v.surface, v.active, &u_glass);
 #ifdef NEED_UNLIT
   vi unlit = v.active & none(v.passes) & ((as_vu(v.hit.words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_UNLIT) != 0u);
-  if (any_lane(unlit)) add_found(slots, slot_count, &path, &filter, mul3(path.throughput, v.surface.base), unlit);
+  if (any_lane(unlit))
+    add_found(slots, slot_count, &path, &filter, mul3(path.throughput, v.surface.base), shows_unlit(&filter, unlit));
   v.active = v.active & none(unlit);
 #endif
   uint most = parameters->depth;

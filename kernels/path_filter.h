@@ -23,6 +23,7 @@
 // scattered by them. Their lobes it goes on with: a rough lobe sends it all light, a sharp one all but CAUSTIC. A layer
 // nearer than `spacing` is a first surface of its own, since the density of photons says little there: it is lit, it
 // scatters, and the map is read for its CAUSTIC light alone.
+// Radiance links between vertices take another class, by itself: RADIOSITY (kernels/radiosity_filter.h).
 //
 // The path tracer calls, in this order: load_filter(); shows_emission() where its ray finds light; filter_vertex() at a
 // surface; filter_reflectance() and filter_sharp() of a light sample; filter_scattering() and filter_passing() for the
@@ -34,7 +35,9 @@
 #include "kernels/transport/parts.h"
 #include "kernels/transport/scattering.h"
 
-#ifdef PATH_FILTER
+#if defined(PATH_FILTER) && PATH_FILTER == PATH_CLASS_RADIOSITY
+#include "kernels/radiosity_filter.h"
+#elif defined(PATH_FILTER)
 
 // States. Above 0: the ray left the first surface's broad part, at this cosine (times the gain of a rough lobe); what
 // it meets decides the class.
@@ -55,11 +58,11 @@
 
 typedef struct {
   vf state;
-  vi compensates;  // light found in these lanes is what the partner lacks
-  vi straight;     // lanes whose ray came straight from the first surface's broad part
-  vi chained;      // lanes that came from there by way of sharp parts
-  vf geometry;     // of a straight segment: cosines over the squared distance, 1/m^2
-  vf broad_share;  // of this vertex's diffuse layer, what the path tracer computes
+  vi compensates;     // light found in these lanes is what the partner lacks
+  vi straight;        // lanes whose ray came straight from the first surface's broad part
+  vi chained;         // lanes that came from there by way of sharp parts
+  vf geometry;        // of a straight segment: cosines over the squared distance, 1/m^2
+  vf broad_share;     // of this vertex's diffuse layer, what the path tracer computes
 #ifdef PHOTON_GATHER
   vi gathers;         // lanes that left the first surface by its broad part
   vi reads;           // of these: lanes whose diffuse layer is read off the map here
@@ -98,6 +101,8 @@ FN vi shows_emission(const PathFilter* f, vi found) {
 #endif
   return found;
 }
+// The same where the light is an unlit surface.
+FN vi shows_unlit(const PathFilter* f, vi found) { return shows_emission(f, found); }
 
 // At a surface, before its lobes are loaded: ends paths whose light is all the partner's. `limit`: the bound of the
 // geometry term; of PHOTON_GATHER the spacing, m.
@@ -253,6 +258,7 @@ FN PathFilter load_filter(global const float* paths, uint block) {
   return f;
 }
 FN vi shows_emission(const PathFilter* f, vi found) { return found; }
+FN vi shows_unlit(const PathFilter* f, vi found) { return found; }
 FN void filter_vertex(PathFilter* f, float clamp_to, v3 origin, v3 direction, Vertex* v) {}
 FN v3 filter_reflectance(const PathFilter* f, const Scene* scene, const Surface* m, float clamp_to, vf nl,
                          v3 reflectance) {

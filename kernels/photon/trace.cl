@@ -13,21 +13,14 @@
 // follow punctual lights through mirrors and glass: no other method finds that light.
 #include "kernels/photon/pack.h"
 #include "kernels/photon_records.h"
-#include "kernels/transport/emission.h"
+#include "kernels/transport/light_paths.h"
 #include "kernels/transport/parts.h"
-#include "kernels/transport/scattering.h"
 #include "kernels/wide.h"
 
-// Light paths in flight: rows of kernels/path_layout.h with meanings of their own.
-#define ROW_RANGE ROW_PDF  // of the punctual light's window; 0: none, or passed already
-#define ROW_SAMPLE ROW_TOTAL
 // ROW_META of a light path.
-#define LIGHT_BOUNCE_MASK 255u
-#define LIGHT_DEPTH 8u
 #define LIGHT_ARRIVALS 16u  // photons left so far
 #define LIGHT_CLASS 24u
 
-#define LIGHT_SEQUENCE 65536u
 // Words of a path's balance: power absorbed, power that left the scene, RGB each.
 #define BALANCE_WORDS 6u
 #define BALANCE_ABSORBED 0u
@@ -43,32 +36,11 @@ kernel WIDE void photon_emit(global const PhotonTraceParameters* restrict parame
   if (first_lane >= count) return;
   Scene scene_value = SCENE_FROM_PARAMETERS;
   const Scene* scene = &scene_value;
-  vu lane = (vu)first_lane + lane_index();
-  ulong first = (((ulong)first_high << 32) | first_low) + first_lane;
-  vu sample = ((vu)(uint)(first & (LIGHT_SEQUENCE - 1u)) + lane_index()) & (LIGHT_SEQUENCE - 1u);
-  // Each run of 65,536 paths has a sequence of its own; blocks of 16 never straddle two.
-  uint sequence = (uint)(first >> 16);
-  vu key = hash_combine(hash_combine(hash_combine((vu)parameters->seed_low, (vu)parameters->seed_high),
-                                     (vu)(parameters->pass ^ 0x50480000u)),
-                        (vu)sequence);
-  vf u_light, u_spare, u0, u1, d0, d1;
-  sample_pair(key, sample, LIGHT_SEQUENCE, 0u, &u_light, &u_spare);
-  sample_pair(key, sample, LIGHT_SEQUENCE, 1u, &u0, &u1);
-  sample_pair(key, sample, LIGHT_SEQUENCE, 2u, &d0, &d1);
-  EmittedRay ray = emit_light(scene, emission, u_light, u0, u1, d0, d1);
+  LightStart start = start_light_paths(scene, emission, first_low, first_high, first_lane, count, parameters->seed_low,
+                                       parameters->seed_high, parameters->pass ^ 0x50480000u);
   ulong items = ((ulong)parameters->items_high << 32) | parameters->items_low;
-  NextRay start;
-  start.origin = ray.origin;
-  start.direction = ray.direction;
-  start.throughput = scale3(ray.flux, (vf)(1.0f / (float)items));
-  start.alive = (lane < count) & ray.valid;
-#ifdef NEED_MEDIA
-  start.media.high = ray.media_high;
-  start.media.low = ray.media_low;
-#endif
-  set_path(paths, block, &start, lane, (vu)(PHOTON_DIRECT << LIGHT_CLASS), key);
-  set_row_f(paths, PATH_ROWS, block, ROW_RANGE, ray.range);
-  set_row_u(paths, PATH_ROWS, block, ROW_SAMPLE, sample);
+  start.ray.throughput = scale3(start.ray.throughput, (vf)(1.0f / (float)items));
+  set_light_path(paths, block, &start, (vu)(PHOTON_DIRECT << LIGHT_CLASS));
 }
 
 // What is left of a light path's flux where it meets a surface, and the numbers that are drawn there.
@@ -168,31 +140,17 @@ kernel WIDE void photon_trace_step(global const PhotonTraceParameters* restrict 
   const Scene* scene = &scene_value;
   vu meta = row_u(paths, PATH_ROWS, block, ROW_META);
   LightPath p = load_light_path(paths, block, meta);
-  v3 origin = row_3(paths, PATH_ROWS, block, ROW_ORIGIN);
-  vf range = row_f(paths, PATH_ROWS, block, ROW_RANGE);
   vi alive = (meta & META_IDLE) == 0u;
   vi active = take_hits(paths, block, meta);
   if (parameters->balance) add_balance(balance, count, p.slot, BALANCE_ESCAPED, p.power, alive & none(active));
   if (!any_lane(active)) return;
   v3 arrived = p.power;
-  Vertex v = meet_surface(scene, paths, PATH_ROWS, block, active);
-  // KHR_lights_punctual's window over the first segment.
-  vf ratio = length3(sub3(v.hit.p, origin)) / range;
-  vf window = clamp_f(one_f() - ratio * ratio * ratio * ratio, zero_f(), one_f());
-  p.power = scale3(p.power, pick(one_f(), window, range > zero_f()));
-  p.power = through_media(scene, &v, paths, block, origin, p.direction, p.power);
-  vu pair_key = hash_combine(p.key, p.bounce * 4u + 16u);
-  ScatterNumbers u;
-  vf u_spare;
-  sample_pair(pair_key, p.sample, LIGHT_SEQUENCE, 0u, &u_spare, &u.u_roulette);
-  sample_pair(pair_key, p.sample, LIGHT_SEQUENCE, 2u, &u.u_lobe, &u.u_glass);
-  sample_pair(pair_key, p.sample, LIGHT_SEQUENCE, 3u, &u.d0, &u.d1);
-  choose_alpha(&v, &u.u_glass);
-  prepare_scattering(scene, &v, p.direction);
-  // A camera path sees no light from behind the normal for shading.
-  v.active = v.active & ((v.frame.facing > (vf)1e-6f) | v.passes);
-  v3 geometric = pick3(v.hit.geometric, negate3(v.hit.geometric), dot3(v.hit.geometric, p.direction) > zero_f());
-  vf correction = shading_normal_correction(&v, geometric, p.direction);
+  LightVertex met = meet_light_surface(scene, paths, block, active, row_3(paths, PATH_ROWS, block, ROW_ORIGIN),
+                                       p.direction, p.power, p.key, p.sample, p.bounce);
+  Vertex v = met.v;
+  v3 geometric = met.geometric;
+  vf correction = met.correction;
+  p.power = met.flux;
 
   vf weight = correction * lit_share(&v, p.direction);
   vi stores = stores_photon(&v, &p, parameters) & finite3(scale3(p.power, weight)) & finite3(v.hit.p);
@@ -201,9 +159,9 @@ kernel WIDE void photon_trace_step(global const PhotonTraceParameters* restrict 
   vi straight = no_lanes();
   BsdfSample scattered;
   uint most = parameters->most_depth == GLEANER_NONE ? 0u : parameters->most_depth + 1u;
-  NextRay next =
-      scatter_flux(scene, &v, geometric, correction, p.direction, p.power, p.depth, most, &u, &straight, &scattered);
-  vu class_ = next_class(scene, &p, &v, &scattered, u.u_glass, &next);
+  NextRay next = scatter_flux(scene, &v, geometric, correction, p.direction, p.power, p.depth, most, &met.u, &straight,
+                              &scattered);
+  vu class_ = next_class(scene, &p, &v, &scattered, met.u.u_glass, &next);
   // Of paths that leave caustics alone, a broad scattering is the end.
   if ((parameters->classes & (PHOTON_CLASS_BIT(PHOTON_BROAD) | PHOTON_CLASS_BIT(PHOTON_MIXED))) == 0u)
     next.alive = next.alive & (class_ != PHOTON_BROAD);

@@ -4,87 +4,26 @@
 #include <cmath>
 #include <cstdio>
 #include <functional>
-#include <nlohmann/json.hpp>
 #include <numbers>
 #include <numeric>
 #include <set>
 
-#include "cli/local_frame.h"
-#include "coordinator/plan/plan.h"
 #include "kernels/photon_records.h"
 #include "kernels/rays.h"
 #include "scene/library/library.h"
 #include "scene/model/error.h"
-#include "tests/radiometry/shot.h"
+#include "tests/radiometry/rendered_frame.h"
 
 namespace gleaner::test {
 namespace {
 
-using coordinator::Film;
-using coordinator::FrameSettings;
 using kernels::PhotonMapParameters;
 using kernels::PhotonTraceParameters;
-using Settings = std::map<std::string, std::string>;
 
 constexpr double kFamily = 1e-3;  // chance of a false alarm of one test
 
-struct Frame {
-  std::shared_ptr<const Scene> scene;
-  FrameSettings settings;
-};
-
 Frame frame_of(Scene scene, std::uint32_t size, std::uint32_t spp, const Settings& set) {
-  Frame frame;
-  frame.scene = std::make_shared<const Scene>(std::move(scene));
-  frame.settings.method = "photon";
-  frame.settings.width = frame.settings.height = size;
-  frame.settings.spp = spp;
-  frame.settings.set = set;
-  frame.settings.camera = camera_of(*frame.scene);
-  frame.settings.camera.half_width = frame.settings.camera.half_height;
-  return frame;
-}
-
-struct Rendered {
-  Film film;
-  std::map<std::string, worker::BatchResult> results;  // by stage
-  std::map<std::string, worker::StageTask> tasks;
-  std::map<std::string, coordinator::StageSpec> specs;
-};
-
-Rendered render(const Frame& frame) {
-  worker::Executor& on = executor(worker::TraceKind::automatic);
-  const std::string id = load(on, frame.scene);
-  auto plan = coordinator::make_plan(frame.settings, coordinator::summarize(*frame.scene));
-  Rendered made;
-  cli::run_frame(
-      *plan, on, id,
-      [&](const auto& stage, const worker::StageTask& task) {
-        made.tasks[stage.name] = task;
-        made.specs[stage.name] = stage;
-        return true;
-      },
-      [&](const auto& stage, const worker::BatchResult& result) {
-        EXPECT_EQ(result.counters.nonfinite, 0u) << stage.name;
-        made.results[stage.name] = result;
-      });
-  made.film = plan->film();
-  return made;
-}
-
-double mean_of(const Film& film, const std::string& channel) {
-  const auto* found = film.find(channel);
-  if (!found) throw Error::failed("no channel " + channel);
-  return std::accumulate(found->values.begin(), found->values.end(), 0.0) / static_cast<double>(found->values.size());
-}
-
-Sample means_of(Frame frame, const std::string& channel, unsigned seeds) {
-  Sample sample;
-  for (unsigned seed = 1; seed <= seeds; ++seed) {
-    frame.settings.seed = seed;
-    sample.add(mean_of(render(frame).film, channel));
-  }
-  return sample;
+  return square_frame("photon", std::move(scene), {}, size, spp, set);
 }
 
 // --- The balance of power ---

@@ -8,7 +8,7 @@
 #include "scene/model/error.h"
 #include "worker/stages/photon/map_table.h"
 #include "worker/stages/photon/stages.h"
-#include "worker/wavefront/host_threads.h"
+#include "worker/stages/split_stage.h"
 #include "worker/wavefront/path_wave.h"
 
 namespace gleaner::worker {
@@ -112,13 +112,10 @@ BatchResult run_photon_caustics_stage(const StageRun& run) {
   BatchResult result;
   result.records.resize(run.count * 12);
   const auto guide = photon_map_table(run, "guide"), map = photon_map_table(run, "map");
-  cl::CommandQueue queue = run.device.make_queue();
-  const cl::Buffer parameters = run.parameter_buffer(queue);
-  const Program program = run.build("caustics.cl");
-  WorkQueue work(run.count, host_threads(run.device));
-  run_host_threads(work, result, [&](unsigned index) {
-    return std::make_unique<CausticsThread>(run, program, p, parameters, *guide, *map, work, index);
-  });
+  run_split(run, "caustics.cl", result,
+            [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
+              return std::make_unique<CausticsThread>(run, program, p, parameters, *guide, *map, work, index);
+            });
   result.counters.seconds = seconds_now() - start;
   return result;
 }

@@ -4,7 +4,7 @@
 
 #include "kernels/photon_records.h"
 #include "scene/model/error.h"
-#include "worker/stages/camera_samples.h"
+#include "worker/stages/path_stage.h"
 #include "worker/stages/photon/map_table.h"
 #include "worker/stages/photon/stages.h"
 
@@ -26,20 +26,14 @@ PhotonGatherParameters read_parameters(const StageRun& run) {
   return p;
 }
 
-class GatherThread : public SampleThread {
+class GatherThread : public PathThread {
  public:
   GatherThread(const SamplePart& part, Workspace& workspace, WorkQueue& work, unsigned index,
                const kernels::PhotonEstimate& estimate, const PhotonMapTable& map)
-      : SampleThread(part, workspace, work, index),
+      : PathThread(part, workspace, work, index),
         reads_(take("reads", std::size_t{wave_.capacity()} * READ_WORDS * 4)),
-        shade_(part.device, part.program, "path_shade"),
         read_(part.device, part.program, "photon_read") {
-    set_arguments(shade_);
-    shade_.set("shadows", shadows_)
-        .set("slots", part.slots)
-        .set("features", part.features)
-        .set("capacity", wave_.capacity())
-        .set("reads", reads_);
+    shade_.set("reads", reads_);
     part.scene.set_arguments(read_);
     map.set_arguments(read_, "map");
     read_.set("reads", reads_)
@@ -51,21 +45,14 @@ class GatherThread : public SampleThread {
 
  private:
   std::uint32_t step(const RayRange& range, std::uint32_t fresh) override {
-    clear_device_counters();
-    set_wave(shade_, fresh);
-    shade_.set("next", wave_.next_paths());
-    launch(shade_, range.end());
-    const auto counted = read_device_counters();
-    counters.scatter += counted[COUNTER_ALIVE];
-    counters.shadow += counted[COUNTER_SHADOW];
-    if (counted[COUNTER_SHADOW]) connect(range);
+    const std::uint32_t alive = PathThread::step(range, fresh);
     read_.set("count", range.end());
     HostThread::launch(read_, range.end(), wave_.capacity(), 1);
-    return counted[COUNTER_ALIVE];
+    return alive;
   }
 
   cl::Buffer reads_;
-  Kernel shade_, read_;
+  Kernel read_;
 };
 
 }  // namespace

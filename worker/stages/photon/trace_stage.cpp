@@ -2,13 +2,13 @@
 
 #include <algorithm>
 #include <cstring>
-#include <mutex>
 
 #include "kernels/path_layout.h"
 #include "kernels/photon_records.h"
 #include "scene/model/error.h"
 #include "worker/stages/photon/stages.h"
-#include "worker/wavefront/host_threads.h"
+#include "worker/stages/split_stage.h"
+#include "worker/wavefront/joined_records.h"
 #include "worker/wavefront/path_wave.h"
 
 namespace gleaner::worker {
@@ -22,39 +22,12 @@ constexpr std::size_t kBalanceWords = 6;
 
 std::uint32_t wave_capacity(const Device& device) { return device.info().cpu ? 1u << 12 : 1u << 17; }
 
-// The records of some of the batch's items.
-struct Piece {
-  std::uint64_t first = 0;
-  scene::Bytes records;
-  std::vector<std::uint32_t> counts;
-};
-
-class Pieces {
- public:
-  void add(Piece piece) {
-    const std::lock_guard lock(mutex_);
-    pieces_.push_back(std::move(piece));
-  }
-  // In the items' order.
-  void join(BatchResult& result) {
-    std::ranges::sort(pieces_, {}, &Piece::first);
-    for (const Piece& piece : pieces_) {
-      result.records.insert(result.records.end(), piece.records.begin(), piece.records.end());
-      result.counts.insert(result.counts.end(), piece.counts.begin(), piece.counts.end());
-    }
-  }
-
- private:
-  std::mutex mutex_;
-  std::vector<Piece> pieces_;
-};
-
 class PhotonThread : public HostThread {
  public:
   PhotonThread(const StageRun& run, const Program& program, const PhotonTraceParameters& p,
-               const cl::Buffer& parameters, Pieces& pieces, WorkQueue& work, unsigned index)
+               const cl::Buffer& parameters, JoinedRecords& joined, WorkQueue& work, unsigned index)
       : HostThread(run.device, run.workspace, run.scene.tracer(), work, index),
-        pieces_(pieces),
+        joined_(joined),
         first_item_(run.first),
         balance_wanted_(p.balance != 0),
         capacity_(wave_capacity(run.device)),
@@ -80,7 +53,7 @@ class PhotonThread : public HostThread {
         .set("counters", device_counters());
   }
 
-  void run(BatchResult&) {
+  void run(BatchResult& result) {
     while (const WorkQueue::Block block = work_.claim(capacity_)) {
       const auto count = static_cast<std::uint32_t>(block.count);
       queue_.enqueueFillBuffer(arrivals_, cl_uint{0}, 0, std::size_t{count} * 4);
@@ -94,31 +67,30 @@ class PhotonThread : public HostThread {
       queue_.enqueueReadBuffer(records_, CL_TRUE, 0, count * kPathBytes, photons_.data());
       if (balance_wanted_)
         queue_.enqueueReadBuffer(balance_, CL_TRUE, 0, std::size_t{count} * kBalanceWords * 4, balances_.data());
-      pieces_.add(pack(block.first, count));
+      joined_.add(block.first, pack(count, &result.counts[block.first]));
     }
   }
 
  private:
   // Leaves each path only the slots that hold a photon. Those of a path that arrived more often carry the power of the
-  // photons that were dropped as well.
-  Piece pack(std::uint64_t first, std::uint32_t count) const {
-    Piece piece{.first = first, .records = {}, .counts = {}};
-    piece.counts.reserve(count);
+  // photons that were dropped as well. `counts`: of the photons left of each path.
+  scene::Bytes pack(std::uint32_t count, std::uint32_t* counts) const {
+    scene::Bytes records;
     for (std::uint32_t item = 0; item < count; ++item) {
       const std::uint32_t kept = std::min(arrived_[item], PHOTON_PATH_SLOTS);
       const std::byte* from = photons_.data() + item * kPathBytes;
-      const std::size_t at = piece.records.size();
-      piece.records.insert(piece.records.end(), from, from + kept * kRowBytes);
+      const std::size_t at = records.size();
+      records.insert(records.end(), from, from + kept * kRowBytes);
       if (arrived_[item] > kept)
-        scale_power(&piece.records[at], kept, static_cast<float>(arrived_[item]) / static_cast<float>(kept));
+        scale_power(&records[at], kept, static_cast<float>(arrived_[item]) / static_cast<float>(kept));
       if (balance_wanted_) {
         const float* balance = &balances_[item * kBalanceWords];
-        add_balance(piece.records, balance, PHOTON_ABSORBED);
-        add_balance(piece.records, balance + 3, PHOTON_ESCAPED);
+        add_balance(records, balance, PHOTON_ABSORBED);
+        add_balance(records, balance + 3, PHOTON_ESCAPED);
       }
-      piece.counts.push_back(kept + (balance_wanted_ ? 2 : 0));
+      counts[item] = kept + (balance_wanted_ ? 2 : 0);
     }
-    return piece;
+    return records;
   }
 
   static void scale_power(std::byte* rows, std::uint32_t count, float factor) {
@@ -138,7 +110,7 @@ class PhotonThread : public HostThread {
     records.insert(records.end(), row, row + kRowBytes);
   }
 
-  Pieces& pieces_;
+  JoinedRecords& joined_;
   std::uint64_t first_item_;
   bool balance_wanted_;
   std::uint32_t capacity_;
@@ -164,15 +136,13 @@ BatchResult run_photon_trace_stage(const StageRun& run) {
     result.counts.assign(run.count, 0);
     return result;
   }
-  cl::CommandQueue queue = run.device.make_queue();
-  const cl::Buffer parameters = run.parameter_buffer(queue);
-  const Program program = run.build("trace.cl");
-  WorkQueue work(run.count, host_threads(run.device));
-  Pieces pieces;
-  run_host_threads(work, result, [&](unsigned index) {
-    return std::make_unique<PhotonThread>(run, program, p, parameters, pieces, work, index);
-  });
-  pieces.join(result);
+  result.counts.resize(run.count);
+  JoinedRecords joined;
+  run_split(run, "trace.cl", result,
+            [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
+              return std::make_unique<PhotonThread>(run, program, p, parameters, joined, work, index);
+            });
+  result.records = joined.take();
   result.counters.seconds = seconds_now() - start;
   return result;
 }
