@@ -71,7 +71,7 @@ Element Meshes::mesh_of(const Instance& instance) const {
 
 Box Meshes::place() {
   for (const std::size_t index : nodes_.in_scene()) place_node(index);
-  choose_instanced();
+  if (may_instance_) choose_instanced();
   for (const Instance& instance : instances_) total_ = counted(instance, total_);
   Box all;
   for (const Instance& instance : instances_) {

@@ -23,15 +23,16 @@ inline constexpr std::size_t kLeastSparedTriangles = 50'000;
 
 class Meshes {
  public:
-  // `variant`: see Materials::material_of.
+  // `variant`: see Materials::material_of. `instances`: see ImportOptions.
   Meshes(Document& document, Scene& scene, Materials& materials, Nodes& nodes, Warnings& warnings,
-         std::optional<std::size_t> variant)
+         std::optional<std::size_t> variant, bool instances)
       : document_(document),
         scene_(scene),
         materials_(materials),
         nodes_(nodes),
         warnings_(warnings),
-        variant_(variant) {}
+        variant_(variant),
+        may_instance_(instances) {}
 
   // Before place(): this node moves as a whole, so that its mesh is instanced whatever its size. Where that may not be
   // (scene/model/instances.h), under a skin, or where the node has weights of morph targets of its own, it is not.
@@ -90,6 +91,7 @@ class Meshes {
   Nodes& nodes_;
   Warnings& warnings_;
   std::optional<std::size_t> variant_;
+  bool may_instance_;
   std::set<std::size_t> rigid_;  // nodes
   std::vector<PlacedNode> placed_;
   std::map<std::string, std::uint32_t> stored_meshes_;  // the file's name of an instanced mesh -> the scene's number

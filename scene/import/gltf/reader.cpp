@@ -46,7 +46,7 @@ Scene read_gltf(const std::string& path, const ImportOptions& options, Warnings&
   gltf::Materials materials(document, scene, warnings);
   materials.read(options.most_texels);
   gltf::Nodes nodes(document, warnings);
-  gltf::Meshes meshes(document, scene, materials, nodes, warnings, variant);
+  gltf::Meshes meshes(document, scene, materials, nodes, warnings, variant, options.instances);
   scene.origin = origin_for(meshes.place());
   add_cameras(document, nodes, scene, warnings);
   gltf::Lights(document, options.light_units, scene, warnings).add(nodes);
