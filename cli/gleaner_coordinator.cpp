@@ -1,5 +1,6 @@
 // `gleaner-coordinator`: jobs in, leases out, files on disk.
 
+#include <malloc.h>
 #include <spdlog/sinks/stdout_sinks.h>
 #include <spdlog/spdlog.h>
 
@@ -63,6 +64,10 @@ int check(const std::string& address) {
   Client(address).workers();
   return 0;
 }
+
+// Results come and go in megabytes, on many threads. glibc would soon keep what each of them frees for itself: half a
+// gigabyte beside a large frame.
+void give_back_large_memory() { ::mallopt(M_MMAP_THRESHOLD, 512 << 10); }
 
 int coordinate(const CoordinatorOptions& options) {
   if (options.data.empty()) throw Error::usage("--data is required: a folder of blobs and pictures");
@@ -128,6 +133,7 @@ int coordinate(const CoordinatorOptions& options) {
 
 int main(int argc, char** argv) {
   using namespace gleaner::cli;
+  give_back_large_memory();
   silence_grpc();
   CLI::App app{"Takes jobs, splits their frames among workers, writes the pictures", "gleaner-coordinator"};
   app.set_version_flag("--version", std::string("gleaner-coordinator ") + gleaner::version);

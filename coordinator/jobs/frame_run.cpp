@@ -1,5 +1,7 @@
 // A job's thread: one frame after the other, each from its plan's first stages to its film.
 
+#include <malloc.h>
+
 #include <algorithm>
 #include <chrono>
 #include <cstring>
@@ -14,8 +16,9 @@ namespace gleaner::coordinator {
 
 namespace {
 
-constexpr std::size_t most_warnings = 8;                      // of a job's frames, in its status
-constexpr std::uint64_t most_drawn = std::uint64_t{4} << 20;  // bytes of records that a preview takes at a time
+constexpr std::uint64_t large_plan = std::uint64_t{256} << 20;  // bytes, as predicted
+constexpr std::size_t most_warnings = 8;                        // of a job's frames, in its status
+constexpr std::uint64_t most_drawn = std::uint64_t{4} << 20;    // bytes of records that a preview takes at a time
 
 }  // namespace
 
@@ -150,6 +153,8 @@ Film Farm::Impl::render(const std::shared_ptr<Job>& job, std::uint32_t frame) {
     post(job, step, to_come);
     std::optional<FinishedStage> finished = await_stage(*job);
     if (!finished) break;  // the time limit; the plan has made do with what there is
+    // What the threads that received the stage's results have freed, glibc keeps in their arenas.
+    if (job->memory > large_plan) ::malloc_trim(0);
     step = next_step(&*finished);
   }
   end_frame(*job);
