@@ -30,9 +30,8 @@ std::string digest_of(const Bytes& bytes) {
 bool answers(const RunningStage& stage, const JournalRange& range) {
   const StageSpec& spec = stage.spec;
   if (range.count == 0 || range.first > spec.items || range.count > spec.items - range.first) return false;
-  if (spec.solo) return range.count == spec.items;
-  if (range.first % spec.tile != 0) return false;
   const std::uint64_t end = range.first + range.count;
+  if (spec.solo ? range.count != spec.items : range.first % spec.tile != 0) return false;
   if (end % spec.tile != 0 && end != spec.items) return false;
   return spec.output.counted ? range.bytes >= range.count * count_bytes
                              : range.bytes == range.count * spec.output.record_bytes;

@@ -132,7 +132,8 @@ class FarmRecords : public FarmJournal, public testing::WithParamInterface<const
     for (int i = 0; i < batches; ++i) {
       auto offer = worker.next();
       EXPECT_TRUE(offer);
-      if (offer) EXPECT_EQ(worker.deliver(*offer, worker.compute(*offer, blobs_)), Verdict::accepted);
+      if (!offer) break;
+      EXPECT_EQ(worker.deliver(*offer, worker.compute(*offer, blobs_)), Verdict::accepted);
     }
     return id;
   }
