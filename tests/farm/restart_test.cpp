@@ -4,7 +4,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cstdlib>
+#include <iostream>
+#include <memory>
 #include <random>
 
 #include "tests/farm/processes.h"
@@ -23,6 +26,15 @@ unsigned kills() {
   return text ? static_cast<unsigned>(std::stoul(text)) : 3;
 }
 
+// Items that the next coordinator found accepted.
+std::uint64_t items_taken_over(const json& report) {
+  std::uint64_t items = 0;
+  for (const json& skip : report["skips"])
+    if (skip["why"].get<std::string>().starts_with("accepted before the coordinator"))
+      items += skip["count"].get<std::uint64_t>();
+  return items;
+}
+
 class Restart : public testing::Test {
  protected:
   void SetUp() override {
@@ -38,26 +50,57 @@ class Restart : public testing::Test {
   TemporaryFolder folder_;
 };
 
-class RestartOf : public Restart, public testing::WithParamInterface<const char*> {};
-INSTANTIATE_TEST_SUITE_P(Farm, RestartOf, testing::Values("path", "vpl"),
-                         [](const auto& method) { return std::string(method.param); });
+struct Kind {
+  const char* method;
+  unsigned workers;
+};
+
+class RestartOf : public Restart, public testing::WithParamInterface<Kind> {
+ protected:
+  void SetUp() override {
+    Restart::SetUp();
+    farm_ = std::make_unique<ProcessFarm>(folder_.path() / "farm", programs);
+    for (unsigned i = 0; i < GetParam().workers; ++i) farm_->add_worker("worker-" + std::to_string(i));
+    ASSERT_TRUE(farm_->wait_for_workers(GetParam().workers));
+    words_ = frame(GetParam().method, 512);
+    whole_ = farm_->finish(farm_->submit(words_));
+  }
+
+  std::unique_ptr<ProcessFarm> farm_;
+  std::vector<std::string> words_;
+  json whole_;  // report of the frame that nobody disturbed
+};
+INSTANTIATE_TEST_SUITE_P(Farm, RestartOf,
+                         testing::Values(Kind{"path", 1}, Kind{"path", 3}, Kind{"vpl", 1}, Kind{"vpl", 3}),
+                         [](const auto& kind) { return kind.param.method + std::to_string(kind.param.workers); });
 
 TEST_P(RestartOf, SameBitsWhereverTheCoordinatorIsKilled) {
-  ProcessFarm farm(folder_.path() / "farm", programs);
-  farm.add_worker("one");
-  farm.add_worker("two");
-  ASSERT_TRUE(farm.wait_for_workers(2));
-  const auto words = frame(GetParam(), 256);
-  const json whole = farm.finish(farm.submit(words));
-  const double seconds = whole["seconds"];
+  const double seconds = whole_["seconds"];
   std::mt19937_64 random{std::random_device{}()};
   for (unsigned kill = 0; kill < kills(); ++kill) {
-    const std::string job = farm.submit(words);
+    const std::string job = farm_->submit(words_);
     const double after = std::uniform_real_distribution<double>(0, 1.2 * seconds)(random);
     std::this_thread::sleep_for(std::chrono::duration<double>(after));
-    farm.restart();
-    EXPECT_EQ(farm.finish(job)["pixels_sha256"], whole["pixels_sha256"]) << "killed after " << after << " s";
+    farm_->restart();
+    const json report = farm_->finish(job);
+    EXPECT_EQ(report["pixels_sha256"], whole_["pixels_sha256"]) << "killed after " << after << " s";
+    std::cout << "killed after " << after << " s of " << seconds << ", done after " << report["seconds"]
+              << " s; taken over: " << items_taken_over(report) << " items\n";
   }
+}
+
+TEST_P(RestartOf, WhatWasAcceptedIsNotComputedAgain) {
+  const std::string job = farm_->submit(words_);
+  // In the middle of the stage that has most items.
+  std::uint64_t most = 0;
+  for (const json& stage : whole_["stages"]) most = std::max<std::uint64_t>(most, stage["items"]);
+  ASSERT_TRUE(eventually([&] { return farm_->items_done(job) > most / 2 || farm_->ended(job); }, 120));
+  std::this_thread::sleep_for(std::chrono::milliseconds(400));  // until the journal knows
+  ASSERT_FALSE(farm_->ended(job)) << "too late to kill";
+  farm_->restart();
+  const json report = farm_->finish(job);
+  EXPECT_EQ(report["pixels_sha256"], whole_["pixels_sha256"]);
+  EXPECT_GT(items_taken_over(report), most / 4);
 }
 
 TEST_F(Restart, WhatWasSubmittedIsRenderedOnce) {
