@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <ctime>
 #include <iostream>
 #include <memory>
 #include <random>
@@ -107,6 +108,7 @@ TEST_F(Restart, WhatWasSubmittedIsRenderedOnce) {
   ProcessFarm farm(folder_.path() / "farm", programs);
   std::vector<std::string> words = frame("path", 4), jobs;
   words.insert(words.end(), {"--frames", "1-3"});
+  const auto submitted = static_cast<double>(std::time(nullptr));
   for (int i = 0; i < 3; ++i) jobs.push_back(farm.submit(words));
   farm.gleaner({"cancel", jobs[1]});
   farm.restart();
@@ -120,9 +122,36 @@ TEST_F(Restart, WhatWasSubmittedIsRenderedOnce) {
   for (std::size_t i = 0; i < 3; ++i) {
     EXPECT_EQ(list[i]["job"], jobs[i]);
     EXPECT_EQ(list[i]["frames_done"], i == 1 ? 0 : 3);
+    EXPECT_NEAR(list[i]["submitted_unix_seconds"].get<double>(), submitted, 120);
   }
   EXPECT_EQ(farm.gleaner({"fetch", jobs[2], "-o", (folder_.path() / "again").string()}).status, 0);
   EXPECT_TRUE(fs::exists(folder_.path() / "again" / "frame_0003.exr"));
+}
+
+TEST_F(Restart, AWatchGoesOnWithTheNextCoordinator) {
+  for (const int signal : {SIGKILL, SIGTERM}) {
+    ProcessFarm farm(folder_.path() / ("farm-" + std::to_string(signal)), programs);
+    const std::string job = farm.submit(frame("path", 4));
+    const auto watched = farm.begin_gleaner({"watch", job, "--preview", (folder_.path() / "preview.png").string()});
+    ASSERT_TRUE(eventually([&] { return watched->err().find("no worker is connected") != std::string::npos; }, 30))
+        << watched->err();
+    farm.restart(signal);
+    farm.add_worker("one");
+    EXPECT_EQ(watched->wait(), 0) << watched->err();
+    EXPECT_THAT(watched->err(), testing::ContainsRegex("coordinator at .*; trying again\n"));
+    EXPECT_THAT(watched->err(), HasSubstr("answers again"));
+    EXPECT_THAT(watched->err(), HasSubstr("done"));
+  }
+}
+
+TEST_F(Restart, AWatchGivesUpWhereItIsTold) {
+  ProcessFarm farm(folder_.path() / "farm", programs);
+  const std::string job = farm.submit(frame("path", 4));
+  const auto watched = farm.begin_gleaner({"watch", job, "--give-up", "1"});
+  ASSERT_TRUE(eventually([&] { return !watched->err().empty(); }, 30));
+  farm.coordinator().signal(SIGKILL);
+  EXPECT_EQ(watched->wait(), 4);
+  EXPECT_THAT(watched->err(), HasSubstr("given up"));
 }
 
 TEST_F(Restart, ADamagedJournalIsSaidAndPicturesStay) {
