@@ -1,8 +1,8 @@
 // What the journal costs.
 //
 //   bench_journal frame [METHOD [WIDTH HEIGHT SPP [ROUNDS]]]
-//     Frames of the Cornell box on two farms in this process, one with a journal and one without, in turns on the same
-//     device (path 256 256 64, 9 rounds): medians of wall and of processor seconds, and their ratios.
+//     Frames of the Cornell box on three farms in this process, in turns on the same device (path 256 256 64, 9
+//     rounds): one has a journal. The two without show how far a ratio can be trusted.
 //   bench_journal fill FOLDER [QUEUED [FRAMES [ENDED]]]
 //     Makes a coordinator's --data folder: jobs that wait, of so many frames each with a camera of its own, and jobs
 //     that have ended (100 100 1000). bench/journal starts a coordinator on it.
@@ -55,6 +55,7 @@ JobRequest request_of(const scene::Scene& scene, BlobStore& blobs) {
   request.scenes = {
       {blobs.put(scene::serialize(scene)), blobs.put(scene::serialize(scene::build_bvh(scene))), summarize(scene)}};
   request.settings.camera = scene.cameras.front().camera;
+  request.settings.width = request.settings.height = 256;
   return request;
 }
 
@@ -65,9 +66,16 @@ FarmSettings settings_in(const fs::path& folder, bool journal) {
     return FramePaths{base.string() + ".exr", base.string() + ".png", base.string() + ".json"};
   };
   if (!journal) return settings;
-  settings.journal = std::make_shared<JournalWriter>(open_sqlite_journal(folder / "journal.sqlite"));
+  settings.journal = std::make_shared<JournalWriter>(open_sqlite_journal(folder / "journal.sqlite"), settings.log);
   settings.scheduler.incarnation = settings.journal->begin();
   settings.records = folder / "records";
+  return settings;
+}
+
+worker::AgentSettings agent_settings() {
+  worker::AgentSettings settings;
+  settings.name = "worker";
+  settings.reconnect = false;
   return settings;
 }
 
@@ -78,7 +86,7 @@ class LocalFarm {
       : blobs_((fs::create_directories(folder), folder / "blobs")),
         farm_(settings_in(folder, journal), blobs_),
         server_(farm_, blobs_, gateway::ServerSettings{}),
-        agent_(server_.in_process_channel(), worker::open_device({}), {.name = "worker", .reconnect = false}),
+        agent_(server_.in_process_channel(), worker::open_device({}), agent_settings()),
         thread_([this] { agent_.run(); }) {}
   ~LocalFarm() {
     agent_.stop();
@@ -113,42 +121,49 @@ double median(std::vector<double> values) {
 }
 
 int frame(const std::string& method, unsigned width, unsigned height, unsigned spp, unsigned rounds) {
+  constexpr std::size_t kinds = 3;
+  const char* names[kinds] = {"without a journal", "with a journal", "without, again"};
   const fs::path folder = fs::temp_directory_path() / ("bench_journal_" + std::to_string(::getpid()));
-  const scene::Scene scene = scene::make_library_scene("cornell-box");
-  std::vector<double> wall[2], processor[2], wall_ratios, processor_ratios;
+  const scene::Scene scene = scene::make_scene("cornell-box");
+  std::vector<double> wall[kinds], processor[kinds], wall_ratios[kinds], processor_ratios[kinds];
   {
-    LocalFarm without(folder / "without", false), with(folder / "with", true);
+    std::vector<std::unique_ptr<LocalFarm>> farms;
+    for (std::size_t kind = 0; kind < kinds; ++kind)
+      farms.push_back(std::make_unique<LocalFarm>(folder / std::to_string(kind), kind == 1));
     BlobStore blobs;
     JobRequest request = request_of(scene, blobs);
     request.settings.method = method;
     request.settings.width = width;
     request.settings.height = height;
     request.settings.spp = spp;
-    for (LocalFarm* farm : {&without, &with}) farm->render(request, scene);  // compiles kernels, loads the scene
+    for (const auto& farm : farms) farm->render(request, scene);  // compiles kernels, loads the scene
     for (unsigned round = 1; round <= rounds; ++round) {
       request.settings.seed = round;  // nothing of the last frame serves this one
-      Spent spent[2];
-      for (unsigned turn = 0; turn < 2; ++turn) {
-        const unsigned which = (turn + round) % 2;
-        spent[which] = (which ? with : without).render(request, scene);
-        wall[which].push_back(spent[which].wall);
-        processor[which].push_back(spent[which].processor);
+      Spent spent[kinds];
+      for (std::size_t turn = 0; turn < kinds; ++turn) {
+        const std::size_t kind = (turn + round) % kinds;
+        spent[kind] = farms[kind]->render(request, scene);
       }
-      wall_ratios.push_back(spent[1].wall / spent[0].wall);
-      processor_ratios.push_back(spent[1].processor / spent[0].processor);
+      for (std::size_t kind = 0; kind < kinds; ++kind) {
+        wall[kind].push_back(spent[kind].wall);
+        processor[kind].push_back(spent[kind].processor);
+        wall_ratios[kind].push_back(spent[kind].wall / spent[0].wall);
+        processor_ratios[kind].push_back(spent[kind].processor / spent[0].processor);
+      }
     }
   }
   fs::remove_all(folder);
-  std::printf("%s, %ux%u, %u samples, %u rounds\n", method.c_str(), width, height, spp, rounds);
-  std::printf("without a journal  %.3f s  %.3f processor s\n", median(wall[0]), median(processor[0]));
-  std::printf("with a journal     %.3f s  %.3f processor s\n", median(wall[1]), median(processor[1]));
-  std::printf("median ratio       %.4f    %.4f\n", median(wall_ratios), median(processor_ratios));
+  std::printf("%s, %ux%u, %u samples, %u rounds: medians, and of the ratios to the first line\n", method.c_str(), width,
+              height, spp, rounds);
+  for (std::size_t kind = 0; kind < kinds; ++kind)
+    std::printf("%-18s %.3f s (%.4f)  %.3f processor s (%.4f)\n", names[kind], median(wall[kind]),
+                median(wall_ratios[kind]), median(processor[kind]), median(processor_ratios[kind]));
   return 0;
 }
 
 int fill(const fs::path& folder, unsigned queued, unsigned frames, unsigned ended_jobs) {
   fs::create_directories(folder);
-  const scene::Scene scene = scene::make_library_scene("cornell-box");
+  const scene::Scene scene = scene::make_scene("cornell-box");
   BlobStore blobs(folder / "blobs");
   JobRequest request = request_of(scene, blobs);
   FarmSettings settings = settings_in(folder, true);
