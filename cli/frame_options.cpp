@@ -223,6 +223,7 @@ LoadedFrame load_frame(const FrameOptions& options) {
   const std::vector<LookAt> trajectory = parse_trajectory(options);
 
   ImportWords files = options.files;
+  files.instances = coordinator::method_of(options.method).takes_instances;
   files.seconds = options.time_offset;
   frame.scene = read_scene(files, options.look_at.empty());
   frame.moves = !frame.scene.animations.empty() && frame.last_frame > frame.first_frame;
@@ -252,6 +253,7 @@ MovedScene load_moved(const FrameOptions& options, LoadedFrame& frame, std::uint
   if (number == frame.first_frame) return {std::move(frame.scene), frame.settings.camera};
   const double since = static_cast<double>(number) - static_cast<double>(frame.first_frame);
   ImportWords files = options.files;
+  files.instances = coordinator::method_of(options.method).takes_instances;
   files.seconds = options.time_offset + since / options.fps;
   MovedScene moved{read_scene(files, false), {}};
   if (!options.look_at.empty()) {

@@ -35,6 +35,7 @@ scene::Scene read_scene(const ImportWords& words, bool needs_camera) {
   options.most_texels = words.texture_limit;
   options.strict = words.strict;
   options.needs_camera = needs_camera;
+  options.instances = words.instances;
   if (words.environment.empty() && (words.environment_rotation != 0 || words.environment_strength != 1))
     throw Error::usage("--environment-rotation and --environment-strength need --environment FILE");
   scene::Scene scene = scene::import_scene(words.scene, options);

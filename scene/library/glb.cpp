@@ -1,4 +1,5 @@
-// Binary glTF 2.0: a JSON chunk and one buffer. Everything stands in world space; one node a mesh, light and camera.
+// Binary glTF 2.0: a JSON chunk and one buffer. Everything stands in world space; one node a mesh, light and camera. Of
+// instanced meshes, which stand in their own space, one node an instance.
 
 #include <OpenImageIO/filesystem.h>
 #include <OpenImageIO/imageio.h>
@@ -89,13 +90,16 @@ Json numbers(const float* values, std::size_t count) { return Json(std::vector<f
 
 class GlbWriter {
  public:
-  GlbWriter(const Scene& scene, const std::string& path) : scene_(scene), path_(path) {}
+  GlbWriter(const Scene& scene, const std::string& path)
+      : scene_(scene), path_(path), instances_of_(scene.meshes.size()) {
+    for (const Instance& instance : scene.instances) instances_of_[instance.mesh].push_back(&instance);
+  }
 
   void write() {
     json_["asset"] = {{"version", "2.0"}, {"generator", "Gleaner"}};
     json_["scene"] = 0;
     json_["scenes"] = Json::array({Json{{"name", scene_.name}}});
-    for (const Mesh& mesh : scene_.meshes) add_mesh(mesh);
+    for (std::size_t m = 0; m < scene_.meshes.size(); ++m) add_mesh(m);
     add_textures();
     for (std::size_t i = 0; i < scene_.materials.size(); ++i) add_material(i);
     for (const Light& light : scene_.lights) add_light(light);
@@ -140,7 +144,8 @@ class GlbWriter {
   }
 
   // A primitive for every run of triangles of one material that all have normals, or all lack them.
-  void add_mesh(const Mesh& mesh) {
+  void add_mesh(std::size_t index) {
+    const Mesh& mesh = scene_.meshes[index];
     if (mesh.triangle_count == 0) return;
     Json primitives = Json::array();
     const std::size_t end = std::size_t{mesh.first_triangle} + mesh.triangle_count;
@@ -152,7 +157,14 @@ class GlbWriter {
       primitives.push_back(primitive(first, last, material, normals));
       first = last;
     }
-    add_node({{"name", mesh.name}, {"mesh", add("meshes", {{"name", mesh.name}, {"primitives", primitives}})}});
+    const std::size_t number = add("meshes", {{"name", mesh.name}, {"primitives", primitives}});
+    if (!mesh.instanced) add_node({{"name", mesh.name}, {"mesh", number}});
+    for (const Instance* instance : instances_of_[index]) {
+      const gl_float* t = instance->transform;
+      const float x[3] = {t[0], t[4], t[8]}, y[3] = {t[1], t[5], t[9]}, z[3] = {t[2], t[6], t[10]},
+                  origin[3] = {t[3], t[7], t[11]};
+      add_node({{"name", mesh.name}, {"mesh", number}, {"matrix", matrix(x, y, z, origin)}});
+    }
   }
 
   Json primitive(std::size_t first, std::size_t last, std::uint32_t material, bool with_normals) {
@@ -420,6 +432,7 @@ class GlbWriter {
 
   const Scene& scene_;
   const std::string& path_;
+  std::vector<std::vector<const Instance*>> instances_of_;  // by mesh
   Json json_;
   std::vector<std::byte> buffer_;
   std::set<std::string> extensions_;

@@ -46,11 +46,11 @@ Scene read_gltf(const std::string& path, const ImportOptions& options, Warnings&
   gltf::Materials materials(document, scene, warnings);
   materials.read(options.most_texels);
   gltf::Nodes nodes(document, warnings);
-  gltf::Meshes meshes(document, scene, materials, nodes, warnings);
+  gltf::Meshes meshes(document, scene, materials, nodes, warnings, variant, options.instances);
   scene.origin = origin_for(meshes.place());
   add_cameras(document, nodes, scene, warnings);
   gltf::Lights(document, options.light_units, scene, warnings).add(nodes);
-  meshes.add(variant);
+  meshes.add();
   return scene;
 }
 
