@@ -13,7 +13,7 @@ namespace gleaner::gateway {
 
 namespace pb = gleaner::v1;
 
-inline constexpr std::uint32_t protocol_version = 2;
+inline constexpr std::uint32_t protocol_version = 3;
 inline constexpr std::size_t piece_bytes = std::size_t{1} << 20;  // largest piece of a blob, a file or a result
 
 gleaner::v1::Camera to_proto(const scene::Camera& camera);

@@ -10,14 +10,20 @@
 #include "scene/import/gltf/materials.h"
 #include "scene/import/gltf/nodes.h"
 #include "scene/import/gltf/primitive.h"
+#include "scene/import/gltf/rigging.h"
 #include "scene/import/placement.h"
 
 namespace gleaner::scene::gltf {
 
 class Meshes {
  public:
-  Meshes(Document& document, Scene& scene, Materials& materials, Nodes& nodes, Warnings& warnings)
-      : document_(document), scene_(scene), materials_(materials), nodes_(nodes), warnings_(warnings) {}
+  Meshes(Document& document, Scene& scene, Materials& materials, Nodes& nodes, Rigging& rigging, Warnings& warnings)
+      : document_(document),
+        scene_(scene),
+        materials_(materials),
+        nodes_(nodes),
+        rigging_(rigging),
+        warnings_(warnings) {}
 
   // Finds what stands where, and the box around all of it in the file's coordinates.
   Box place();
@@ -25,24 +31,18 @@ class Meshes {
   void add(std::optional<std::size_t> variant);
 
  private:
-  // A mesh under a node. A skinned one is moved by its joints alone.
-  struct Instance {
-    std::size_t node = 0;
-    std::vector<Matrix> placements;  // to the world; several where the node repeats its mesh
-    bool skinned = false;            // placements are the joints' matrices instead
-  };
   void place_node(std::size_t index);
-  std::vector<Matrix> repeated(const Element& instancing, const Matrix& to_world, const Element& mesh) const;
-  std::vector<Matrix> joint_matrices(const Element& skin);
-  std::vector<double> weights_of(std::size_t node, const Element& mesh) const;
+  std::vector<Matrix> repeated(const Element& instancing, const Element& mesh) const;
+  Skin skin_of(const Element& reference) const;
   Element mesh_of(const Instance& instance) const;
   PrimitiveSize counted(const Instance& instance, PrimitiveSize total) const;
   Box box_of(const Primitive& primitive, const Instance& instance);
 
   void add_instance(const Instance& instance, std::optional<std::size_t> variant);
   // `is_last`: the primitive's vertices are not read after this.
-  void add_primitive(const Primitive& primitive, std::uint32_t material, const Instance& instance,
-                     const Matrix& placement, bool is_last);
+  // `local`: which of the instance's.
+  void add_primitive(const Primitive& primitive, std::uint32_t material, const Instance& instance, std::size_t local,
+                     bool is_last);
   void add_triangles(const Primitive& primitive, const std::vector<std::uint32_t>& kept, std::uint32_t first,
                      bool mirrored);
   void count_uses(const Element& primitive);
@@ -58,6 +58,7 @@ class Meshes {
   Scene& scene_;
   Materials& materials_;
   Nodes& nodes_;
+  Rigging& rigging_;
   Warnings& warnings_;
   std::vector<Instance> instances_;
   std::vector<std::uint32_t> uses_of_view_;      // by primitives that are still to be added
