@@ -41,6 +41,7 @@ EmbeddedFarm::EmbeddedFarm(const EmbeddedSettings& settings)
     agent.name = "worker-" + std::to_string(number);
     agent.reconnect = false;
     agent.parts = parts;
+    agent.pack = false;
     agents_.push_back(
         std::make_unique<worker::Agent>(server_.in_process_channel(), std::move(runner), std::move(agent)));
   }

@@ -11,6 +11,7 @@
 
 #include "coordinator/gateway/convert.h"
 #include "gleaner/kernels_build.h"
+#include "proto/packing.h"
 #include "proto/sha256.h"
 #include "scene/model/error.h"
 
@@ -227,11 +228,14 @@ class ResultAssembly {
     if (piece.offset() == 0 || piece.lease() != lease_ || piece.epoch() != epoch_) begin(piece);
     if (piece.offset() != received_)
       throw Error::bad_input("result", "offset", std::to_string(received_), std::to_string(piece.offset()));
-    received_ += piece.records().size();
+    Bytes unpacked;
+    auto bytes = std::as_bytes(std::span(piece.records()));
+    if (piece.packed() > 0) bytes = unpacked = unpack(piece.records(), piece.packed(), piece_bytes);
+    received_ += bytes.size();
+    sent_ += piece.records().size();
     if (wanted_) {
       if (received_ > expected_)
         throw Error::bad_input("result", "records", std::to_string(expected_) + " bytes", "more");
-      auto bytes = std::as_bytes(std::span(piece.records()));
       records_.insert(records_.end(), bytes.begin(), bytes.end());
     }
     if (!piece.has_cost()) {
@@ -239,11 +243,11 @@ class ResultAssembly {
       return;
     }
     BatchCost cost = from_proto(piece.cost());
-    BatchOutput output{.image = std::exchange(records_, {})};
+    BatchOutput output{.image = std::exchange(records_, {}), .sent_bytes = sent_};
     if (piece.has_part()) output.part = from_proto(piece.part());
     const auto facts = std::as_bytes(std::span(piece.facts()));
     output.facts.assign(facts.begin(), facts.end());
-    received_ = 0;
+    received_ = sent_ = 0;
     lease_ = epoch_ = 0;
     farm_.result(worker_, piece.lease(), piece.epoch(), std::move(output), cost);
   }
@@ -252,7 +256,7 @@ class ResultAssembly {
   void begin(const pb::Result& piece) {
     lease_ = piece.lease();
     epoch_ = piece.epoch();
-    received_ = 0;
+    received_ = sent_ = 0;
     records_.clear();
     // A result that nobody waits for any more takes no memory; the farm is told of its end all the same.
     auto expected = farm_.expected_bytes(worker_, lease_, epoch_);
@@ -266,7 +270,8 @@ class ResultAssembly {
   LeaseId lease_ = 0;
   Epoch epoch_ = 0;
   bool wanted_ = false;
-  std::uint64_t expected_ = 0, received_ = 0;  // bytes
+  std::uint64_t expected_ = 0, received_ = 0;  // bytes, unpacked
+  std::uint64_t sent_ = 0;                     // bytes as they travelled
   Bytes records_;
 };
 
@@ -354,13 +359,20 @@ Status WorkerHub::FetchBlob(grpc::ServerContext*, const pb::FetchBlobRequest* re
                                             std::to_string(request->offset()) + " on"};
     std::uint64_t left = request->length() > 0 ? request->length() : blob->bytes() - request->offset();
     std::uint64_t offset = request->offset();
+    Bytes bytes;
     pb::BlobPiece piece;
     piece.set_total_bytes(blob->bytes());
     do {
-      piece.mutable_data()->resize(std::min<std::uint64_t>(piece_bytes, left));
-      blob->read(offset, std::as_writable_bytes(std::span(*piece.mutable_data())));
-      offset += piece.data().size();
-      left -= piece.data().size();
+      bytes.resize(std::min<std::uint64_t>(piece_bytes, left));
+      blob->read(offset, bytes);
+      offset += bytes.size();
+      left -= bytes.size();
+      std::string packed = request->pack() > 0 ? pack(bytes, request->pack()) : std::string();
+      piece.set_packed(packed.empty() ? 0 : request->pack());
+      if (packed.empty())
+        piece.set_data(bytes.data(), bytes.size());
+      else
+        piece.set_data(std::move(packed));
       if (!stream->Write(piece)) return Status::OK;
     } while (left > 0);
     return Status::OK;

@@ -93,7 +93,7 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutp
     if (output.part) take_late_part(worker->second, outcome.verdict, *output.part);
     return outcome.verdict;
   }
-  account(*stage, worker->second, lease, cost, output.image.size());
+  account(*stage, worker->second, lease, cost, output.sent_bytes ? output.sent_bytes : output.image.size());
   stage->complete = outcome.stage_complete;
   stage->unavailable_since = -1;
   if (stage->spec.solo) stage->facts = std::move(output.facts);

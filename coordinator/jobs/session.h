@@ -53,7 +53,8 @@ struct BatchOutput {
     ItemRange items{};
   };
   std::optional<Retained> part{};
-  scene::Bytes facts{};  // solo stages
+  scene::Bytes facts{};          // solo stages
+  std::uint64_t sent_bytes = 0;  // of the image, as they travelled; 0: it was not packed
 };
 
 // All that a worker must know of a stage: the same for each of its leases.

@@ -3,6 +3,7 @@
 #include <numbers>
 
 #include "scene/model/error.h"
+#include "scene/model/instances.h"
 #include "scene/model/scene.h"
 
 namespace gleaner::scene {
@@ -24,7 +25,35 @@ void store(const Vector& from, gl_float to[3]) {
 
 }  // namespace
 
+namespace {
+
+// Of the boxes about all meshes, in the world.
+Bounds bounds_with_instances(const Scene& scene) {
+  Bounds bounds;
+  bool first = true;
+  const auto enclose = [&](int c, float lower, float upper) {
+    bounds.lower[c] = first ? lower : std::min(bounds.lower[c], lower);
+    bounds.upper[c] = first ? upper : std::max(bounds.upper[c], upper);
+  };
+  std::vector<Bounds> boxes;
+  for (const Mesh& mesh : scene.meshes) {
+    boxes.push_back(bounds_of(scene, mesh));
+    if (mesh.instanced || mesh.triangle_count == 0) continue;
+    for (int c = 0; c < 3; ++c) enclose(c, boxes.back().lower[c], boxes.back().upper[c]);
+    first = false;
+  }
+  for (const Instance& instance : scene.instances) {
+    const DerivedInstance d = derived(instance.transform, boxes[instance.mesh]);
+    for (int c = 0; c < 3; ++c) enclose(c, static_cast<float>(d.lower[c]), static_cast<float>(d.upper[c]));
+    first = false;
+  }
+  return bounds;
+}
+
+}  // namespace
+
 Bounds bounds_of(const Scene& scene) {
+  if (!scene.instances.empty()) return bounds_with_instances(scene);
   Bounds bounds;
   if (scene.positions.empty()) return bounds;
   for (int c = 0; c < 3; ++c) bounds.lower[c] = bounds.upper[c] = scene.positions[c];

@@ -132,6 +132,8 @@ SceneNeeds needs_of(const Scene& scene) {
   for (std::size_t m = 0; m < used.size(); ++m)
     if (used[m]) add_material(scene, scene.materials[m], least_alpha[m], needs);
   needs.vertex_colors = std::any_of(scene.colors.begin(), scene.colors.end(), [](auto c) { return c != 65535; });
+  needs.instances = !scene.instances.empty();
+  needs.deforming = std::any_of(scene.meshes.begin(), scene.meshes.end(), [](const Mesh& m) { return m.deforming; });
   needs.punctual_lights = !scene.lights.empty();
   needs.environment = !scene.environment.empty();
   // Of an index of 1, shadow rays pass.
@@ -177,7 +179,8 @@ std::uint32_t SceneNeeds::bits() const {
                          clearcoat,
                          sheen,
                          anisotropy,
-                         iridescence};
+                         iridescence,
+                         instances};
   std::uint32_t bits = 0;
   for (std::size_t i = 0; i < std::size(fields); ++i) bits |= std::uint32_t(fields[i]) << i;
   return bits;
@@ -210,7 +213,8 @@ const std::vector<std::string>& need_names() {
                                                  "clearcoat",
                                                  "sheen",
                                                  "anisotropy",
-                                                 "iridescence"};
+                                                 "iridescence",
+                                                 "instances"};
   return names;
 }
 

@@ -132,6 +132,15 @@ typedef struct {
 } Light;
 GLEANER_SIZE(Light, 64);
 
+// A mesh that is stored in object space, placed in the world: x = transform[0] X + transform[1] Y + transform[2] Z +
+// transform[3], and likewise y from the second four and z from the third. 64 bytes.
+typedef struct {
+  gl_float transform[12];
+  gl_uint mesh;  // of Scene::meshes, an instanced one
+  gl_uint reserved[3];
+} Instance;
+GLEANER_SIZE(Instance, 64);
+
 #define GLEANER_CAMERA_PERSPECTIVE 0u
 #define GLEANER_CAMERA_ORTHOGRAPHIC 1u
 

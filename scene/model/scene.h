@@ -1,5 +1,6 @@
 #pragma once
-// A scene as flat arrays, in world space: what importers make, the blob carries and the device library loads.
+// A scene as flat arrays, in world space but for instanced meshes: what importers make, the blob carries and the device
+// library loads.
 
 #include <array>
 #include <cstdint>
@@ -29,6 +30,11 @@ struct Environment {
 struct Mesh {
   std::string name;
   std::uint32_t first_triangle = 0, triangle_count = 0;
+  // Stored once, in object space: it stands in the world by Scene::instances alone. Neither emits light nor bounds a
+  // solid that light passes through (may_be_instanced).
+  bool instanced = false;
+  // Its vertices move from frame to frame, in world space: tracers keep a BVH of its own for it. Never instanced.
+  bool deforming = false;
 };
 
 struct AnimationInfo {
@@ -49,6 +55,7 @@ struct Scene {
   std::vector<std::uint32_t> indices;            // 3 per triangle
   std::vector<std::uint32_t> triangle_material;  // 1 per triangle
   std::vector<Mesh> meshes;                      // consecutive ranges that cover all triangles
+  std::vector<Instance> instances;               // at least one of each instanced mesh
   std::vector<Material> materials;
   std::vector<std::string> material_names;
   std::vector<Texture> textures;
@@ -65,6 +72,8 @@ struct Scene {
   std::vector<AnimationInfo> animations;
   std::vector<std::string> variants;  // material variants that the file offers
 
+  // Triangles are stored once; effective ones count once for each place in the world.
+  std::uint64_t effective_triangle_count() const;
   std::size_t vertex_count() const { return positions.size() / 3; }
   std::size_t triangle_count() const { return indices.size() / 3; }
 };
@@ -86,7 +95,7 @@ struct SceneNeeds {
   bool punctual_lights = false;
   bool emissive_triangles = false;
   bool environment = false;
-  bool deforming = false;           // no format read so far brings deforming meshes
+  bool deforming = false;           // meshes whose vertices move from frame to frame
   bool vertex_colors = false;       // any vertex colour but opaque white
   bool texture_transforms = false;  // a texture with coordinates of its own: Texture::transform
   bool second_uvs = false;          // a texture that reads the second coordinates
@@ -98,6 +107,7 @@ struct SceneNeeds {
   bool sheen = false;
   bool anisotropy = false;   // specular lobes that are longer one way
   bool iridescence = false;  // thin films
+  bool instances = false;    // meshes stored once that stand in several places, or move as a whole
 
   std::uint32_t bits() const;  // one bit a field, in the order above
 };

@@ -129,6 +129,7 @@ class RunningAgent {
 
   static worker::AgentSettings settings(const std::string& name, bool reconnect = true) {
     worker::AgentSettings agent;
+    agent.pack = false;  // so that tests know how many bytes travel
     agent.name = name;
     agent.reconnect = reconnect;
     return agent;

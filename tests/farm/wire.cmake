@@ -1,5 +1,5 @@
 find_package(nlohmann_json REQUIRED)
-gleaner_test(NAME farm_wire SOURCES wire_test.cpp LIBRARIES gleaner_gateway)
+gleaner_test(NAME farm_wire SOURCES wire_test.cpp LIBRARIES gleaner_gateway gleaner_packing)
 gleaner_test(NAME farm_agent SOURCES agent_test.cpp LIBRARIES gleaner_gateway gleaner_agent nlohmann_json::nlohmann_json)
 find_package(PkgConfig REQUIRED)
 pkg_check_modules(httplib REQUIRED IMPORTED_TARGET cpp-httplib)

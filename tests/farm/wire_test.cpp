@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "coordinator/blobs/sha256.h"
+#include "proto/packing.h"
 #include "scene/model/error.h"
 #include "tests/farm/wire_farm.h"
 
@@ -375,27 +376,52 @@ TEST_F(Wire, ResultsArePiecedTogetherInOrder) {
   EXPECT_EQ(farm_.farm().status(job)->stages.at(0).items_done, 0u);
 }
 
-TEST_F(Wire, MoreBytesThanTheLeaseHasEndTheStream) {
-  std::string job;
-  ASSERT_TRUE(submit(farm_.good_request(), &job).ok());
-  ClientContext context;
-  auto stream = workers_->Work(&context);
-  ASSERT_TRUE(stream->Write(hello()));
-  pb::HubMessage heard;
-  ASSERT_TRUE(stream->Read(&heard));
-  ASSERT_TRUE(heard.has_welcome());
-  ASSERT_TRUE(stream->Read(&heard));
-  ASSERT_TRUE(heard.has_lease());
-  EXPECT_EQ(heard.lease().count(), 256u);
-  EXPECT_EQ(heard.lease().record_bytes(), 8u);
-  pb::WorkerMessage result;
-  result.mutable_result()->set_lease(heard.lease().lease());
-  result.mutable_result()->set_epoch(heard.lease().epoch());
-  result.mutable_result()->set_records(std::string(256 * 8 + 1, 'r'));
-  stream->Write(result);
-  while (stream->Read(&heard)) continue;
-  EXPECT_EQ(stream->Finish().error_code(), StatusCode::INVALID_ARGUMENT);
-  EXPECT_EQ(farm_.farm().status(job)->stages.at(0).items_done, 0u);
+TEST_F(Wire, ResultsHaveTheBytesOfTheirLease) {
+  const auto packed = [](std::size_t bytes) { return pack(scene::Bytes(bytes, std::byte{'r'}), 8); };
+  constexpr std::size_t right = 256 * 8;
+  struct {
+    const char* what;
+    std::string records;
+    std::uint32_t packed;
+    StatusCode code;
+  } const answers[] = {
+      {"a byte more", std::string(right + 1, 'r'), 0, StatusCode::INVALID_ARGUMENT},
+      {"a byte more, packed", packed(right + 1), 8, StatusCode::INVALID_ARGUMENT},
+      {"a piece that is too large when unpacked", packed((1 << 20) + 1), 8, StatusCode::INVALID_ARGUMENT},
+      {"no packed bytes", std::string(100, 'r'), 8, StatusCode::INVALID_ARGUMENT},
+      {"half of the packed bytes", packed(right).substr(0, 8), 8, StatusCode::INVALID_ARGUMENT},
+      {"all bytes", std::string(right, 'r'), 0, StatusCode::OK},
+      {"all bytes, packed", packed(right), 8, StatusCode::OK},
+  };
+  for (const auto& answer : answers) {
+    std::string job;
+    ASSERT_TRUE(submit(farm_.good_request(), &job).ok());
+    ClientContext context;
+    auto stream = workers_->Work(&context);
+    ASSERT_TRUE(stream->Write(hello()));
+    pb::HubMessage heard;
+    ASSERT_TRUE(stream->Read(&heard));
+    ASSERT_TRUE(heard.has_welcome());
+    ASSERT_TRUE(stream->Read(&heard));
+    ASSERT_TRUE(heard.has_lease());
+    EXPECT_EQ(heard.lease().job(), job);
+    EXPECT_EQ(heard.lease().count(), 256u);
+    EXPECT_EQ(heard.lease().record_bytes(), 8u);
+    pb::WorkerMessage result;
+    result.mutable_result()->set_lease(heard.lease().lease());
+    result.mutable_result()->set_epoch(heard.lease().epoch());
+    result.mutable_result()->set_records(answer.records);
+    result.mutable_result()->set_packed(answer.packed);
+    result.mutable_result()->mutable_cost()->set_seconds(0.1);
+    stream->Write(result);
+    stream->WritesDone();
+    while (stream->Read(&heard)) continue;
+    EXPECT_EQ(stream->Finish().error_code(), answer.code) << answer.what;
+    EXPECT_EQ(farm_.farm().status(job)->stages.at(0).items_done, answer.code == StatusCode::OK ? 256u : 0u)
+        << answer.what;
+    farm_.farm().cancel(job);
+    EXPECT_TRUE(eventually([&] { return farm_.farm().workers().empty(); }));
+  }
 }
 
 TEST_F(Wire, SeatsAreCounted) {
@@ -444,17 +470,26 @@ TEST_F(Wire, RangesOfBlobsLieInsideOfThem) {
   ASSERT_TRUE(upload({header(id_of(bytes), bytes.size()), data(bytes.substr(0, 1 << 20)),
                       data(bytes.substr(1 << 20, 1 << 20)), data(bytes.substr(2 << 20))})
                   .ok());
-  auto fetch = [&](std::uint64_t offset, std::uint64_t length, std::string& out) {
+  std::uint64_t travelled = 0;
+  auto fetch = [&](std::uint64_t offset, std::uint64_t length, std::uint32_t pack, std::string& out) {
     ClientContext context;
     pb::FetchBlobRequest request;
     request.set_id(id_of(bytes));
+    request.set_pack(pack);
     request.set_offset(offset);
     request.set_length(length);
     auto reader = workers_->FetchBlob(&context, request);
     pb::BlobPiece piece;
     while (reader->Read(&piece)) {
       EXPECT_EQ(piece.total_bytes(), bytes.size());
-      out += piece.data();
+      travelled += piece.data().size();
+      if (piece.packed() > 0) {
+        EXPECT_EQ(piece.packed(), pack);
+        const scene::Bytes unpacked = unpack(piece.data(), piece.packed(), std::size_t{1} << 20);
+        out.append(reinterpret_cast<const char*>(unpacked.data()), unpacked.size());
+      } else {
+        out += piece.data();
+      }
     }
     return reader->Finish().error_code();
   };
@@ -476,13 +511,23 @@ TEST_F(Wire, RangesOfBlobsLieInsideOfThem) {
       {most, 2, StatusCode::OUT_OF_RANGE},
       {most, most, StatusCode::OUT_OF_RANGE},
   };
-  for (const auto& [offset, length, code] : ranges) {
+  for (const std::uint32_t pack : {0u, 1u, 12u})
+    for (const auto& [offset, length, code] : ranges) {
+      std::string got;
+      EXPECT_EQ(fetch(offset, length, pack, got), code) << length << " from " << offset;
+      if (code == StatusCode::OK)
+        EXPECT_EQ(got, bytes.substr(offset, length > 0 ? length : std::string::npos)) << length << " from " << offset;
+      else
+        EXPECT_TRUE(got.empty());
+    }
+  for (const std::uint32_t pack : {0u, 1u}) {
+    travelled = 0;
     std::string got;
-    EXPECT_EQ(fetch(offset, length, got), code) << length << " from " << offset;
-    if (code == StatusCode::OK)
-      EXPECT_EQ(got, bytes.substr(offset, length > 0 ? length : std::string::npos)) << length << " from " << offset;
+    EXPECT_EQ(fetch(0, 0, pack, got), StatusCode::OK);
+    if (pack)
+      EXPECT_LT(travelled, bytes.size() / 2);
     else
-      EXPECT_TRUE(got.empty());
+      EXPECT_EQ(travelled, bytes.size());
   }
 }
 

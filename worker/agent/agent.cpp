@@ -16,6 +16,7 @@
 
 #include "gleaner/kernels_build.h"
 #include "gleaner/v1/worker.grpc.pb.h"
+#include "proto/packing.h"
 #include "proto/sha256.h"
 #include "scene/model/error.h"
 #include "scene/model/names.h"
@@ -139,7 +140,7 @@ struct Agent::Impl {
         parts(settings.parts ? settings.parts : std::make_shared<PartStore>(settings.retained_bytes)),
         owner(parts->new_owner()),
         cache(std::make_shared<ByteCache>(settings.cache_bytes)),
-        blobs(channel),
+        blobs(channel, settings.pack),
         part_client(channel, parts, cache, [this](const pb::WrongPart& wrong) { report(wrong); }),
         inputs(blobs, part_client, cache),
         responder(channel, parts) {
@@ -438,14 +439,23 @@ struct Agent::Impl {
     }
   }
 
-  static bool send_outgoing(Stream& stream, const Outgoing& out) {
+  bool send_outgoing(Stream& stream, const Outgoing& out) const {
     if (!out.failed) return send_result(stream, out);
     pb::WorkerMessage message;
     *message.mutable_failed() = *out.failed;
     return stream.Write(message);
   }
 
-  static bool send_result(Stream& stream, const Outgoing& out) {
+  void set_records(pb::Result& piece, std::span<const std::byte> bytes, std::uint32_t stride) const {
+    std::string packed = settings.pack ? pack(bytes, stride) : std::string();
+    piece.set_packed(packed.empty() ? 0 : stride);
+    if (packed.empty())
+      piece.set_records(bytes.data(), bytes.size());
+    else
+      piece.set_records(std::move(packed));
+  }
+
+  bool send_result(Stream& stream, const Outgoing& out) const {
     pb::WorkerMessage message;
     pb::Result& piece = *message.mutable_result();
     piece.set_lease(out.lease.lease());
@@ -468,7 +478,7 @@ struct Agent::Impl {
           in_counts ? counts.subspan(offset) : records.subspan(std::min(records.size(), offset - counts.size()));
       const auto now = rest.first(std::min({piece_bytes, rest.size(), total - offset}));
       piece.set_offset(offset);
-      piece.set_records(now.data(), now.size());
+      set_records(piece, now, in_counts ? sizeof(std::uint32_t) : out.lease.record_bytes());
       offset += now.size();
       const bool last = offset == total;
       if (last) {

@@ -23,6 +23,7 @@ struct AgentSettings {
   // lie.
   std::shared_ptr<PartStore> parts;
   std::string peers;  // HOST:PORT on which other workers may fetch its parts; empty: through the coordinator alone
+  bool pack = true;   // what is sent and fetched; false: the coordinator is in this process
   std::function<void(const std::string&)> log;  // one line each; empty: silence
   bool reconnect = true;                        // dial again when the connection is lost
   double give_up_seconds = 0;                   // without a connection for so long: run() throws; 0 = never

@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <span>
 #include <string>
@@ -17,17 +18,23 @@ namespace gleaner::worker {
 // Thread-safe.
 class BlobClient {
  public:
-  explicit BlobClient(std::shared_ptr<grpc::Channel> channel);
+  // `packs`: bytes are packed for the way.
+  BlobClient(std::shared_ptr<grpc::Channel> channel, bool packs);
 
   // All of a blob whose id is the SHA-256 of its bytes. Throws Error::connection where other bytes come, or none.
   std::shared_ptr<const scene::Bytes> fetch(const std::string& id);
-  // Copies bytes [offset, offset + out.size()); they are taken as they come. Throws as fetch(), and Error::failed where
-  // the blob has no such range.
-  void read(const std::string& id, std::uint64_t offset, std::span<std::byte> out);
-  std::uint64_t fetched_bytes() const { return fetched_bytes_; }  // so far
+  // Copies bytes [offset, offset + out.size()); they are taken as they come. `stride`: of the records that begin there,
+  // 1 where nothing is known of them. Throws as fetch(), and Error::failed where the blob has no such range.
+  void read(const std::string& id, std::uint64_t offset, std::span<std::byte> out, std::uint32_t stride = 1);
+  std::uint64_t fetched_bytes() const { return fetched_bytes_; }  // so far, as they travelled
 
  private:
+  // Asks for the range, and hands on what arrives until `take` returns false.
+  grpc::Status pieces(const gleaner::v1::FetchBlobRequest& request,
+                      const std::function<bool(std::uint64_t total, std::span<const std::byte> bytes)>& take);
+
   std::unique_ptr<gleaner::v1::WorkerHub::Stub> stub_;
+  bool packs_;
   std::atomic<std::uint64_t> fetched_bytes_{0};
 };
 

@@ -19,18 +19,19 @@ using Offsets = std::vector<std::uint64_t>;
 // A range of a blob that stays with the coordinator.
 class BlobRange final : public ArtifactSource {
  public:
-  BlobRange(BlobClient& blobs, std::string id, std::uint64_t offset, std::uint64_t bytes)
-      : blobs_(blobs), id_(std::move(id)), offset_(offset), bytes_(bytes) {}
+  BlobRange(BlobClient& blobs, std::string id, std::uint64_t offset, std::uint64_t bytes, std::uint32_t stride)
+      : blobs_(blobs), id_(std::move(id)), offset_(offset), bytes_(bytes), stride_(stride) {}
   std::uint64_t bytes() const override { return bytes_; }
   void read(std::uint64_t offset, std::span<std::byte> out) const override {
     check_range(offset, out.size());
-    blobs_.read(id_, offset_ + offset, out);
+    blobs_.read(id_, offset_ + offset, out, stride_);
   }
 
  private:
   BlobClient& blobs_;
   std::string id_;
   std::uint64_t offset_, bytes_;
+  std::uint32_t stride_;  // of its records; 0: none are known
 };
 
 // The records of neighbouring parts as one run of bytes.
@@ -139,7 +140,7 @@ TaskInput InputLoader::load_from_coordinator(const pb::StageInput& input, const 
   std::uint64_t offset = 0, bytes = input.bytes();
   if (input.counted()) {
     std::vector<std::uint32_t> counts(items);
-    blobs_.read(input.artifact(), first * count_bytes, std::as_writable_bytes(std::span(counts)));
+    blobs_.read(input.artifact(), first * count_bytes, std::as_writable_bytes(std::span(counts)), count_bytes);
     auto offsets = std::make_shared<Offsets>();
     append_offsets(*offsets, counts);
     offset = input.items() * count_bytes + input.first_record() * input.record_bytes();
@@ -152,7 +153,7 @@ TaskInput InputLoader::load_from_coordinator(const pb::StageInput& input, const 
   if (offset > input.bytes() || bytes > input.bytes() - offset)
     throw inconsistent(input, "it has " + std::to_string(input.bytes()) + " bytes, and " + std::to_string(bytes) +
                                   " from " + std::to_string(offset) + " on are read");
-  out.source = std::make_shared<BlobRange>(blobs_, input.artifact(), offset, bytes);
+  out.source = std::make_shared<BlobRange>(blobs_, input.artifact(), offset, bytes, input.record_bytes());
   return out;
 }
 

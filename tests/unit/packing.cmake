@@ -1,0 +1,1 @@
+gleaner_test(NAME packing SOURCES packing_test.cpp LIBRARIES gleaner_packing)
