@@ -26,7 +26,7 @@ using testing::StartsWith;
 JobRequest request_of(const scene::Scene& scene) {
   JobRequest request;
   request.scene_name = "box";
-  request.scenes = {{{}, {}, coordinator::summarize(scene)}};
+  request.scenes.emplace_back().summary = coordinator::summarize(scene);
   request.settings.method = "vpl";
   request.settings.width = request.settings.height = 48;
   request.settings.spp = 4;
