@@ -1,4 +1,6 @@
 # Coordinators that die: the real programs, as processes.
+find_package(OpenImageIO REQUIRED)
+find_package(nlohmann_json REQUIRED)
 if(TARGET gleaner AND TARGET gleaner-coordinator AND TARGET gleaner-worker)
   gleaner_test(NAME farm_restart SOURCES restart_test.cpp ../unit/import_files.cpp
                LIBRARIES gleaner_import gleaner_proto OpenImageIO::OpenImageIO nlohmann_json::nlohmann_json
