@@ -1,5 +1,6 @@
 // `gleaner-coordinator`: jobs in, leases out, files on disk.
 
+#include <malloc.h>
 #include <spdlog/sinks/stdout_sinks.h>
 #include <spdlog/spdlog.h>
 
@@ -10,7 +11,6 @@
 #include <future>
 #include <iostream>
 #include <optional>
-#include <random>
 
 #include "cli/client.h"
 #include "cli/data_lock.h"
@@ -22,6 +22,8 @@
 #include "coordinator/gateway/http.h"
 #include "coordinator/gateway/server.h"
 #include "coordinator/jobs/farm.h"
+#include "coordinator/journal/journal_writer.h"
+#include "coordinator/journal/sqlite_journal.h"
 #include "gleaner/version.h"
 #include "scene/model/error.h"
 
@@ -61,6 +63,10 @@ int check(const std::string& address) {
   return 0;
 }
 
+// Results come and go in megabytes, on many threads. glibc would soon keep what each of them frees for itself: half a
+// gigabyte beside a large frame.
+void give_back_large_memory() { ::mallopt(M_MMAP_THRESHOLD, 512 << 10); }
+
 int coordinate(const CoordinatorOptions& options) {
   if (options.data.empty()) throw Error::usage("--data is required: a folder of blobs and pictures");
   if (!options.insecure) {
@@ -78,11 +84,12 @@ int coordinate(const CoordinatorOptions& options) {
   settings.scheduler.fixed_batch_items = options.batch_items;
   // A worker's first batch of a scene includes fetching and loading it.
   settings.scheduler.lease_floor = 30;
-  settings.scheduler.incarnation = std::random_device{}();
+  settings.log = [log](const std::string& line) { log->info(line); };
+  settings.journal = std::make_shared<JournalWriter>(open_sqlite_journal(data / "journal.sqlite"), settings.log);
+  settings.scheduler.incarnation = settings.journal->begin();
   settings.active_jobs = options.active_jobs;
   settings.memory_bytes =
       options.memory_gib > 0 ? static_cast<std::uint64_t>(options.memory_gib * gib) : machine_memory() / 4 * 3;
-  settings.log = [log](const std::string& line) { log->info(line); };
   settings.paths = [data](const std::string& job, std::uint32_t frame) {
     char stem[32];
     std::snprintf(stem, sizeof stem, "frame_%04u", frame);
@@ -108,6 +115,7 @@ int coordinate(const CoordinatorOptions& options) {
   server.shutdown();
   if (!farm.end(grace)) {
     log->info("a plan still computes; it is not waited for");
+    if (!settings.journal->flush()) log->info(settings.journal->trouble());
     log->flush();
     std::_Exit(0);  // its thread uses what main's end would destroy
   }
@@ -120,6 +128,7 @@ int coordinate(const CoordinatorOptions& options) {
 
 int main(int argc, char** argv) {
   using namespace gleaner::cli;
+  give_back_large_memory();
   silence_grpc();
   CLI::App app{"Takes jobs, splits their frames among workers, writes the pictures", "gleaner-coordinator"};
   app.set_version_flag("--version", std::string("gleaner-coordinator ") + gleaner::version);

@@ -378,6 +378,20 @@ FN v3 eval_layer(const Scene* scene, const Surface* m, vf nl) {
 #endif
 }
 
+// The diffuse layer's colour as seen from the prepared lobe's view: eval_layer() without what the lobe leaves to it at
+// the light's angle, times pi over its cosine.
+FN v3 layer_albedo(const Surface* m) {
+#ifdef NEED_LOBE
+  v3 albedo = scale3(m->base, m->left_view * (one_f() - m->metallic) / m->left_mean);
+#ifdef NEED_LAYERS
+  albedo = pick3(splat3(zero_f()), albedo, has_plain_layer(m));
+#endif
+  return albedo;
+#else
+  return m->base;
+#endif
+}
+
 // Exact unpolarized Fresnel reflectance from cos_i > 0 with eta = n_t / n_i; cos_t = 0 on total reflection.
 FN vf fresnel_dielectric(vf cos_i, vf eta, vf* cos_t) {
   vf sin2_t = (one_f() - cos_i * cos_i) / (eta * eta);

@@ -11,7 +11,8 @@
 //
 // camera_samples.h and shadow_rays.h have the kernels of those names. Where light passes surfaces straight, trace
 // (closest hits) and shadow_pass take turns on the shadow rays until none is left. With -D PATH_FILTER a partner method
-// has some of the light, and the path tracer the rest (kernels/path_filter.h).
+// has some of the light, and the path tracer the rest (kernels/path_filter.h). Photon maps gather by paths of this file
+// that leave places where a map is to be read, in `reads` (kernels/photon/gather.cl).
 //
 // What a path gathers depends on (scene, parameters, pixel, chunk, sample) alone: its random numbers are keyed by them,
 // its slot is its own, and survivors are traced one by one, so neither their order nor the wave's size can be seen in
@@ -59,7 +60,6 @@ FN Path load_path(global const float* paths, uint block, vu meta) {
 // Light that the path itself found.
 FN void add_found(global float* slots, uint slot_count, const Path* path, const PathFilter* filter, v3 found,
                   vi active) {
-  active = shows_emission(filter, active);
   add_to_slots(slots, slot_count, path->slot, path->indirect, found, active);
   add_compensation(slots, slot_count, path->slot, found, active & filter->compensates);
 }
@@ -75,7 +75,8 @@ FN void find_environment(const Scene* scene, global float* slots, uint slot_coun
   v3 radiance = environment_radiance(scene, u, v);
   vf light = environment_pdf(scene, u, v, safe_sqrt(one_f() - d.y * d.y)) * environment_chance(scene, path->total);
   vf weight = pick(one_f(), power_heuristic(path->pdf, light), path->pdf > zero_f());
-  add_found(slots, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight), missed);
+  add_found(slots, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight),
+            shows_emission(filter, missed));
 }
 #endif
 
@@ -106,7 +107,8 @@ FN void find_emission(const Scene* scene, global float* slots, uint slot_count, 
   vf light = light_pdf(scene, e, path->origin, path->direction, path->segment_length, path->total);
 #endif
   vf weight = pick(one_f(), power_heuristic(path->pdf, light), path->pdf > zero_f());
-  add_found(slots, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight), emits);
+  add_found(slots, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight),
+            shows_emission(filter, emits));
 }
 #endif
 
@@ -298,10 +300,41 @@ FN void write_survivors(global float* paths, uint capacity, uint place, vu rank,
   store_path(paths, to, rows);
 }
 
+#ifdef PHOTON_GATHER
+// Where the map is read for these paths, in the place of each.
+FN void write_reads(global float* reads, uint block, const Path* path, const PathFilter* filter, const Vertex* v,
+                    uint slot_count, uint most) {
+  const Surface* m = &v->surface;
+  v3 factor = scale3(mul3(path->throughput, layer_albedo(m)), (vf)INV_PI);
+#ifdef NEED_TRANSMISSIVE
+  factor = scale3(factor, one_f() - m->transmission);
+#endif
+  vi reading = (filter->reads | filter->reads_caustics) & v->active & none(v->passes) &
+               (max_component(factor) > zero_f()) & finite3(factor);
+  vf w[READ_WORDS];
+  put_words3(w, READ_POSITION, v->hit.p);
+  put_words3(w, READ_GEOMETRIC, v->frame.geometric);
+  put_words3(w, READ_NORMAL, v->frame.normal);
+  w[READ_TABLE] = as_vf((vu)GLEANER_NONE);
+  w[READ_ROW] = zero_f();
+#ifdef NEED_LOBE
+  w[READ_TABLE] = as_vf(m->table);
+  w[READ_ROW] = m->table_row;
+#endif
+  put_words3(w, READ_FACTOR, factor);
+  w[READ_SLOT] = as_vf(pick_u((vu)slot_count, path->slot, reading));
+  vu limits = min(scatterings_left(most, path->depth), (vu)PHOTON_MOST_DEPTH);
+  w[READ_LIMITS] = as_vf(limits | pick_u((vu)READ_CAUSTICS, (vu)0u, filter->reads));
+  store_words(reads, ((vu)(block * LANES) + lane_index()) * READ_WORDS, w);
+}
+#endif
+
+// `reads`: of PHOTON_GATHER alone.
 kernel WIDE void path_shade(global const PathParameters* restrict parameters, SCENE_PARAMETERS, uint survivors,
                             uint fresh_base, uint fresh_count, global const float* restrict paths,
                             global float* restrict next, global float* restrict shadows, global float* slots,
-                            global float* features, uint slot_count, uint capacity, global uint* counters) {
+                            global float* features, uint slot_count, uint capacity, global uint* counters,
+                            global float* reads) {
   uint block = (uint)get_global_id(0);
   if (block * LANES >= (fresh_count ? fresh_base + fresh_count : survivors)) return;
   Scene scene_value = SCENE_FROM_PARAMETERS;
@@ -317,6 +350,9 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   if (!any_lane(hit)) {
     set_row_f(shadows, SHADOW_ROWS, block, ROW_FAR, (vf)-1.0f);
     set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_SLOT, (vu)slot_count);
+#ifdef PHOTON_GATHER
+    scatter_u((global uint*)reads + READ_SLOT, ((vu)(block * LANES) + lane_index()) * READ_WORDS, (vu)slot_count);
+#endif
     return;
   }
   Vertex v = meet_surface(scene, paths, PATH_ROWS, block, hit);
@@ -335,7 +371,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   v.passes = stochastic_alpha(&v.surface, v.active, &u_glass);
 #ifdef NEED_UNLIT
   vi unlit = v.active & none(v.passes) & ((as_vu(v.hit.words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_UNLIT) != 0u);
-  if (any_lane(unlit)) add_found(slots, slot_count, &path, &filter, mul3(path.throughput, v.surface.base), unlit);
+  if (any_lane(unlit))
+    add_found(slots, slot_count, &path, &filter, mul3(path.throughput, v.surface.base), shows_unlit(&filter, unlit));
   v.active = v.active & none(unlit);
 #endif
   uint most = parameters->depth;
@@ -350,6 +387,9 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   prepare_scattering(scene, &v, path.direction);
 #ifdef PASSES_GLASS
   v.active = v.active & (none(spent) | is_passable(&v.surface));
+#endif
+#ifdef PHOTON_GATHER
+  write_reads(reads, block, &path, &filter, &v, slot_count, most);
 #endif
 
   sample_pair(pair_key, path.sample, GLEANER_PATH_SEQUENCE, 0u, &u_choice, &u_roulette);

@@ -20,6 +20,9 @@ namespace gleaner::kernels {
 #define PATH_CLASS_MIXED 4u
 #define PATH_CLASS_GLOSSY 8u
 #define PATH_CLASSES 15u
+// Instead of these: indirect light that diffuse layers alone passed on, each straight to the next, from direct light on
+// (kernels/radiosity_filter.h).
+#define PATH_CLASS_RADIOSITY 16u
 
 // Stage kind "path". An item is (pixel, chunk): samples_per_item camera paths through one pixel. Without the input
 // "items", item i is pixel i % (width * height), chunk first_chunk + i / (width * height); with it, item i is what the

@@ -17,6 +17,7 @@
 #include "coordinator/jobs/farm.h"
 #include "coordinator/jobs/frame.h"
 #include "coordinator/jobs/kept_records.h"
+#include "coordinator/journal/journal.h"
 
 namespace gleaner::coordinator {
 
@@ -87,6 +88,12 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   // handed out, to be destroyed where the mutex is not held.
   JobRemains end_job(Job& job, JobState state, const std::string& message);
   void forget_ended();  // mutex held; those beyond the bounds
+
+  // The journal (journal_jobs.cpp); without one they do nothing. journal_added() waits for it, and throws.
+  void journal_added(const Job& job);
+  void journal_changed(const Job& job, JobState state);  // mutex held
+  void restore();                                        // the journal's jobs, when the farm is made
+  std::shared_ptr<Job> restored(const JournalJob& entry, std::string& failure);
   void join_ended_threads();
   static void run(std::shared_ptr<Impl> self, std::shared_ptr<Job> job);  // the job's thread
 

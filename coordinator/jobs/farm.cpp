@@ -41,7 +41,19 @@ Farm::Impl::Impl(FarmSettings farm_settings, BlobStore& store)
   timer = std::thread([this] { watch_clock(); });
 }
 
-Farm::Farm(FarmSettings settings, BlobStore& blobs) : impl_(std::make_shared<Impl>(std::move(settings), blobs)) {}
+Farm::Farm(FarmSettings settings, BlobStore& blobs) : impl_(std::make_shared<Impl>(std::move(settings), blobs)) {
+  try {
+    impl_->restore();
+  } catch (...) {
+    {
+      std::lock_guard lock(impl_->mutex);
+      impl_->stopping = true;
+    }
+    impl_->timer_wakes.notify_all();
+    impl_->timer.join();
+    throw;
+  }
+}
 
 Farm::~Farm() {
   if (!end(usual_grace)) {

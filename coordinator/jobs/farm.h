@@ -21,6 +21,8 @@
 
 namespace gleaner::coordinator {
 
+class JournalWriter;
+
 // Where a frame's files go; an empty path: that file is not wanted.
 struct FramePaths {
   std::filesystem::path exr, png, report;
@@ -49,21 +51,25 @@ struct FarmSettings {
   // stay.
   std::size_t ended_jobs = 1000;
   Seconds ended_seconds = 30.0 * 24 * 3600;
+  // Jobs are written to it, and those that it knows are there when the farm is made: what had ended is listed, what
+  // had not goes on. Null: jobs end with the farm.
+  std::shared_ptr<JournalWriter> journal{};
 };
 
 class Farm {
  public:
+  // Throws Error::failed where the journal cannot be read.
   Farm(FarmSettings settings, BlobStore& blobs);
   ~Farm();  // end() with the grace of a plan's usual call
   Farm(const Farm&) = delete;
   Farm& operator=(const Farm&) = delete;
 
-  // Cancels all jobs and waits for their threads. False: a plan's call has not returned within `grace` seconds. Its
+  // Stops all jobs and waits for their threads. False: a plan's call has not returned within `grace` seconds. Its
   // thread goes on without touching anything of the farm's owner, but the process should be ended by std::_Exit().
   bool end(Seconds grace);
 
   // Returns the job's id. Throws Error::usage for settings that no plan takes or that need more memory than there may
-  // be, Error::bad_input for a blob that is not there.
+  // be, Error::bad_input for a blob that is not there, Error::failed where the journal cannot be written.
   std::string submit(const JobRequest& request);
   // The status after it; none: no such job. What has ended stays as it ended. A job whose plan computes has ended when
   // this returns: nobody waits for the plan.

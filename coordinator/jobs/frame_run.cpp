@@ -1,5 +1,7 @@
 // A job's thread: one frame after the other, each from its plan's first stages to its film.
 
+#include <malloc.h>
+
 #include <algorithm>
 #include <chrono>
 #include <cstring>
@@ -15,8 +17,9 @@ namespace gleaner::coordinator {
 
 namespace {
 
-constexpr std::size_t most_warnings = 8;                      // of a job's frames, in its status
-constexpr std::uint64_t most_drawn = std::uint64_t{4} << 20;  // bytes of records that a preview takes at a time
+constexpr std::uint64_t large_plan = std::uint64_t{256} << 20;  // bytes, as predicted
+constexpr std::size_t most_warnings = 8;                        // of a job's frames, in its status
+constexpr std::uint64_t most_drawn = std::uint64_t{4} << 20;    // bytes of records that a preview takes at a time
 
 }  // namespace
 
@@ -60,7 +63,8 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
   const std::uint32_t first = job->request.first_frame;
   const std::uint64_t frames = frames_of(job->request);
   std::uint32_t rendered = first;
-  for (std::uint64_t done = 0; done < frames; ++done) {
+  const std::uint64_t done_before = job->frames_done;  // by a coordinator before this one
+  for (std::uint64_t done = done_before; done < frames; ++done) {
     const auto frame = static_cast<std::uint32_t>(first + done * job->request.frame_step);
     {
       std::lock_guard lock(mutex);
@@ -68,7 +72,7 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
       job->work_asked = job->work_done = job->work_to_come = 0;
       job->progress = FrameProgress(job->frame_begun);
     }
-    if (done == 0 || !same_picture(*job, frame, rendered)) {
+    if (done == done_before || !same_picture(*job, frame, rendered)) {
       film = {};  // before the next plan takes its memory
       aim(*job, frame);
       film = render(job, frame);
@@ -83,6 +87,7 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
     ++job->frames_done;
     job->progress = FrameProgress(begun);  // of the next one
     ++totals.frames_written;
+    journal_changed(*job, JobState::queued);
     changed(*job);
   }
 }
@@ -167,6 +172,8 @@ Film Farm::Impl::render(const std::shared_ptr<Job>& job, std::uint32_t frame) {
     post(job, step, to_come);
     std::optional<FinishedStage> finished = await_stage(*job);
     if (!finished) break;  // the time limit; the plan has made do with what there is
+    // What the threads that received the stage's results have freed, glibc keeps in their arenas.
+    if (job->memory > large_plan) ::malloc_trim(0);
     step = next_step(&*finished);
   }
   end_frame(*job);

@@ -7,6 +7,7 @@
 
 #include "coordinator/jobs/engine.h"
 #include "coordinator/jobs/job_id.h"
+#include "coordinator/journal/journal_writer.h"
 #include "coordinator/plan/trajectory.h"
 #include "scene/model/error.h"
 
@@ -104,6 +105,8 @@ JobRemains Farm::Impl::end_job(Job& job, JobState state, const std::string& mess
   remains.cameras = std::exchange(job.request.cameras, {});
   remains.scenes = std::exchange(job.request.scenes, {});
   job.request.settings.trajectory = {};
+  // What a farm that ends stops goes on with the next one.
+  if (!stopping || state != JobState::cancelled) journal_changed(job, state);
   settings.log("job " + job.id + " " + job_state_name(state) + (message.empty() ? "" : ": " + message));
   changed(job);
   ended_jobs.push_back(jobs.at(job.id));
@@ -115,6 +118,7 @@ JobRemains Farm::Impl::end_job(Job& job, JobState state, const std::string& mess
 void Farm::Impl::forget_ended() {
   while (!ended_jobs.empty() &&
          (ended_jobs.size() > settings.ended_jobs || now() - ended_jobs.front()->ended > settings.ended_seconds)) {
+    if (settings.journal) settings.journal->forget(ended_jobs.front()->id);
     order.remove(ended_jobs.front());
     jobs.erase(ended_jobs.front()->id);
     ended_jobs.pop_front();
@@ -177,10 +181,13 @@ void Farm::Impl::run(std::shared_ptr<Impl> self, std::shared_ptr<Job> job) {
 std::string Farm::submit(const JobRequest& request) {
   std::shared_ptr<Job> job = impl_->accept(request);
   impl_->join_ended_threads();
-  std::lock_guard lock(impl_->mutex);
+  std::unique_lock lock(impl_->mutex);
   do job->id = new_job_id();
   while (impl_->jobs.count(job->id));
   job->accepted = impl_->now();
+  lock.unlock();
+  impl_->journal_added(*job);
+  lock.lock();
   impl_->jobs[job->id] = job;
   impl_->order.push_back(job);
   impl_->queue.push_back(job);
@@ -201,6 +208,7 @@ std::optional<JobStatus> Farm::cancel(const std::string& id) {
     remains = impl_->end_job(*job, JobState::cancelled, "");
   } else if (job->state == JobState::running) {
     job->cancel = true;
+    impl_->journal_changed(*job, JobState::cancelled);
     job->events.notify_all();
     // Nobody knows how long its plan computes: the job ends now, and its thread when the plan has returned.
     if (job->computing)

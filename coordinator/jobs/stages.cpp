@@ -14,6 +14,10 @@ namespace gleaner::coordinator {
 
 namespace {
 
+// Of the records that a batch sends. A result is put together before the farm takes it, and so many workers may be
+// sending theirs.
+constexpr std::uint64_t most_batch_bytes = std::uint64_t{8} << 20;
+
 // Why the farm cannot take the stage's output; empty: it can.
 std::string refusal(const StageSpec& spec, std::uint64_t most_bytes) {
   const StageOutput& output = spec.output;
@@ -191,6 +195,8 @@ void Farm::Impl::start(const std::shared_ptr<RunningStage>& stage) {
                            .only = {},
                            .avoid = stage->avoid,
                            .near = {}};
+  if (!stage->retained() && !spec.output.counted)
+    scheduled.most_items = std::max<std::uint64_t>(1, most_batch_bytes / spec.output.record_bytes);
   for (const ItemRange& range : stage->again) scheduled.only.push_back({range.first, range.count});
   stage->items = stage->again.empty() ? spec.items : 0;
   for (const ItemRange& range : stage->again) stage->items += range.count;

@@ -186,8 +186,9 @@ void VplPlan::begin() {
 }
 
 void VplPlan::begin_paths() {
-  paths_.begin({.complement = indirect(),
-                .clamp = vpl_.compensate ? clamp_ : kUnbounded,
+  paths_.begin({.classes = indirect() ? PATH_CLASS_DIFFUSE : 0,
+                .limit = vpl_.compensate ? clamp_ : kUnbounded,
+                .compensates = indirect(),
                 .mean = prediction_ ? prediction_->vpl_mean : 0,
                 .squared_error = prediction_ ? kVplCaution * prediction_->vpl() : 0});
 }

@@ -556,7 +556,8 @@ struct Scheduler::Impl {
     const double part = share(worker, stage.kind);
     const double target = throughput.target_items(settings);
     const double fair = kShareAtOnce * part * static_cast<double>(stage.pool.items());
-    const double wanted = std::max(std::min(target, fair), std::min(target, throughput.smallest_items(settings)));
+    double wanted = std::max(std::min(target, fair), std::min(target, throughput.smallest_items(settings)));
+    if (stage.spec.most_items > 0) wanted = std::min(wanted, static_cast<double>(stage.spec.most_items));
     out.count = round_to_tiles(wanted, stage, out.piece);
     out.cut_short = static_cast<double>(out.count) + stage.spec.tile <= target;
 

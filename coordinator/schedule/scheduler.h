@@ -26,6 +26,7 @@ struct ScheduledStage {
   std::uint64_t items = 0;
   std::uint32_t tile = 1;  // batches begin and end at multiples of it
   bool solo = false;
+  std::uint64_t most_items = 0;     // of a batch; 0: as many as its worker can do in time
   int priority = 0;                 // higher first; equal: older first
   std::vector<WorkerId> preferred;  // solo: who holds most of its inputs
   // Where not all of [0, items) are to run: these, in order and apart from each other; each begins at a multiple of

@@ -174,12 +174,13 @@ FN vf lit_share(const Vertex* v, v3 direction) {
 #endif
 }
 
-// The scattered ray of a light path's vertex. `correction`: of the ray that arrived. max_depth: most scatterings; 0:
-// until Russian roulette ends the path, which is played from the second scattering on. *straight: lanes whose light no
-// mirror and no smooth glass may turn aside; those that still are so come back.
+// The scattered ray of a light path's vertex, and the sample that it is made of. `correction`: of the ray that arrived.
+// max_depth: most scatterings; 0: until Russian roulette ends the path, which is played from the second scattering on.
+// *straight: lanes whose light no mirror and no smooth glass may turn aside; those that still are so come back.
 FN NextRay scatter_flux(const Scene* scene, Vertex* v, v3 geometric, vf correction, v3 direction, v3 flux, vu depth,
-                        uint max_depth, const ScatterNumbers* u, vi* straight) {
+                        uint max_depth, const ScatterNumbers* u, vi* straight, BsdfSample* sample) {
   BsdfSample scattered = sample_bsdf(scene, &v->surface, v->frame.view, u->u_lobe, u->u_glass, u->d0, u->d1);
+  *sample = scattered;
   vi smooth = scattered.pdf <= zero_f();
   NextRay next;
   next.direction = scattered_direction(&v->frame, scattered.direction, smooth);

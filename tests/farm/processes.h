@@ -103,22 +103,19 @@ struct Ran {
 class ProcessFarm {
  public:
   ProcessFarm(std::filesystem::path folder, std::filesystem::path programs,
-              const std::vector<std::string>& coordinator_words = {})
-      : folder_(std::move(folder)), programs_(std::move(programs)) {
+              std::vector<std::string> coordinator_words = {})
+      : folder_(std::move(folder)), programs_(std::move(programs)), words_(std::move(coordinator_words)) {
     std::filesystem::create_directories(folder_);
-    std::vector<std::string> words = {(programs_ / "gleaner-coordinator").string(), "--listen", "127.0.0.1:0", "--data",
-                                      (folder_ / "data").string()};
-    words.insert(words.end(), coordinator_words.begin(), coordinator_words.end());
-    coordinator_ = std::make_unique<Process>(words, folder_ / "coordinator");
-    if (!eventually([&] { return coordinator_->out().find('\n') != std::string::npos || !coordinator_->running(); }) ||
-        !coordinator_->running())
-      throw Error::failed("the coordinator does not start: " + coordinator_->err());
-    address_ = coordinator_->out();
-    address_.erase(address_.find('\n'));
-    stub_ = v1::Farm::NewStub(grpc::CreateChannel(address_, grpc::InsecureChannelCredentials()));
+    start("127.0.0.1:0");
   }
 
   const std::string& address() const { return address_; }
+  // Ends the coordinator by the signal; another one begins at its address, on its data.
+  void restart(int signal = SIGKILL) {
+    coordinator_->signal(signal);
+    coordinator_->wait();
+    start(address_);
+  }
   Process& coordinator() { return *coordinator_; }
   std::filesystem::path data() const { return folder_ / "data"; }
 
@@ -192,7 +189,24 @@ class ProcessFarm {
   }
 
  private:
+  void start(const std::string& listen) {
+    std::vector<std::string> words = {(programs_ / "gleaner-coordinator").string(), "--listen", listen, "--data",
+                                      (folder_ / "data").string()};
+    words.insert(words.end(), words_.begin(), words_.end());
+    coordinator_ = std::make_unique<Process>(
+        words, folder_ / std::string("coordinator").append(starts_ == 0 ? "" : std::to_string(starts_)));
+    ++starts_;
+    if (!eventually([&] { return coordinator_->out().find('\n') != std::string::npos || !coordinator_->running(); }) ||
+        !coordinator_->running())
+      throw Error::failed("the coordinator does not start: " + coordinator_->err());
+    address_ = coordinator_->out();
+    address_.erase(address_.find('\n'));
+    stub_ = v1::Farm::NewStub(grpc::CreateChannel(address_, grpc::InsecureChannelCredentials()));
+  }
+
   std::filesystem::path folder_, programs_;
+  std::vector<std::string> words_;
+  unsigned starts_ = 0;
   std::unique_ptr<Process> coordinator_;
   std::string address_;
   std::unique_ptr<v1::Farm::Stub> stub_;

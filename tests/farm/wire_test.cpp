@@ -420,6 +420,8 @@ TEST_F(Wire, ResultsHaveTheBytesOfTheirLease) {
     EXPECT_EQ(farm_.farm().status(job)->stages.at(0).items_done, answer.code == StatusCode::OK ? 256u : 0u)
         << answer.what;
     farm_.farm().cancel(job);
+    // Until it has ended, its items may go to the next worker.
+    EXPECT_TRUE(eventually([&] { return ended(farm_.farm().status(job)->state); }));
     EXPECT_TRUE(eventually([&] { return farm_.farm().workers().empty(); }));
   }
 }

@@ -114,10 +114,13 @@ TEST(PathFilterParameters, UnknownClassesAreRefused) {
   Shot shot = shot_of("cornell-box");
   worker::Executor& on = executor(shot.trace);
   kernels::PathParameters p = parameters_of(shot);
-  p.filter = PATH_CLASSES + 1;
   p.clamp = 1;
-  const worker::StageTask task = task_of(p, load(on, shot.scene));
-  EXPECT_THROW(on.run(task, 0, 1), Error);
+  // RADIOSITY is no part of other classes.
+  for (const std::uint32_t classes : {PATH_CLASS_RADIOSITY | PATH_CLASS_DIFFUSE, 2 * PATH_CLASS_RADIOSITY}) {
+    p.filter = classes;
+    const worker::StageTask task = task_of(p, load(on, shot.scene));
+    EXPECT_THROW(on.run(task, 0, 1), Error) << classes;
+  }
 }
 
 }  // namespace

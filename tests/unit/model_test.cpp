@@ -286,9 +286,9 @@ TEST(Needs, HaveOneNameABit) {
   EXPECT_EQ(needs.bits(), 1u);
   EXPECT_EQ(need_names().front(), "specular");
   needs = {};
-  needs.iridescence = true;
+  needs.instances = true;
   EXPECT_EQ(needs.bits(), 1u << (need_names().size() - 1));
-  EXPECT_EQ(need_names().back(), "iridescence");
+  EXPECT_EQ(need_names().back(), "instances");
   needs = {};
   needs.normal_maps = true;
   EXPECT_EQ(need_names()[std::countr_zero(needs.bits())], "normal_maps");

@@ -6,7 +6,6 @@
 #include <memory>
 #include <mutex>
 #include <optional>
-#include <span>
 #include <string>
 
 #include "scene/model/blob.h"
@@ -20,11 +19,6 @@ class DeviceScene {
  public:
   // `bvh` is needed where the device traces in OpenCL. Throws Error::failed.
   DeviceScene(const Device& device, std::shared_ptr<const scene::Scene> scene, const scene::Bvh* bvh);
-
-  // Shows the scene as `shown` has it, which differs from the scene as loaded in the instances' transforms and in the
-  // positions and normals of the meshes `deformed` (marked Mesh::deforming) alone. Rewrites their rows and lets the
-  // tracer follow. The caller sees to it that no query and no kernel runs meanwhile.
-  MotionReport move(const scene::Scene& shown, std::span<const std::uint32_t> deformed);
 
   // Compiler options that select the variant: one NEED_... a need, and how many light clusters there are.
   const std::string& kernel_options() const { return options_; }

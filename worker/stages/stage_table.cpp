@@ -5,7 +5,9 @@
 #include "scene/model/error.h"
 #include "worker/stages/ao_stage.h"
 #include "worker/stages/cluster_stage.h"
+#include "worker/stages/links/stages.h"
 #include "worker/stages/path_stage.h"
+#include "worker/stages/photon/stages.h"
 #include "worker/stages/vpl/host_stages.h"
 #include "worker/stages/vpl/stages.h"
 #include "worker/wavefront/counters.h"
@@ -35,6 +37,21 @@ const std::vector<StageKind>& stage_table() {
   static const std::vector<StageKind> table = {
       {"path", run_path_stage, {"kernels/path.cl"}, {{.name = "items", .required = false, .own_items = true}}},
       {"ao", run_ao_stage, {"kernels/ao.cl"}, {{.name = "items", .required = false, .own_items = true}}},
+      {"photon_trace",
+       run_photon_trace_stage,
+       {"kernels/photon/trace.cl"},
+       {},
+       // With both maps.
+       {{.file = "kernels/photon/gather.cl", .options = " -D PATH_FILTER=7"}, {.file = "kernels/photon/caustics.cl"}}},
+      {"photon_map", on_host<build_photon_map>, {}, {{.name = "photons"}}},
+      {"photon_gather",
+       run_photon_gather_stage,
+       {"kernels/photon/gather.cl"},
+       {{.name = "items", .required = false, .own_items = true}, {.name = "map"}}},
+      {"photon_caustics",
+       run_photon_caustics_stage,
+       {"kernels/photon/caustics.cl"},
+       {{.name = "guide"}, {.name = "map"}}},
       {"vpl_trace",
        run_vpl_trace_stage,
        {"kernels/vpl/trace.cl"},
@@ -57,6 +74,35 @@ const std::vector<StageKind>& stage_table() {
        run_vpl_shade_stage,
        {"kernels/vpl/points.cl", "kernels/vpl/gather.cl", "kernels/vpl/residual.cl", "kernels/vpl/visibility.cl"},
        {{.name = "lights"}, {.name = "points", .required = false}, {.name = "visibility", .required = false}}},
+      {"links_mesh",
+       run_links_mesh_stage,
+       {},
+       {{.name = "coarse", .required = false}, {.name = "probe", .required = false}},
+       {{.file = "kernels/links/make.cl"},
+        {.file = "kernels/links/probe.cl"},
+        {.file = "kernels/links/albedo.cl"},
+        {.file = "kernels/path.cl", .options = " -D PATH_FILTER=16"},
+        {.file = "kernels/links/light.cl"},
+        {.file = "kernels/links/gather.cl", .plain = true},
+        {.file = "kernels/vpl/points.cl"},
+        {.file = "kernels/links/shade.cl"}}},
+      {"links_probe", run_links_probe_stage, {"kernels/links/probe.cl"}, {{.name = "mesh"}}},
+      {"links_albedo", run_links_albedo_stage, {"kernels/links/albedo.cl"}, {{.name = "mesh"}}},
+      {"links_make", run_links_make_stage, {"kernels/links/make.cl"}, {{.name = "mesh"}, {.name = "probe"}}},
+      {"links_light", run_links_light_stage, {"kernels/links/light.cl"}, {{.name = "mesh"}, {.name = "albedo"}}},
+      {"links_gather",
+       run_links_gather_stage,
+       {"kernels/links/gather.cl"},
+       {{.name = "links", .own_items = true},
+        {.name = "light", .own_items = true},
+        {.name = "albedo", .own_items = true},
+        {.name = "radiosity"}}},
+      {"links_flux", on_host<measure_links_flux>, {}, {{.name = "mesh"}, {.name = "radiosity"}, {.name = "before"}}},
+      {"links_smooth", on_host<smooth_links>, {}, {{.name = "mesh"}, {.name = "probe"}, {.name = "irradiance"}}},
+      {"links_shade",
+       run_links_shade_stage,
+       {"kernels/vpl/points.cl", "kernels/links/shade.cl"},
+       {{.name = "mesh"}, {.name = "irradiance"}}},
       {"vpl_resample", on_host<resample_lights>, {}, {{.name = "paths"}}},
       {"vpl_order", on_host<order_lights>, {}, {{.name = "lights"}, {.name = "clusters", .required = false}}},
       {"vpl_sample_points", on_host<sample_points>, {}, {{.name = "points"}}},

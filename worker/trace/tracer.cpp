@@ -1,7 +1,5 @@
 #include "worker/trace/tracer.h"
 
-#include "scene/model/error.h"
-
 #ifdef GLEANER_WITH_EMBREE
 #if __has_include(<embree4/rtcore.h>)
 #include <embree4/rtcore.h>
@@ -18,7 +16,5 @@ std::string tracer_description(TraceKind kind) {
 #endif
   return kind == TraceKind::opencl ? "OpenCL BVH2" : "none";
 }
-
-MotionReport Tracer::follow(const SceneMotion&) { throw Error::failed("this tracer follows no motion yet"); }
 
 }  // namespace gleaner::worker

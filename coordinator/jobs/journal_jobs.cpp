@@ -1,0 +1,105 @@
+// What the journal is told of jobs, and how they come back from it.
+
+#include <algorithm>
+#include <chrono>
+#include <utility>
+
+#include "coordinator/jobs/engine.h"
+#include "coordinator/jobs/request_codec.h"
+#include "coordinator/journal/journal_writer.h"
+#include "scene/model/error.h"
+
+namespace gleaner::coordinator {
+
+namespace {
+
+double unix_seconds() {
+  return std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
+}
+
+JobState state_of(const std::string& word) {
+  for (const JobState state : {JobState::done, JobState::failed, JobState::cancelled})
+    if (word == job_state_name(state)) return state;
+  return JobState::queued;
+}
+
+JournalJob entry_of(const Job& job, JobState state, Seconds ended_seconds) {
+  return {.id = job.id,
+          .state = job_state_name(ended(state) ? state : JobState::queued),
+          .message = job.message,
+          .submitted = job.submitted_unix_seconds,
+          .ended = ended(state) ? job.submitted_unix_seconds + ended_seconds : 0,
+          .frames_done = job.frames_done,
+          .request = {}};
+}
+
+}  // namespace
+
+void Farm::Impl::journal_added(const Job& job) {
+  if (!settings.journal) return;
+  JournalJob entry = entry_of(job, job.state, 0);
+  entry.request = encode_request(job.request);
+  settings.journal->add(entry, encode_frames(job.request));
+}
+
+void Farm::Impl::journal_changed(const Job& job, JobState state) {
+  if (settings.journal) settings.journal->changed(entry_of(job, state, now() - job.accepted));
+}
+
+void Farm::Impl::restore() {
+  if (!settings.journal) return;
+  const std::vector<JournalJob> entries = settings.journal->jobs();
+  std::size_t waiting = 0;
+  JobRemains remains;  // destroyed last
+  std::unique_lock lock(mutex);
+  for (const JournalJob& entry : entries) {
+    lock.unlock();
+    std::string failure;
+    const std::shared_ptr<Job> job = restored(entry, failure);
+    lock.lock();
+    jobs[job->id] = job;
+    order.push_back(job);
+    if (ended(job->state)) {
+      ended_jobs.push_back(job);
+    } else if (!failure.empty()) {
+      remains = end_job(*job, JobState::failed, failure);
+    } else {
+      ++waiting;
+      queue.push_back(job);
+    }
+  }
+  std::stable_sort(ended_jobs.begin(), ended_jobs.end(),
+                   [](const auto& a, const auto& b) { return a->ended < b->ended; });
+  if (!entries.empty())
+    settings.log("journal " + settings.journal->name() + ": " + std::to_string(entries.size()) + " jobs, of which " +
+                 std::to_string(waiting) + " go on");
+  forget_ended();
+  start_queued();
+}
+
+std::shared_ptr<Job> Farm::Impl::restored(const JournalJob& entry, std::string& failure) {
+  auto job = std::make_shared<Job>();
+  const JobState state = state_of(entry.state);
+  try {
+    JobRequest request = decode_request(entry.request);
+    if (ended(state)) {
+      job->request = std::move(request);
+    } else {
+      job->request = request;  // for lists, whatever becomes of the rest
+      decode_frames(settings.journal->frames(entry.id), request);
+      job = accept(request);
+    }
+  } catch (const std::exception& error) {
+    failure = error.what();
+  }
+  job->id = entry.id;
+  job->state = state;
+  job->message = entry.message;
+  job->submitted_unix_seconds = entry.submitted;
+  job->frames_done = entry.frames_done;
+  job->accepted = now() - std::max(0.0, unix_seconds() - entry.submitted);
+  if (ended(state)) job->ended = job->accepted + std::max(0.0, entry.ended - entry.submitted);
+  return job;
+}
+
+}  // namespace gleaner::coordinator

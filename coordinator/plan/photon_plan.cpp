@@ -1,0 +1,337 @@
+#include "coordinator/plan/photon_plan.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <nlohmann/json.hpp>
+
+#include "coordinator/plan/graph.h"
+#include "coordinator/plan/path_sampler.h"
+#include "kernels/photon_records.h"
+
+namespace gleaner::coordinator {
+namespace {
+
+using namespace kernels;
+using Artifact = Graph::Artifact;
+
+// Photons of a density estimate: of the map that paths gather from, and of caustics in the first pass. Measured on
+// the Cornell boxes.
+constexpr std::uint32_t kGatherNeighbours = 16, kCausticNeighbours = 64;
+// The widest estimate, over the diagonal of the scene's bounds.
+constexpr double kMostRadius = 0.05;
+// Knaus & Zwicker 2011: of the variance of caustics' density, what a pass adds falls, and its bias shrinks, by this.
+constexpr double kShrinkage = 2.0 / 3;
+// The guide's photons are those of a pass that is none.
+constexpr std::uint32_t kGlobalPass = 0, kGuidePass = 1, kFirstPass = 2;
+// Maps wait for each other, paths that read none for nothing: these fill what the others leave free.
+constexpr int kFirst = 1;
+
+std::uint32_t low(std::uint64_t value) { return static_cast<std::uint32_t>(value); }
+std::uint32_t high(std::uint64_t value) { return static_cast<std::uint32_t>(value >> 32); }
+std::string numbered(const char* name, std::uint64_t number) {
+  return std::string(name) + "." + std::to_string(number);
+}
+
+struct PhotonSettings {
+  std::uint32_t count, caustics, passes, samples;
+  double radius;  // m; 0: by the nearest photons
+};
+
+PhotonSettings read_settings(const FrameSettings& settings) {
+  const auto whole = [&](const char* name, std::uint32_t usual) {
+    return whole_setting(settings, name).value_or(usual);
+  };
+  PhotonSettings p{};
+  p.count = whole("photon.count", 200'000);
+  p.caustics = whole("photon.caustics", 200'000);
+  p.passes = whole("photon.passes", std::clamp<std::uint32_t>(settings.spp / 8, 1, 64));
+  p.radius = real_setting(settings, "photon.radius").value_or(0);
+  // As many places of caustics in a pixel as samples, but a few of each pass.
+  p.samples = std::bit_floor(std::clamp<std::uint32_t>(settings.spp / std::max(1u, p.passes), 1, 16));
+  return p;
+}
+
+double diagonal_of(const scene::Bounds& bounds) {
+  double sum = 0;
+  for (int k = 0; k < 3; ++k) sum += std::pow(double{bounds.upper[k]} - bounds.lower[k], 2);
+  return std::max(std::sqrt(sum), 1e-6);
+}
+
+// Whether any surface has a sharp part (kernels/transport/parts.h).
+bool has_sharp_parts(const scene::SceneNeeds& n) {
+  return n.specular || n.glossy || n.metallic || n.transmissive || n.clearcoat || n.sheen || n.iridescence;
+}
+
+class PhotonPlan final : public GraphPlan {
+ public:
+  PhotonPlan(const FrameSettings& settings, const SceneSummary& scene);
+
+  bool conclude(const std::vector<CutStage>& cut) override;
+  double predicted_work() const override { return paths_.predicted_work(); }
+  std::vector<std::string> warnings() const override { return paths_.warnings(); }
+  std::string parameters_json() const override;
+  std::vector<std::string> outline() const override;
+
+ private:
+  struct Pass {
+    Artifact map;
+    Artifact added;  // an event: the pass is in the film
+    PhotonMapFacts facts;
+  };
+
+  std::uint64_t pixels() const { return std::uint64_t{settings_.width} * settings_.height; }
+  bool indirect() const { return settings_.depth != 1; }
+  bool gathers() const { return indirect() && photon_.count > 0; }
+  bool has_caustics() const { return indirect() && photon_.caustics > 0 && sharp_; }
+  std::uint32_t classes() const {
+    return (gathers() ? PATH_CLASS_DIFFUSE | PATH_CLASS_MIXED : 0) | (has_caustics() ? PATH_CLASS_CAUSTIC : 0);
+  }
+  PhotonEstimate estimate(std::uint32_t neighbours) const;
+
+  void begin() override;
+  Artifact ask_map(const std::string& suffix, std::uint32_t pass, std::uint32_t paths, std::uint32_t classes);
+  void gather(const Artifact& map);
+  void ask_caustics(std::uint32_t pass);
+  void shade_caustics(std::uint32_t pass);
+  void add_to_film(std::uint32_t pass, const Artifact& shaded);
+
+  FrameSettings settings_;
+  PhotonSettings photon_;
+  bool sharp_;
+  double most_radius_;
+  PathSampler paths_;
+  PhotonMapFacts gathered_;
+  double spacing_ = 0;
+  Artifact guide_;
+  std::vector<Pass> passes_;
+};
+
+PhotonPlan::PhotonPlan(const FrameSettings& settings, const SceneSummary& scene)
+    : GraphPlan(settings, scene),
+      settings_(settings),
+      photon_(read_settings(settings)),
+      sharp_(has_sharp_parts(scene.needs)),
+      most_radius_(photon_.radius > 0 ? photon_.radius : kMostRadius * diagonal_of(scene.bounds)),
+      paths_(graph_, film_, settings) {
+  skips_ = path_skips(scene.needs);
+  if (has_caustics()) {
+    passes_.resize(photon_.passes);
+    // Photons find these by themselves.
+    std::erase_if(skips_, [](const Skip& skip) { return skip.what.starts_with("punctual lights "); });
+  }
+  if (!indirect()) skips_.push_back({"photons", "a depth of 1 is direct light alone", 1});
+  if (indirect() && !photon_.count)
+    skips_.push_back({"the photon map", "photon.count is 0: paths find all light but caustics", 1});
+  if (indirect() && !photon_.caustics)
+    skips_.push_back({"caustic photons", "photon.caustics is 0: paths find the caustics", 1});
+  if (indirect() && photon_.caustics && !sharp_)
+    skips_.push_back({"caustic photons", "no surface has a mirror, glass or a lobe", 1});
+}
+
+PhotonEstimate PhotonPlan::estimate(std::uint32_t neighbours) const {
+  return {.neighbours = photon_.radius > 0 ? 0 : neighbours, .most_radius = static_cast<float>(most_radius_)};
+}
+
+void PhotonPlan::begin() {
+  if (has_caustics()) {
+    guide_ = ask_map("guide", kGuidePass, photon_.caustics, PHOTON_CLASS_BIT(PHOTON_CAUSTIC));
+    ask_caustics(0);
+  }
+  if (gathers()) {
+    const Artifact map = ask_map("global", kGlobalPass, photon_.count, PHOTON_ALL_CLASSES);
+    graph_.when({map}, [this, map] { gather(map); });
+  } else {
+    paths_.begin({.classes = classes(), .limit = std::numeric_limits<float>::infinity()});
+  }
+}
+
+// Light paths, and the map of the photons that they leave.
+Artifact PhotonPlan::ask_map(const std::string& suffix, std::uint32_t pass, std::uint32_t paths,
+                             std::uint32_t classes) {
+  PhotonTraceParameters p{};
+  p.items_low = paths;
+  // Beside its own scatterings light takes one at the first surface, and what is gathered one more.
+  const std::uint32_t spent = classes == PHOTON_CLASS_BIT(PHOTON_CAUSTIC) ? 1 : 2;
+  p.most_depth = settings_.depth ? settings_.depth - spent : GLEANER_NONE;
+  p.classes = classes;
+  p.pass = pass;
+  p.seed_low = low(settings_.seed);
+  p.seed_high = high(settings_.seed);
+  constexpr std::uint32_t row_bytes = PHOTON_WORDS * 4;
+  // Another camera sees the same photons.
+  const Artifact traced = graph_.add({.name = "photon.trace." + suffix,
+                                      .kind = "photon_trace",
+                                      .items = paths,
+                                      .tile = 16,
+                                      .priority = kFirst,
+                                      .work = static_cast<double>(paths),
+                                      .output = {.record_bytes = row_bytes,
+                                                 .counted = true,
+                                                 .most_records = PHOTON_PATH_SLOTS,
+                                                 .placement = Placement::retain,
+                                                 .reusable = true}},
+                                     p);
+  // A node for each 8 photons at most, in whole blocks.
+  const std::uint64_t most = 2 * std::uint64_t{paths} * PHOTON_PATH_SLOTS + 64;
+  return graph_.add({.name = "photon.map." + suffix,
+                     .kind = "photon_map",
+                     .items = 1,
+                     .solo = true,
+                     .priority = kFirst,
+                     .work = static_cast<double>(paths),
+                     .output = {.record_bytes = row_bytes,
+                                .counted = true,
+                                .most_records = low(std::min<std::uint64_t>(most, 0xffffffffu)),
+                                .placement = Placement::retain,
+                                .reusable = true}},
+                    PhotonMapParameters{.classes = classes, .neighbours = kGatherNeighbours}, {{"photons", traced}});
+}
+
+// Paths that read the map behind their first surface.
+void PhotonPlan::gather(const Artifact& map) {
+  gathered_ = map.facts<PhotonMapFacts>();
+  // Nearer than an estimate is wide, its photons are those of the surface that the path comes from, and their mean
+  // over it says little of this place.
+  spacing_ = photon_.radius > 0 ? photon_.radius : std::min(gathered_.radius, most_radius_);
+  struct {
+    PhotonEstimate estimate;
+    std::uint32_t reserved[2];
+  } program{.estimate = estimate(kGatherNeighbours), .reserved = {}};
+  static_assert(sizeof(PathParameters) + sizeof program == sizeof(PhotonGatherParameters));
+  const float limit = std::max(static_cast<float>(spacing_), std::numeric_limits<float>::min());
+  paths_.begin({.classes = classes(), .limit = limit},
+               {.kind = "photon_gather", .method_parameters = bytes_of(program), .inputs = {{"map", map}}});
+}
+
+// --- Caustics ---
+
+void PhotonPlan::ask_caustics(std::uint32_t pass) {
+  passes_[pass].map =
+      ask_map(std::to_string(pass), kFirstPass + pass, photon_.caustics, PHOTON_CLASS_BIT(PHOTON_CAUSTIC));
+  graph_.when({passes_[pass].map, guide_}, [this, pass] { shade_caustics(pass); });
+}
+
+void PhotonPlan::shade_caustics(std::uint32_t pass) {
+  Pass& s = passes_[pass];
+  s.facts = s.map.facts<PhotonMapFacts>();
+  PhotonCausticsParameters p{};
+  p.camera = settings_.camera;
+  p.width = settings_.width;
+  p.height = settings_.height;
+  p.samples = photon_.samples;
+  p.pass = pass;
+  p.seed_low = low(settings_.seed);
+  p.seed_high = high(settings_.seed);
+  p.depth = settings_.depth;
+  p.estimate = estimate(kCausticNeighbours);
+  // Squared radii: of pass i + 1 over pass i, (i + shrinkage) / (i + 1), passes counted from 1.
+  double squared = 1;
+  for (std::uint32_t i = 1; i <= pass; ++i) squared *= (i + kShrinkage) / (i + 1);
+  p.shrink = static_cast<float>(std::sqrt(squared));
+  const Artifact shaded = graph_.add({.name = numbered("photon.caustics", pass),
+                                      .kind = "photon_caustics",
+                                      .items = pixels(),
+                                      .priority = kFirst,
+                                      .work = static_cast<double>(pixels()) * photon_.samples,
+                                      .output = {.record_bytes = 12}},
+                                     p, {{"guide", guide_}, {"map", s.map}});
+  s.map = {};
+  graph_.on_preview(shaded, [this](auto first, auto count, const Bytes& records) {
+    film_.draw_pass(first, {reinterpret_cast<const float*>(records.data()), 3 * count});
+  });
+  add_to_film(pass, shaded);
+  if (pass + 1 < passes_.size())
+    ask_caustics(pass + 1);
+  else
+    guide_ = {};
+}
+
+// Passes add up in their order, whichever ends first: sums of floats depend on it.
+void PhotonPlan::add_to_film(std::uint32_t pass, const Artifact& shaded) {
+  passes_[pass].added = graph_.event();
+  std::vector<Artifact> after = {shaded};
+  if (pass > 0) after.push_back(passes_[pass - 1].added);
+  graph_.when(after, [this, pass, shaded] {
+    const Bytes& records = shaded.records();
+    film_.add_pass({reinterpret_cast<const float*>(records.data()), records.size() / 4});
+    graph_.announce(passes_[pass].added);
+  });
+}
+
+// --- The film and the report ---
+
+bool PhotonPlan::conclude(const std::vector<CutStage>& cut) {
+  if (!paths_.begun() || (has_caustics() && film_.passes() == 0)) return false;
+  if (!paths_.conclude(cut, skips_)) return false;
+  if (has_caustics() && film_.passes() < passes_.size())
+    skips_.push_back({"passes of caustics", "the time limit ended the frame", passes_.size() - film_.passes()});
+  return true;
+}
+
+std::string PhotonPlan::parameters_json() const {
+  nlohmann::json photon = {{"count", photon_.count}, {"caustics", photon_.caustics}, {"radius", photon_.radius}};
+  if (gathers())
+    photon["map"] = {{"photons", gathered_.photons},
+                     {"neighbours", estimate(kGatherNeighbours).neighbours},
+                     {"radius", gathered_.radius},
+                     {"spacing", spacing_}};
+  if (has_caustics()) {
+    photon["passes"] = passes_.size();
+    photon["samples"] = photon_.samples;
+    photon["neighbours"] = estimate(kCausticNeighbours).neighbours;
+    std::uint64_t photons = 0;
+    for (const Pass& pass : passes_) photons += pass.facts.photons;
+    photon["caustic_photons"] = photons;
+  }
+  nlohmann::json json = paths_.begun() ? paths_.parameters() : nlohmann::json::object();
+  json["photon"] = photon;
+  return json.dump();
+}
+
+std::vector<std::string> PhotonPlan::outline() const {
+  std::vector<std::string> lines;
+  if (gathers()) {
+    lines.push_back("photon.trace.global: " + std::to_string(photon_.count) + " light paths, split");
+    lines.push_back("photon.map.global: the tree over their photons, solo");
+  }
+  if (has_caustics()) {
+    const std::string each = ", for each of " + std::to_string(passes_.size()) + " passes";
+    lines.push_back("photon.trace.guide: " + std::to_string(photon_.caustics) +
+                    " light paths by mirrors, glass and lobes, split; their map tells how wide caustics are estimated");
+    lines.push_back("photon.trace: as many light paths, split" + each);
+    lines.push_back("photon.map: the tree over their photons, solo" + each);
+    lines.push_back("photon.caustics: " + std::to_string(pixels()) + " pixels of " + std::to_string(photon_.samples) +
+                    " samples, split" + each);
+  }
+  for (const std::string& line : paths_.outline()) lines.push_back(line);
+  return lines;
+}
+
+}  // namespace
+
+Method photon_method() {
+  using enum SettingType;
+  return {
+      .name = "photon",
+      .help =
+          "Photon maps: light paths leave photons, whose density tells how bright surfaces are. Carries caustics, of "
+          "punctual lights too; explained in docs/explanation/photon.md.",
+      .make = make_plan_of<PhotonPlan>,
+      // Beside the paths: the passes' sum, its squares, the preview and two passes' records, all RGB.
+      .bytes_a_pixel = kPathBytesAPixel + 5 * 3 * sizeof(float),
+      .settings = {
+          {"photon.count", whole, 0, 1u << 24, "200000",
+           "light paths of the map that paths read behind their first surface; 0: no such map, paths go on"},
+          {"photon.caustics", whole, 0, 1u << 24, "200000",
+           "light paths of each pass of caustics; 0: paths find the caustics"},
+          {"photon.passes", whole, 1, 4096, "`--spp` / 8, 1 to 64",
+           "independent passes of caustics, each of a smaller radius; their mean is the picture"},
+          {"photon.radius", real, 0, 1e9, "0",
+           "metres: of density estimates (of caustics: of the first pass); 0: as wide as the nearest photons lie"},
+      }};
+}
+
+}  // namespace gleaner::coordinator

@@ -1,0 +1,14 @@
+#pragma once
+// Stage kinds of photon maps (kernels/photon/). Each throws Error::bad_input on a malformed task, cl::Error,
+// Error::failed.
+
+#include "worker/stages/stage.h"
+
+namespace gleaner::worker {
+
+BatchResult run_photon_trace_stage(const StageRun& run);
+BatchResult run_photon_gather_stage(const StageRun& run);
+BatchResult run_photon_caustics_stage(const StageRun& run);
+BatchResult build_photon_map(const StageTask& task);  // on the host
+
+}  // namespace gleaner::worker
