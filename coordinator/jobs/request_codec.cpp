@@ -43,14 +43,10 @@ std::vector<scene::Camera> cameras_of(const json& value) {
 
 json encode_scene(const FrameScene& scene) {
   const SceneSummary& summary = scene.summary;
-  return {{"scene", binary(scene.scene_blob)},
-          {"bvh", binary(scene.bvh_blob)},
-          {"state", binary(scene.state_blob)},
-          {"needs", summary.needs.bits()},
-          {"triangles", summary.triangles},
-          {"emissive_triangles", summary.emissive_triangles},
-          {"lights", summary.lights},
-          {"lower", summary.bounds.lower},
+  return {{"scene", binary(scene.scene_blob)}, {"bvh", binary(scene.bvh_blob)},
+          {"state", binary(scene.state_blob)}, {"needs", summary.needs.bits()},
+          {"triangles", summary.triangles},    {"emissive_triangles", summary.emissive_triangles},
+          {"lights", summary.lights},          {"lower", summary.bounds.lower},
           {"upper", summary.bounds.upper}};
 }
 
