@@ -11,10 +11,10 @@
 namespace gleaner::coordinator {
 
 struct FrameScene {
-  std::string scene_blob;    // id; the store holds it
-  std::string bvh_blob;      // id; empty: the embedded farm, none of whose workers needs one
-  SceneSummary summary;      // of the scene; of a base at rest where there is a state
-  std::string state_blob{};  // id of the state that shows the scene as a base; empty: the scene as it is
+  std::string scene_blob;  // id; the store holds it
+  std::string bvh_blob;    // id; empty: the embedded farm, none of whose workers needs one
+  SceneSummary summary;    // of the scene; of a base at rest where there is a state
+  std::string state_blob;  // id of the state that shows the scene as a base; empty: the scene as it is
 };
 // Names what is made of it (artifact_id).
 inline std::string lineage_of(const FrameScene& scene) {

@@ -211,7 +211,7 @@ TEST(RequestCodec, EveryFieldComesBack) {
   request.time_limit = 1e-3;
   request.cameras = {request.settings.camera, request.settings.camera};
   request.cameras[1].origin[1] = std::nextafterf(1, 2);
-  FrameScene scene{.scene_blob = std::string(64, 'a'), .bvh_blob = {}, .summary = {}};
+  FrameScene scene{.scene_blob = std::string(64, 'a'), .bvh_blob = {}, .summary = {}, .state_blob = {}};
   scene.summary.needs.glossy = scene.summary.needs.iridescence = true;
   scene.summary.triangles = 1ull << 40;
   scene.summary.emissive_triangles = 2;

@@ -84,7 +84,7 @@ TEST_F(Restart, WhatWasSubmittedIsRenderedOnce) {
   EXPECT_TRUE(fs::exists(folder_.path() / "again" / "frame_0003.exr"));
 }
 
-// A panel that rises, lit and at rest in its first frame.
+// A triangle that glows and rises.
 scene::GltfFile moving_file() {
   scene::GltfFile file = scene::triangle_file();
   file.json["materials"][0]["emissiveFactor"] = {1, 1, 1};
@@ -101,17 +101,8 @@ TEST_F(Restart, FramesOfAMovingSceneGoOnInTheirStates) {
   ProcessFarm farm(folder_.path() / "farm", programs);
   farm.add_worker("one");
   ASSERT_TRUE(farm.wait_for_workers(1));
-  const std::vector<std::string> words = {(folder_.path() / "moving.glb").string(),
-                                          "--size",
-                                          "64x64",
-                                          "--spp",
-                                          "256",
-                                          "--frames",
-                                          "1-10x3",
-                                          "--fps",
-                                          "9",
-                                          "--look-at",
-                                          "0,0,4,0,0,0"};
+  std::vector<std::string> words = {(folder_.path() / "moving.glb").string(), "--size", "64x64", "--spp", "256"};
+  words.insert(words.end(), {"--frames", "1-10x3", "--fps", "9", "--look-at", "0,0,4,0,0,0"});
   const auto pixels = [&](const std::string& job) {
     farm.finish(job);
     std::vector<std::string> all;
