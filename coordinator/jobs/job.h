@@ -44,6 +44,10 @@ inline std::uint64_t frames_of(const JobRequest& request) {
   return (std::uint64_t{request.last_frame} - request.first_frame) / request.frame_step + 1;
 }
 
+inline std::uint32_t frame_at(const JobRequest& request, std::uint64_t index) {
+  return static_cast<std::uint32_t>(request.first_frame + index * request.frame_step);
+}
+
 enum class JobState { queued, running, done, failed, cancelled };
 const char* job_state_name(JobState state);
 inline bool ended(JobState state) { return state != JobState::queued && state != JobState::running; }
