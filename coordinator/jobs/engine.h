@@ -113,6 +113,8 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   template <typename Call>
   auto compute(Job& job, const Call& call);
   void aim(Job& job, std::uint32_t frame);  // a plan for the frame
+  // Of the scene as the frame's state shows it. Throws Error::bad_input where the state does not fit its base.
+  SceneSummary summary_of(Job& job, std::uint32_t frame);
   FrameReport new_report(const Job& job, std::uint32_t frame) const;
   Film render(const std::shared_ptr<Job>& job, std::uint32_t frame);
   void warn(Job& job, std::uint32_t frame);  // mutex held; what the report's warnings say

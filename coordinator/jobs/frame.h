@@ -96,6 +96,9 @@ struct Job : std::enable_shared_from_this<Job> {
   std::string id;
   JobRequest request;
   FrameScene scene{};  // of the frame that runs
+  // The job's thread alone: the base that the frames' states were last applied to, and its id.
+  std::shared_ptr<const scene::Scene> base;
+  std::string base_blob;
   JobState state = JobState::queued;
   std::string message;
   std::uint64_t version = 1;

@@ -11,6 +11,7 @@
 #include "coordinator/film/exposure.h"
 #include "coordinator/jobs/engine.h"
 #include "scene/model/error.h"
+#include "scene/model/frame_state.h"
 
 namespace gleaner::coordinator {
 
@@ -24,7 +25,7 @@ constexpr std::uint64_t most_drawn = std::uint64_t{4} << 20;    // bytes of reco
 
 FrameSettings settings_of(const JobRequest& request, std::uint32_t frame) {
   FrameSettings settings = request.settings;
-  if (!request.cameras.empty()) settings.camera = request.cameras[frame - request.first_frame];
+  if (!request.cameras.empty()) settings.camera = request.cameras[(frame - request.first_frame) / request.frame_step];
   return settings;
 }
 
@@ -60,12 +61,11 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
   if (job->restored) recall(*job);
   Film film;
   Seconds begun = job->accepted;
-  const std::uint32_t first = job->request.first_frame;
   const std::uint64_t frames = frames_of(job->request);
-  std::uint32_t rendered = first;
+  std::uint32_t rendered = job->request.first_frame;
   const std::uint64_t done_before = job->frames_done;  // by a coordinator before this one
   for (std::uint64_t done = done_before; done < frames; ++done) {
-    const auto frame = static_cast<std::uint32_t>(first + done);
+    const std::uint32_t frame = frame_at(job->request, done);
     {
       std::lock_guard lock(mutex);
       job->frame_begun = now();
@@ -95,16 +95,37 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
 }
 
 bool Farm::Impl::same_picture(const Job& job, std::uint32_t a, std::uint32_t b) {
-  if (scene_of(job.request, a).scene_blob != scene_of(job.request, b).scene_blob) return false;
+  if (lineage_of(scene_of(job.request, a)) != lineage_of(scene_of(job.request, b))) return false;
   const scene::Camera first = settings_of(job.request, a).camera, second = settings_of(job.request, b).camera;
   return std::memcmp(&first, &second, sizeof first) == 0;
+}
+
+SceneSummary Farm::Impl::summary_of(Job& job, std::uint32_t frame) {
+  const FrameScene& shown = scene_of(job.request, frame);
+  if (shown.state_blob.empty()) return shown.summary;
+  const auto fetch = [&](const std::string& id) {
+    Blob blob = blobs.get(id);
+    if (!blob) throw Error::failed("blob " + id + " has gone");
+    return blob;
+  };
+  if (job.base_blob != shown.scene_blob) {
+    job.base = nullptr;  // before the next one takes its memory
+    job.base =
+        std::make_shared<const scene::Scene>(scene::parse_scene(*fetch(shown.scene_blob), job.request.scene_name));
+    job.base_blob = shown.scene_blob;
+  }
+  const std::string origin = job.request.scene_name + ", frame " + std::to_string(frame);
+  SceneSummary summary =
+      summarize(scene::posed(*job.base, scene::parse_frame_state(*fetch(shown.state_blob), origin), origin));
+  summary.blob = lineage_of(shown);
+  return summary;
 }
 
 void Farm::Impl::aim(Job& job, std::uint32_t frame) {
   const FrameSettings frame_settings = settings_of(job.request, frame);
   compute(job, [&] {
     job.plan.reset();  // before the next one takes its memory
-    job.plan = settings.plan(frame_settings, scene_of(job.request, frame).summary);
+    job.plan = settings.plan(frame_settings, summary_of(job, frame));
     job.drawn = false;
   });
   std::lock_guard lock(mutex);

@@ -53,7 +53,7 @@ void Farm::Impl::drop_left_records(const std::set<std::string>& waiting) const {
 
 void Farm::Impl::recall(Job& job) {
   if (!settings.journal || settings.records.empty() || job.frames_done >= frames_of(job.request)) return;
-  const fs::path folder = records_of(job.id, job.request.first_frame + job.frames_done);
+  const fs::path folder = records_of(job.id, frame_at(job.request, job.frames_done));
   std::string trouble;
   std::map<ArtifactId, std::unique_ptr<RecordFile>> files;
   for (JournalRange& range : settings.journal->ranges(job.id)) {

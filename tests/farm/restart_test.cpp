@@ -10,8 +10,10 @@
 #include <iostream>
 #include <memory>
 #include <random>
+#include <set>
 
 #include "tests/farm/processes.h"
+#include "tests/unit/import_files.h"
 
 namespace gleaner::test {
 namespace {
@@ -126,6 +128,42 @@ TEST_F(Restart, WhatWasSubmittedIsRenderedOnce) {
   }
   EXPECT_EQ(farm.gleaner({"fetch", jobs[2], "-o", (folder_.path() / "again").string()}).status, 0);
   EXPECT_TRUE(fs::exists(folder_.path() / "again" / "frame_0003.exr"));
+}
+
+// A triangle that glows and rises.
+scene::GltfFile moving_file() {
+  scene::GltfFile file = scene::triangle_file();
+  file.json["materials"][0]["emissiveFactor"] = {1, 1, 1};
+  const std::size_t times = file.add(std::vector<float>{0, 1}, 5126, "SCALAR");
+  const std::size_t values = file.add(std::vector<float>{0, 0, 0, 0, 0.5f, 0}, 5126, "VEC3");
+  file.json["animations"] = {{{"channels", {{{"sampler", 0}, {"target", {{"node", 0}, {"path", "translation"}}}}}},
+                              {"samplers", {{{"input", times}, {"output", values}}}}}};
+  return file;
+}
+
+// What the journal keeps of a job's frames says which state of the base each one shows.
+TEST_F(Restart, FramesOfAMovingSceneGoOnInTheirStates) {
+  std::ofstream(folder_.path() / "moving.glb", std::ios::binary) << moving_file().glb();
+  ProcessFarm farm(folder_.path() / "farm", programs);
+  farm.add_worker("one");
+  ASSERT_TRUE(farm.wait_for_workers(1));
+  std::vector<std::string> words = {(folder_.path() / "moving.glb").string(), "--size", "64x64", "--spp", "256"};
+  words.insert(words.end(), {"--frames", "1-10x3", "--fps", "9", "--look-at", "0,0,4,0,0,0"});
+  const auto pixels = [&](const std::string& job) {
+    farm.finish(job);
+    std::vector<std::string> all;
+    for (const char* report : {"frame_0001.json", "frame_0004.json", "frame_0007.json", "frame_0010.json"})
+      all.push_back(json::parse(read_text(farm.fetched(job) / report))["pixels_sha256"]);
+    return all;
+  };
+  const std::vector<std::string> whole = pixels(farm.submit(words));
+  EXPECT_EQ(std::set(whole.begin(), whole.end()).size(), 4u) << "every frame shows another state";
+  for (const unsigned written : {0u, 1u, 3u}) {
+    const std::string job = farm.submit(words);
+    ASSERT_TRUE(eventually([&] { return farm.job(job).frames_done() >= written; }, 60));
+    farm.restart();
+    EXPECT_EQ(pixels(job), whole) << "killed with " << written << " frames written";
+  }
 }
 
 TEST_F(Restart, AWatchGoesOnWithTheNextCoordinator) {

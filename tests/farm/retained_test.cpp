@@ -133,7 +133,7 @@ class FarmRetained : public testing::Test {
   JobRequest request(std::map<std::string, std::string> set = {}) {
     JobRequest job;
     job.scene_name = "fake.glb";
-    job.scenes = {{blobs_.put(bytes_of(std::vector<int>{1, 2, 3})), {}, {}}};
+    job.scenes = {{blobs_.put(bytes_of(std::vector<int>{1, 2, 3})), {}, {}, {}}};
     job.settings = frame_;
     job.settings.set = std::move(set);
     return job;
