@@ -94,6 +94,15 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void journal_changed(const Job& job, JobState state);  // mutex held
   void restore();                                        // the journal's jobs, when the farm is made
   std::shared_ptr<Job> restored(const JournalJob& entry, std::string& failure);
+
+  // Accepted records in files (remembered.cpp); without a journal they do nothing.
+  std::filesystem::path records_of(const std::string& job, std::uint32_t frame) const;
+  void drop_left_records(const std::set<std::string>& waiting) const;  // of jobs that are over
+  void recall(Job& job);                                // what of its frame was accepted, checked; on the job's thread
+  void use_held(RunningStage& stage);                   // mutex held
+  void feed_held(RunningStage& stage, Bytes* records);  // `records`: of a collected output of fixed stride
+  void remember(RunningStage& stage, const Lease& lease, const Bytes& image, const Bytes& facts);
+  void forget_records(const std::string& job, const std::filesystem::path& folder);
   void join_ended_threads();
   static void run(std::shared_ptr<Impl> self, std::shared_ptr<Job> job);  // the job's thread
 

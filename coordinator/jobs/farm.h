@@ -54,6 +54,7 @@ struct FarmSettings {
   // Jobs are written to it, and those that it knows are there when the farm is made: what had ended is listed, what
   // had not goes on. Null: jobs end with the farm.
   std::shared_ptr<JournalWriter> journal{};
+  std::filesystem::path records{};  // folder of accepted records, with a journal; empty: frames begin again
 };
 
 class Farm {

@@ -16,12 +16,14 @@
 #include "coordinator/jobs/job.h"
 #include "coordinator/jobs/progress.h"
 #include "coordinator/jobs/report.h"
+#include "coordinator/journal/journal.h"
 #include "coordinator/plan/plan.h"
 #include "coordinator/schedule/scheduler.h"
 
 namespace gleaner::coordinator {
 
 struct Job;
+class RecordFile;
 
 // How a retained artifact is made: kept for as long as its items, or those of what was made of it, may have to be
 // computed again.
@@ -39,7 +41,7 @@ struct CountedBatch {
 };
 
 // A stage that the scheduler knows.
-struct RunningStage {
+struct RunningStage : std::enable_shared_from_this<RunningStage> {
   std::shared_ptr<Job> job;
   StageSpec spec;
   StageId id = 0;
@@ -61,7 +63,10 @@ struct RunningStage {
   std::shared_ptr<const CountIndex> index;           // collected and counted: when it is
   std::uint64_t record_count = 0;                    // when delivered
   Bytes facts;
-  std::uint64_t items = 0;  // to be run
+  std::shared_ptr<RecordFile> file;  // of accepted records, for the next coordinator; null: they are not kept
+  std::vector<JournalRange> held;    // the last coordinator accepted them, and they are being read back
+  std::vector<ItemRange> missing;    // with them: the other items
+  std::uint64_t items = 0;           // to be run
   std::uint64_t items_done = 0;
   std::vector<ItemRange> copied;  // accepted and copied in, in any order
   Seconds first_lease = -1, last_result = -1;
@@ -126,7 +131,10 @@ struct Job : std::enable_shared_from_this<Job> {
   double work_done = 0;      // of that
   double work_to_come = 0;   // of stages that its plan will still ask for, as predicted
   FrameProgress progress;
-  std::vector<std::string> warnings;  // of the frames so far
+  std::vector<std::string> warnings;                     // of the frames so far
+  bool restored = false;                                 // from the journal
+  std::map<ArtifactId, std::vector<JournalRange>> held;  // of its frame, whole and in order; the job's thread
+  bool said_unremembered = false;
 
   FrameReport report;
   std::vector<StageStatus> last_stages;  // of a job that ended, in place of `stages`

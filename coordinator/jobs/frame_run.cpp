@@ -58,6 +58,7 @@ auto Farm::Impl::compute(Job& job, const Call& call) {
 }
 
 void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
+  if (job->restored) recall(*job);
   Film film;
   Seconds begun = job->accepted;
   const std::uint32_t first = job->request.first_frame;
@@ -88,6 +89,8 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
     job->progress = FrameProgress(begun);  // of the next one
     ++totals.frames_written;
     journal_changed(*job, JobState::queued);
+    forget_records(job->id, records_of(job->id, frame));
+    job->held.clear();
     changed(*job);
   }
 }
@@ -251,8 +254,9 @@ bool Farm::Impl::stream(Job& job, std::unique_lock<std::mutex>& lock) {
 }
 
 void Farm::Impl::take_next(Job& job, std::shared_ptr<RunningStage> stage, std::unique_lock<std::mutex>& lock) {
-  const ArrivedRecords::Batch batch = *stage->arrived.next();
+  ArrivedRecords::Batch batch = *stage->arrived.next();
   lock.unlock();
+  if (batch.read) batch.records = batch.read();
   compute(job, [&] {
     job.plan->take(stage->spec.name, batch.first, batch.count, batch.records);
     job.drawn = true;

@@ -106,7 +106,10 @@ JobRemains Farm::Impl::end_job(Job& job, JobState state, const std::string& mess
   remains.scenes = std::exchange(job.request.scenes, {});
   job.request.settings.trajectory = {};
   // What a farm that ends stops goes on with the next one.
-  if (!stopping || state != JobState::cancelled) journal_changed(job, state);
+  if (!stopping || state != JobState::cancelled) {
+    journal_changed(job, state);
+    forget_records(job.id, settings.records / job.id);
+  }
   settings.log("job " + job.id + " " + job_state_name(state) + (message.empty() ? "" : ": " + message));
   changed(job);
   ended_jobs.push_back(jobs.at(job.id));

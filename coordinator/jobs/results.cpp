@@ -99,6 +99,14 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutp
   if (stage->spec.solo) stage->facts = std::move(output.facts);
   changed(*stage->job);
   held.stop();
+  if (stage->file) {
+    ++stage->writers;  // it is not whole before this batch is put away
+    const Bytes facts = stage->facts;
+    lock.unlock();
+    remember(*stage, lease, output.image, facts);
+    lock.lock();
+    --stage->writers;
+  }
   if (stage->streamed())
     stream_in(*stage, lease, std::move(output.image), lock);
   else if (stage->retained())

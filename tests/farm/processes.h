@@ -126,15 +126,18 @@ class ProcessFarm {
                                   folder_ / name, std::map<std::string, std::string>{{"POCL_MAX_PTHREAD_COUNT", "1"}});
     return *workers_[name];
   }
-  // Runs `gleaner WORDS...` against this farm.
-  Ran gleaner(std::vector<std::string> words) {
+  // Starts `gleaner WORDS...` against this farm.
+  std::unique_ptr<Process> begin_gleaner(std::vector<std::string> words) {
     words.insert(words.begin(), (programs_ / "gleaner").string());
-    Process process(words, folder_ / (std::string("gleaner").append(std::to_string(calls_++))),
-                    {{"GLEANER_COORDINATOR", address_}});
+    return std::make_unique<Process>(words, folder_ / (std::string("gleaner").append(std::to_string(calls_++))),
+                                     std::map<std::string, std::string>{{"GLEANER_COORDINATOR", address_}});
+  }
+  Ran gleaner(const std::vector<std::string>& words) {
+    const auto process = begin_gleaner(words);
     Ran ran;
-    ran.status = process.wait();
-    ran.out = process.out();
-    ran.err = process.err();
+    ran.status = process->wait();
+    ran.out = process->out();
+    ran.err = process->err();
     return ran;
   }
 

@@ -36,7 +36,7 @@ constexpr std::size_t piece_bytes = std::size_t{1} << 20;
 constexpr std::size_t most_facts_bytes = std::size_t{64} << 10;
 constexpr std::size_t most_unsent = 2;  // results: a device faster than the network waits
 constexpr std::chrono::milliseconds unavailable_pause{200};
-constexpr double first_backoff_seconds = 0.2, longest_backoff_seconds = 10;
+constexpr double first_backoff_seconds = 1, longest_backoff_seconds = 30;
 
 using Clock = std::chrono::steady_clock;
 
