@@ -208,14 +208,12 @@ class GlbWriter {
 
   void add_channel(const Keys& keys, std::size_t node, const char* path, int components, const char* type) {
     if (keys.times.empty()) return;
-    Json& animation = json_["animations"][0];
-    animation["name"] = scene_.name;
-    const std::size_t input = add_bounded(keys.times, 1, "SCALAR");
-    animation["channels"].push_back(
-        {{"sampler", animation["samplers"].size()}, {"target", {{"node", node}, {"path", path}}}});
-    animation["samplers"].push_back(
+    const std::size_t input = add_bounded(keys.times, 1, "SCALAR"),
+                      output = add_accessor(keys.values, components, type);
+    channels_.push_back({{"sampler", samplers_of_keys_.size()}, {"target", {{"node", node}, {"path", path}}}});
+    samplers_of_keys_.push_back(
         {{"input", input},
-         {"output", add_accessor(keys.values, components, type)},
+         {"output", output},
          {"interpolation", keys.interpolation == Interpolation::linear ? "LINEAR" : "CUBICSPLINE"}});
   }
 
@@ -232,6 +230,8 @@ class GlbWriter {
     }
     for (const auto& [mesh, morph] : motion_.morphs)
       add_channel(morph.weights, mesh_nodes_.at(mesh), "weights", 1, "SCALAR");
+    if (!channels_.empty())
+      add("animations", {{"name", scene_.name}, {"channels", channels_}, {"samplers", samplers_of_keys_}});
   }
 
   bool has_normals(std::size_t triangle) const {
@@ -565,8 +565,9 @@ class GlbWriter {
   const Motion& motion_;
   const std::string& path_;
   Json json_;
-  std::vector<std::size_t> motion_nodes_;          // in the file, by their number in the motion
-  std::map<std::size_t, std::size_t> mesh_nodes_;  // of meshes with morph targets
+  std::vector<std::size_t> motion_nodes_;                             // in the file, by their number in the motion
+  std::map<std::size_t, std::size_t> mesh_nodes_;                     // of meshes with morph targets
+  Json channels_ = Json::array(), samplers_of_keys_ = Json::array();  // of the animation
   std::vector<std::byte> buffer_;
   std::set<std::string> extensions_;
 };

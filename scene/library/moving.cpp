@@ -79,12 +79,12 @@ AnimatedScene swinging_lamp(const std::string& name, const Values& values) {
 AnimatedScene turntable(const std::string& name, const Values& values) {
   SceneBuilder b(name);
   b.mesh("table");
-  b.grid(48, 1,
-         [](std::uint32_t i, std::uint32_t j) {
-           const double angle = -2 * pi * i / 48;
-           return Vec{(1 - j) * 0.9 * std::sin(angle), 0.25, (1 - j) * 0.9 * std::cos(angle)};
-         },
-         b.material("table", lambert(plaster)), {.closed_u = true, .smooth = false});
+  const std::uint32_t wood = b.material("table", lambert(plaster)), centre = b.vertex({0, 0.25, 0});
+  for (int i = 0; i < 48; ++i) {
+    const double angle = 2 * pi * i / 48;
+    b.vertex({0.9 * std::sin(angle), 0.25, 0.9 * std::cos(angle)});
+  }
+  for (std::uint32_t i = 0; i < 48; ++i) b.triangle(centre, centre + 1 + i, centre + 1 + (i + 1) % 48, wood);
   b.mesh("ring");
   b.torus({0.1, 0.42, 0.1}, 0.45, 0.16, values.count("segments"), b.material("ring", dielectric(brick, 0.25)));
   b.mesh("post");

@@ -154,6 +154,30 @@ TEST_F(Restart, AWatchGivesUpWhereItIsTold) {
   EXPECT_THAT(watched->err(), HasSubstr("given up"));
 }
 
+// Its frames are states of a base, every second of five is rendered, and the coordinator dies after the first.
+TEST_F(Restart, AJobThatMovesGoesOn) {
+  const std::string moving = (folder_.path() / "moving.glb").string();
+  Process made({(programs / "gleaner").string(), "scene", "turntable", "-o", moving}, folder_.path() / "moving");
+  ASSERT_EQ(made.wait(), 0) << made.err();
+  ProcessFarm farm(folder_.path() / "farm", programs);
+  farm.add_worker("one");
+  const std::vector<std::string> words = {moving,     "--size", "160x120", "--spp", "256",
+                                          "--frames", "1-5x2",  "--fps",   "2"};
+  const std::string whole = farm.submit(words);
+  farm.finish(whole);
+  const std::string job = farm.submit(words);
+  ASSERT_TRUE(eventually([&] { return farm.job(job).frames_done() == 1; }, 120));
+  farm.restart();
+  farm.finish(job);
+  EXPECT_EQ(farm.show(job)["frames_done"], 3);
+  for (const char* frame : {"frame_0001.json", "frame_0003.json", "frame_0005.json"}) {
+    const auto pixels = [&](const std::string& id) {
+      return json::parse(read_text(folder_.path() / "farm" / ("fetched-" + id) / frame))["pixels_sha256"];
+    };
+    EXPECT_EQ(pixels(job), pixels(whole)) << frame;
+  }
+}
+
 TEST_F(Restart, ADamagedJournalIsSaidAndPicturesStay) {
   ProcessFarm farm(folder_.path() / "farm", programs);
   farm.add_worker("one");

@@ -7,3 +7,7 @@ foreach(subject gltf gltf_bad animation deform compression tolerance mesh obj im
                LIBRARIES gleaner_import OpenImageIO::OpenImageIO nlohmann_json::nlohmann_json)
 endforeach()
 target_link_libraries(test_import_compression PRIVATE meshoptimizer::meshoptimizer ${DRACO_LIBRARY})
+if(TARGET gleaner_library)
+  gleaner_test(NAME import_oracle SOURCES import_oracle_test.cpp import_files.cpp
+               LIBRARIES gleaner_import gleaner_library OpenImageIO::OpenImageIO nlohmann_json::nlohmann_json)
+endif()
