@@ -227,7 +227,9 @@ LoadedFrame load_frame(const FrameOptions& options) {
   if (frame.numbered) parse_frames(options.frames, frame);
   const std::vector<LookAt> trajectory = parse_trajectory(options);
 
-  frame.moving = open_scene(options.files, options.look_at.empty());
+  ImportWords files = options.files;
+  files.instances = coordinator::method_of(options.method).takes_instances;
+  frame.moving = open_scene(files, options.look_at.empty());
   if (frame.moving->moves()) {
     frame.scene = frame.moving->scene_at(options.time_offset);
   } else {

@@ -34,6 +34,7 @@ std::unique_ptr<scene::MovingScene> open_scene(const ImportWords& words, bool ne
   options.most_texels = words.texture_limit;
   options.strict = words.strict;
   options.needs_camera = needs_camera;
+  options.instances = words.instances;
   if (words.environment.empty() && (words.environment_rotation != 0 || words.environment_strength != 1))
     throw Error::usage("--environment-rotation and --environment-strength need --environment FILE");
   auto file = std::make_unique<scene::MovingScene>(words.scene, options);

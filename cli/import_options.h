@@ -19,6 +19,7 @@ struct ImportWords {
   double seconds = 0;  // at which animations are seen
   std::uint64_t texture_limit = scene::ImportOptions().most_texels;
   bool strict = false;
+  bool instances = true;  // see scene::ImportOptions; no word of people's, but the method's
 };
 
 void add_import_options(CLI::App& command, ImportWords& words);

@@ -96,6 +96,10 @@ class LinksPlan final : public GraphPlan {
         settings_(settings),
         links_(read_settings(settings)),
         paths_(graph_, film_, settings) {
+    if (scene.needs.instances)
+      throw Error::usage(
+          "--method links: expected a scene of copies, found one with instances, whose vertices are one for all "
+          "places");
     skips_ = path_skips(scene.needs);
     double diagonal = 0;
     for (std::size_t k = 0; k < 3; ++k)
@@ -377,6 +381,7 @@ Method links_method() {
       // Beside the paths: the pass, its square, the preview and the records, all RGB.
       .bytes_a_pixel = kPathBytesAPixel + 4 * 3 * sizeof(float),
       .check = check,
+      .takes_instances = false,
       .settings = {
           {"links.vertices", whole, 0, 1u << 24, "4000, or twice the triangles where that is more",
            "triangles are divided until there are about so many vertices; 0: the scene's own vertices"},

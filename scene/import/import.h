@@ -27,6 +27,7 @@ struct ImportOptions {
   std::uint64_t most_texels = std::uint64_t{1} << 30;  // in all images together: 4 GiB
   bool strict = false;                                 // what would be a warning is an error
   bool needs_camera = true;                            // false: somebody else brings one, none is missed
+  bool instances = true;                               // false: copies in place of instances
 };
 
 // Reads .gltf, .glb, .obj, .ply or .stl by its extension. The result is validated and finished. A file without a camera

@@ -1,5 +1,6 @@
-// Binary glTF 2.0: a JSON chunk and one buffer. Everything stands in world space; one node a mesh, light and camera.
-// What moves hangs from the nodes of a motion, each of which stands at its pivot.
+// Binary glTF 2.0: a JSON chunk and one buffer. Everything stands in world space; one node a mesh, light and camera. Of
+// instanced meshes, which stand in their own space, one node an instance. What moves hangs from the nodes of a motion,
+// each of which stands at its pivot.
 
 #include <OpenImageIO/filesystem.h>
 #include <OpenImageIO/imageio.h>
@@ -98,7 +99,9 @@ Json numbers(const float* values, std::size_t count) { return Json(std::vector<f
 class GlbWriter {
  public:
   GlbWriter(const Scene& scene, const Motion& motion, const std::string& path)
-      : scene_(scene), motion_(motion), path_(path) {}
+      : scene_(scene), motion_(motion), path_(path), instances_of_(scene.meshes.size()) {
+    for (const Instance& instance : scene.instances) instances_of_[instance.mesh].push_back(&instance);
+  }
 
   void write() {
     json_["asset"] = {{"version", "2.0"}, {"generator", "Gleaner"}};
@@ -265,8 +268,15 @@ class GlbWriter {
       json["weights"] = std::vector<float>(morph->second.positions.size());
       mesh_nodes_[number] = json_["nodes"].size();
     }
-    node["mesh"] = add("meshes", std::move(json));
-    add_carried(std::move(node), motion_.meshes, number);
+    const std::size_t written = add("meshes", std::move(json));
+    node["mesh"] = written;
+    if (!mesh.instanced) add_carried(std::move(node), motion_.meshes, number);
+    for (const Instance* instance : instances_of_[number]) {
+      const gl_float* t = instance->transform;
+      const float x[3] = {t[0], t[4], t[8]}, y[3] = {t[1], t[5], t[9]}, z[3] = {t[2], t[6], t[10]},
+                  origin[3] = {t[3], t[7], t[11]};
+      add_node({{"name", mesh.name}, {"mesh", written}, {"matrix", matrix(x, y, z, origin)}});
+    }
   }
 
   // The vertices in use, in the scene's order, so that a reader gets the scene's arrays back.
@@ -564,6 +574,7 @@ class GlbWriter {
   const Scene& scene_;
   const Motion& motion_;
   const std::string& path_;
+  std::vector<std::vector<const Instance*>> instances_of_;  // by mesh
   Json json_;
   std::vector<std::size_t> motion_nodes_;                             // in the file, by their number in the motion
   std::map<std::size_t, std::size_t> mesh_nodes_;                     // of meshes with morph targets

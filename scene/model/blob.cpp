@@ -23,6 +23,7 @@ enum SceneSection : std::uint32_t {
   kIndices,
   kTriangleMaterial,
   kMeshes,
+  kInstances,
   kMaterials,
   kTextures,
   kTexels,
@@ -47,7 +48,7 @@ enum SceneSection : std::uint32_t {
   kMovingSceneSections
 };
 
-enum BvhSection : std::uint32_t { kNodes, kSlots, kDepth, kBvhSections };
+enum BvhSection : std::uint32_t { kNodes, kSlots, kParts, kDepth, kBvhSections };
 
 // What NamedCamera holds beside the camera and its name.
 struct FilmRecord {
@@ -57,7 +58,9 @@ struct FilmRecord {
 
 struct MeshRecord {
   std::uint32_t first_triangle, triangle_count;
+  std::uint32_t flags;  // kInstanced, kDeforming
 };
+constexpr std::uint32_t kInstanced = 1, kDeforming = 2;
 
 // Hands out names in the order in which serialize() wrote them.
 class NameReader {
@@ -138,7 +141,8 @@ Bytes serialize(const Scene& scene) {
   name(scene.name);
   for (const Mesh& m : scene.meshes) {
     name(m.name);
-    meshes.push_back({m.first_triangle, m.triangle_count});
+    meshes.push_back(
+        {m.first_triangle, m.triangle_count, (m.instanced ? kInstanced : 0u) | (m.deforming ? kDeforming : 0u)});
   }
   for (std::size_t i = 0; i < scene.materials.size(); ++i)
     name(i < scene.material_names.size() ? scene.material_names[i] : std::string());
@@ -153,7 +157,8 @@ Bytes serialize(const Scene& scene) {
                      scene.albedo_tables.size() + scene.environment.radiance.size()) +
                 2 * scene.colors.size() + sizeof(Material) * scene.materials.size() +
                 sizeof(Texture) * scene.textures.size() + sizeof(Light) * scene.lights.size() +
-                sizeof(Camera) * cameras.size() + text.size() + 16 * lengths.size() + rig_bytes(scene.rig));
+                sizeof(Camera) * cameras.size() + sizeof(Instance) * scene.instances.size() + text.size() +
+                16 * lengths.size() + rig_bytes(scene.rig));
   writer.add(kPositions, scene.positions);
   writer.add(kNormals, scene.normals);
   writer.add(kUvs, scene.uvs);
@@ -162,6 +167,7 @@ Bytes serialize(const Scene& scene) {
   writer.add(kIndices, scene.indices);
   writer.add(kTriangleMaterial, scene.triangle_material);
   writer.add(kMeshes, meshes);
+  writer.add(kInstances, scene.instances);
   writer.add(kMaterials, scene.materials);
   writer.add(kTextures, scene.textures);
   writer.add(kTexels, scene.texels);
@@ -194,8 +200,12 @@ Scene parse_scene(std::span<const std::byte> bytes, const std::string& origin) {
   scene.lights = reader.read<Light>(kLights);
   NameReader names(reader);
   scene.name = names.next();
-  for (const MeshRecord& m : reader.read<MeshRecord>(kMeshes))
-    scene.meshes.push_back({names.next(), m.first_triangle, m.triangle_count});
+  for (const MeshRecord& m : reader.read<MeshRecord>(kMeshes)) {
+    if (m.flags & ~(kInstanced | kDeforming)) reader.fail("mesh flags", "known bits alone", m.flags);
+    scene.meshes.push_back(
+        {names.next(), m.first_triangle, m.triangle_count, (m.flags & kInstanced) != 0, (m.flags & kDeforming) != 0});
+  }
+  scene.instances = reader.read<Instance>(kInstances);
   for (std::size_t i = 0; i < scene.materials.size(); ++i) scene.material_names.push_back(names.next());
   const std::vector<Camera> cameras = reader.read<Camera>(kCameras);
   const std::vector<FilmRecord> films = reader.read<FilmRecord>(kFilms, cameras.size());
@@ -214,24 +224,18 @@ Bytes serialize(const Bvh& bvh) {
   writer.expect(sizeof(BvhNode) * bvh.nodes.size() + 4 * bvh.triangles.size());
   writer.add(kNodes, bvh.nodes);
   writer.add(kSlots, bvh.triangles);
+  writer.add(kParts, bvh.parts);
   writer.add(kDepth, std::vector<std::uint32_t>{bvh.max_depth});
   return writer.finish();
 }
 
-Bvh parse_bvh(std::span<const std::byte> bytes, std::size_t triangle_count, const std::string& origin) {
-  const SectionReader reader(bytes, kBvhMagic, {kBvhSections}, origin);
-  Bvh bvh{reader.read<BvhNode>(kNodes), reader.read<std::uint32_t>(kSlots), reader.read<std::uint32_t>(kDepth, 1)[0]};
-  for (std::size_t i = 0; i < bvh.triangles.size(); ++i) {
-    if (bvh.triangles[i] >= triangle_count)
-      reader.fail("triangles[" + std::to_string(i) + "]", "an index below " + std::to_string(triangle_count),
-                  bvh.triangles[i]);
-  }
-  if (bvh.nodes.empty()) reader.fail("nodes", "a root", 0);
-  if (bvh.max_depth > kMaxBvhDepth) reader.fail("max_depth", "at most " + std::to_string(kMaxBvhDepth), bvh.max_depth);
-  // A traversal that follows these children ends, and never needs a deeper stack than it was promised.
-  std::vector<bool> reached(bvh.nodes.size());
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> open = {{0, 1}};  // node, depth of its children
-  reached[0] = true;
+namespace {
+
+// A traversal that follows these children ends, and never needs a deeper stack than it was promised.
+void check_part(const Bvh& bvh, const BvhPart& part, const SectionReader& reader, const std::string& origin) {
+  const std::uint32_t end_node = part.first_node + part.nodes;
+  std::vector<bool> reached(part.nodes);
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> open = {{part.first_node, 1}};  // node, depth of its children
   while (!open.empty()) {
     const auto [index, depth] = open.back();
     open.pop_back();
@@ -244,16 +248,47 @@ Bvh parse_bvh(std::span<const std::byte> bytes, std::size_t triangle_count, cons
     for (const gl_uint child : node.child) {
       if (child & GLEANER_BVH_LEAF) {
         const std::uint64_t first = child & 0x07ffffffu, count = child >> 27 & 15u;
-        if (first + count > bvh.triangles.size())
-          reader.fail(name, "a leaf within " + std::to_string(bvh.triangles.size()) + " slots", first + count);
+        if (count > 0 && (first < part.first_slot || first + count > std::uint64_t{part.first_slot} + part.slots))
+          reader.fail(name, "a leaf within " + std::to_string(part.slots) + " slots", first + count);
       } else {
-        if (child >= bvh.nodes.size() || reached[child])
-          reader.fail(name, "a child that no other node names, below " + std::to_string(bvh.nodes.size()), child);
-        reached[child] = true;
+        if (child <= index || child >= end_node || reached[child - part.first_node])
+          reader.fail(name, "a child behind it that no other node names, below " + std::to_string(end_node), child);
+        reached[child - part.first_node] = true;
         open.emplace_back(child, depth + 1);
       }
     }
   }
+}
+
+}  // namespace
+
+Bvh parse_bvh(std::span<const std::byte> bytes, std::size_t triangle_count, const std::string& origin) {
+  const SectionReader reader(bytes, kBvhMagic, {kBvhSections}, origin);
+  Bvh bvh{reader.read<BvhNode>(kNodes), reader.read<std::uint32_t>(kSlots), reader.read<BvhPart>(kParts),
+          reader.read<std::uint32_t>(kDepth, 1)[0]};
+  for (std::size_t i = 0; i < bvh.triangles.size(); ++i) {
+    if (bvh.triangles[i] >= triangle_count)
+      reader.fail("triangles[" + std::to_string(i) + "]", "an index below " + std::to_string(triangle_count),
+                  bvh.triangles[i]);
+  }
+  if (bvh.nodes.empty()) reader.fail("nodes", "a root", 0);
+  if (bvh.max_depth > kMaxBvhDepth) reader.fail("max_depth", "at most " + std::to_string(kMaxBvhDepth), bvh.max_depth);
+  std::uint64_t node = 0, slot = 0;
+  for (std::size_t p = 0; p < bvh.parts.size(); ++p) {
+    const BvhPart& part = bvh.parts[p];
+    const std::string name = "parts[" + std::to_string(p) + "]";
+    if (part.first_node != node || part.nodes == 0 || part.nodes > bvh.nodes.size() - node)
+      reader.fail(name, "nodes from " + std::to_string(node) + " on, of " + std::to_string(bvh.nodes.size()),
+                  part.first_node);
+    if (part.first_slot != slot || part.slots > bvh.triangles.size() - slot)
+      reader.fail(name, "slots from " + std::to_string(slot) + " on, of " + std::to_string(bvh.triangles.size()),
+                  part.first_slot);
+    node += part.nodes;
+    slot += part.slots;
+    check_part(bvh, part, reader, origin);
+  }
+  if (node != bvh.nodes.size() || slot != bvh.triangles.size())
+    reader.fail("parts", "ranges that cover all nodes and slots", node);
   return bvh;
 }
 

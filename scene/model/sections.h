@@ -22,7 +22,7 @@ namespace gleaner::scene {
 static_assert(std::endian::native == std::endian::little, "blobs are little-endian and copied as they stand");
 
 inline constexpr std::uint64_t kAlignment = 64;
-inline constexpr std::uint32_t kVersion = 3;
+inline constexpr std::uint32_t kVersion = 4;
 
 struct BlobHeader {
   char magic[8];

@@ -46,13 +46,15 @@ Scene File::read(bool moving) {
   materials_->read(options_.most_texels);
   Nodes nodes(document_, warnings_);
   rigging_ = std::make_unique<Rigging>(document_, moving ? &animations_ : nullptr, nodes, scene);
-  Meshes meshes(document_, scene, *materials_, nodes, *rigging_, warnings_);
+  // Of a file that moves, a frame's scene is the same whether it was read alone or is a state of the base.
+  Meshes meshes(document_, scene, *materials_, nodes, *rigging_, warnings_, variant,
+                options_.instances && !animations_.moves());
   scene.origin = origin_for(meshes.place());
   add_cameras(document_, nodes, scene, warnings_);
   Lights lights(document_, options_.light_units, scene, warnings_);
   light_units_ = lights.units();
   lights.add(nodes);
-  meshes.add(variant);
+  meshes.add();
   return scene;
 }
 

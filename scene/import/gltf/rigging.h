@@ -24,9 +24,12 @@ struct Skin {
 // A mesh under a node. A skinned one is moved by its joints alone.
 struct Instance {
   std::size_t node = 0;
-  std::vector<Matrix> locals;      // to the node's space; several where the node repeats its mesh
-  std::optional<Skin> skin;        // instead of the node's own transform
-  std::vector<Matrix> placements;  // to the world: of the locals, or the joints' matrices
+  std::vector<Matrix> locals = {};      // to the node's space; several where the node repeats its mesh
+  std::optional<Skin> skin = {};        // instead of the node's own transform
+  std::vector<Matrix> placements = {};  // to the world: of the locals, or the joints' matrices
+  std::vector<Matrix> instances =
+      {};                    // placements of which each is an instance, not a copy; of a file that stands still
+  bool stores_mesh = false;  // the first node with instances of its mesh
 };
 
 // A primitive as Meshes added it to the scene.
