@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cstdlib>
 #include <ctime>
+#include <functional>
 #include <iostream>
 #include <memory>
 #include <random>
@@ -194,6 +195,51 @@ TEST_F(Restart, AWatchGivesUpWhereItIsTold) {
   farm.coordinator().signal(SIGKILL);
   EXPECT_EQ(watched->wait(), 4);
   EXPECT_THAT(watched->err(), HasSubstr("given up"));
+}
+
+// A job whose frames are states of a base: every second one of five.
+class RestartOfMoving : public RestartOf {
+ protected:
+  void SetUp() override {
+    Process made({(programs / "gleaner").string(), "scene", "turntable", "-o", moving().string()},
+                 folder_.path() / "moving");
+    ASSERT_EQ(made.wait(), 0) << made.err();
+    farm_ = std::make_unique<ProcessFarm>(folder_.path() / "farm", programs);
+    farm_->add_worker("one");
+  }
+  fs::path moving() const { return folder_.path() / "moving.glb"; }
+  // Does that once its first frame is written, and compares its frames with those of a job that nothing happens to.
+  void expect_same_frames(const std::function<void()>& happens) {
+    const std::vector<std::string> words = {moving().string(), "--size", "160x120", "--spp",    "256",     "--frames",
+                                            "1-5x2",           "--fps",  "2",       "--method", GetParam()};
+    const std::string whole = farm_->submit(words);
+    farm_->finish(whole);
+    const std::string job = farm_->submit(words);
+    ASSERT_TRUE(eventually([&] { return farm_->job(job).frames_done() == 1; }, 120));
+    happens();
+    farm_->finish(job);
+    EXPECT_EQ(farm_->show(job)["frames_done"], 3);
+    for (const char* frame : {"frame_0001.json", "frame_0003.json", "frame_0005.json"}) {
+      const auto pixels = [&](const std::string& id) {
+        return json::parse(read_text(folder_.path() / "farm" / ("fetched-" + id) / frame))["pixels_sha256"];
+      };
+      EXPECT_EQ(pixels(job), pixels(whole)) << frame;
+    }
+  }
+
+  std::unique_ptr<ProcessFarm> farm_;
+};
+INSTANTIATE_TEST_SUITE_P(Farm, RestartOfMoving, testing::Values("path", "vpl"),
+                         [](const auto& method) { return std::string(method.param); });
+
+TEST_P(RestartOfMoving, SameFramesAfterTheCoordinatorIsKilled) {
+  expect_same_frames([&] { farm_->restart(); });
+}
+
+TEST_P(RestartOfMoving, SameFramesAfterAWorkerIsKilled) {
+  Process& second = farm_->add_worker("two");
+  ASSERT_TRUE(farm_->wait_for_workers(2));
+  expect_same_frames([&] { second.signal(SIGKILL); });
 }
 
 TEST_F(Restart, ADamagedJournalIsSaidAndPicturesStay) {
