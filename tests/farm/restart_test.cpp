@@ -31,7 +31,7 @@ unsigned kills() {
 std::uint64_t items_taken_over(const json& report) {
   std::uint64_t items = 0;
   for (const json& skip : report["skips"])
-    if (skip["why"].get<std::string>().starts_with("accepted before the coordinator"))
+    if (skip["why"].get<std::string>().starts_with("accepted before the frame"))
       items += skip["count"].get<std::uint64_t>();
   return items;
 }
