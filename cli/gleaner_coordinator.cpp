@@ -26,6 +26,7 @@
 #include "coordinator/journal/sqlite_journal.h"
 #include "gleaner/version.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 
 namespace gleaner::cli {
 
@@ -87,7 +88,7 @@ int coordinate(const CoordinatorOptions& options) {
   settings.scheduler.fixed_batch_items = options.batch_items;
   // A worker's first batch of a scene includes fetching and loading it.
   settings.scheduler.lease_floor = 30;
-  settings.log = [log](const std::string& line) { log->info(line); };
+  settings.log = [log](const std::string& line) { log->info(printable(line)); };
   settings.journal = std::make_shared<JournalWriter>(open_sqlite_journal(data / "journal.sqlite"), settings.log);
   settings.scheduler.incarnation = settings.journal->begin();
   settings.records = data / "records";

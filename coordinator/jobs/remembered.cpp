@@ -87,8 +87,7 @@ void Farm::Impl::use_held(RunningStage& stage) {
   }
   if (next < stage.spec.items) stage.missing.push_back({next, stage.spec.items - next});
   ++stage.writers;  // until feed_held() has read them
-  job.reused.push_back(
-      {"stage " + stage.spec.name, "accepted before the frame was begun again", stage.items_done});
+  job.reused.push_back({"stage " + stage.spec.name, "accepted before the frame was begun again", stage.items_done});
 }
 
 void Farm::Impl::feed_held(RunningStage& stage, Bytes* records) {
