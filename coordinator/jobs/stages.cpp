@@ -115,6 +115,7 @@ void Farm::Impl::add_input(Job& job, RunningStage& stage, StageWork& work, const
     out.items = recipe->spec.items;
   } else if (auto found = job.data.find(input.artifact); found != job.data.end()) {
     out.data = found->second;
+    stage.reads_outputs = stage.reads_outputs || job.outputs.contains(input.artifact);
     out.blob = out.data->blob;
     out.counted = out.data->index != nullptr;
     out.record_bytes = out.data->record_bytes;
@@ -146,13 +147,14 @@ std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Job>& j
   work->output = spec.output;
   work->scene_blob = job->scene.scene_blob;
   work->bvh_blob = job->scene.bvh_blob;
+  work->state_blob = job->scene.state_blob;
   auto stage = std::make_shared<RunningStage>();
   stage->job = job;
   stage->spec = spec;
   for (const auto& input : spec.inputs) add_input(*job, *stage, *work, input);
   // The plan may have given its data names of its own; what stages make is named by what the farm knows it as.
   for (std::size_t i = 0; i < spec.inputs.size(); ++i) stage->spec.inputs[i].artifact = work->inputs[i].blob;
-  stage->artifact = work->artifact = artifact_id(work->scene_blob, stage->spec);
+  stage->artifact = work->artifact = artifact_id(lineage_of(job->scene), stage->spec);
   stage->work = std::move(work);
   stage->report.name = spec.name;
   stage->report.kind = spec.kind;

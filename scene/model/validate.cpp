@@ -35,6 +35,7 @@ class Checker {
     for (std::size_t i = 0; i < scene_.lights.size(); ++i) light(i);
     for (std::size_t i = 0; i < scene_.cameras.size(); ++i) camera(i);
     environment();
+    validate_rig(scene_, file_);
   }
 
  private:

@@ -298,18 +298,20 @@ TEST(RequestCodec, EveryFieldComesBack) {
   request.settings.target_error = 0.1;
   request.settings.set = {{"vpl.count", "12"}, {"odd\xfe", ""}};
   request.first_frame = 5;
-  request.last_frame = 6;
+  request.last_frame = 8;
+  request.frame_step = 3;
   request.exposure_stops = -1.25;
   request.time_limit = 1e-3;
   request.cameras = {request.settings.camera, request.settings.camera};
   request.cameras[1].origin[1] = std::nextafterf(1, 2);
-  FrameScene scene{.scene_blob = std::string(64, 'a'), .bvh_blob = {}, .summary = {}};
+  FrameScene scene{.scene_blob = std::string(64, 'a'), .bvh_blob = {}, .summary = {}, .state_blob = {}};
   scene.summary.needs.glossy = scene.summary.needs.iridescence = true;
   scene.summary.triangles = 1ull << 40;
   scene.summary.emissive_triangles = 2;
   scene.summary.lights = 3;
   scene.summary.bounds = {{-1, 0, 1}, {0.1f, 2, 3}};
   request.scenes = {scene, scene};
+  request.scenes[1].state_blob = std::string(64, 'b');
   JobRequest back = decode_request(encode_request(request));
   decode_frames(encode_frames(request), back);
   EXPECT_EQ(encode_request(back), encode_request(request));
@@ -323,12 +325,15 @@ TEST(RequestCodec, EveryFieldComesBack) {
   EXPECT_EQ(back.settings.spp, 7u);
   EXPECT_EQ(back.time_limit, request.time_limit);
   EXPECT_EQ(back.exposure_stops, request.exposure_stops);
-  EXPECT_EQ(back.last_frame, 6u);
+  EXPECT_EQ(back.last_frame, 8u);
+  EXPECT_EQ(back.frame_step, 3u);
   EXPECT_EQ(std::memcmp(back.cameras.data(), request.cameras.data(), 2 * sizeof(scene::Camera)), 0);
   EXPECT_EQ(back.scenes[1].summary.needs.bits(), scene.summary.needs.bits());
   EXPECT_EQ(back.scenes[1].summary.triangles, scene.summary.triangles);
   EXPECT_EQ(back.scenes[1].summary.bounds.upper, scene.summary.bounds.upper);
   EXPECT_EQ(back.scenes[1].scene_blob, scene.scene_blob);
+  EXPECT_EQ(back.scenes[0].state_blob, "");
+  EXPECT_EQ(back.scenes[1].state_blob, request.scenes[1].state_blob);
 }
 
 // A record of any length must be refused or read, never crash.

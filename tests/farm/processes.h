@@ -181,13 +181,15 @@ class ProcessFarm {
     return eventually([&] { return workers().size() == count; }, 120);
   }
 
-  // Waits for the job's end and fetches its report.
+  // Where finish() puts a job's files.
+  std::filesystem::path fetched(const std::string& job) const { return folder_ / (std::string("fetched-") + job); }
+  // Waits for the job's end and fetches its files; returns the first frame's report.
   nlohmann::json finish(const std::string& job) {
     Ran watched = gleaner({"watch", job, "--quiet"});
     if (watched.status != 0) throw Error::failed("job " + job + ": " + watched.err);
-    std::filesystem::path into = folder_ / (std::string("fetched-") + job);
-    Ran fetched = gleaner({"fetch", job, "-o", into.string()});
-    if (fetched.status != 0) throw Error::failed("fetch " + job + ": " + fetched.err);
+    const std::filesystem::path into = fetched(job);
+    const Ran ran = gleaner({"fetch", job, "-o", into.string()});
+    if (ran.status != 0) throw Error::failed("fetch " + job + ": " + ran.err);
     return nlohmann::json::parse(read_text(into / "frame_0001.json"));
   }
 

@@ -78,7 +78,7 @@ Box Meshes::place() {
     const Element primitives = mesh_of(instance).at("primitives");
     for (std::size_t p = 0; p < primitives.size(); ++p) {
       if (size_of(document_, primitives[p]).triangles == 0) continue;
-      const Primitive primitive(document_, primitives[p], weights_of(instance.node, mesh_of(instance)), draco_meshes_,
+      const Primitive primitive(document_, primitives[p], morph_weights(document_, instance.node), draco_meshes_,
                                 warnings_);
       count_uses(primitives[p]);
       all.enclose(box_of(primitive, instance));
@@ -92,26 +92,26 @@ void Meshes::place_node(std::size_t index) {
   const auto reference = node.find("mesh");
   if (!reference) return;
   const Element mesh = document_.item("meshes", *reference);
-  Instance instance;
-  instance.node = index;
-  const auto skin = node.find("skin");
-  if (skin) {
-    instance.skinned = true;
-    instance.placements = joint_matrices(document_.item("skins", *skin));
-  } else if (const auto instancing = node.extension("EXT_mesh_gpu_instancing")) {
-    instance.placements = repeated(*instancing, nodes_.to_world(index));
+  Instance instance{index, {kIdentity}, {}, {}, {}, false};
+  if (const auto skin = node.find("skin")) {
+    instance.skin = skin_of(*skin);
+    for (std::size_t j = 0; j < instance.skin->joints.size(); ++j)
+      instance.placements.push_back(product(nodes_.to_world(instance.skin->joints[j]), instance.skin->binds[j]));
   } else {
-    instance.placements = {nodes_.to_world(index)};
+    if (const auto instancing = node.extension("EXT_mesh_gpu_instancing")) instance.locals = repeated(*instancing);
+    for (const Matrix& local : instance.locals) instance.placements.push_back(product(nodes_.to_world(index), local));
   }
+  for (const Matrix& placement : instance.placements)
+    if (!is_finite(placement)) node.fail("finite transforms", "another");
   instances_.push_back(std::move(instance));
 }
 
 // A mesh may stand under many nodes; those without a skin, and without weights of morph targets of their own, show it
-// alike.
+// alike. What animations may move is posed vertex by vertex.
 void Meshes::choose_instanced() {
   std::map<std::string, std::vector<Instance*>> by_mesh;
   for (Instance& instance : instances_)
-    if (!instance.skinned && !nodes_.node(instance.node).find("weights"))
+    if (!instance.skin && !nodes_.node(instance.node).find("weights") && !rigging_.may_move(instance.node))
       by_mesh[mesh_of(instance).name()].push_back(&instance);
   std::size_t total = 0;
   for (const auto& [name, nodes] : by_mesh) {
@@ -150,8 +150,8 @@ bool Meshes::is_instanced(const std::vector<Instance*>& nodes) const {
   return true;
 }
 
-// EXT_mesh_gpu_instancing: each instance's transform comes before the node's.
-std::vector<Matrix> Meshes::repeated(const Element& instancing, const Matrix& to_world) const {
+// EXT_mesh_gpu_instancing: each instance's transform, which comes before the node's.
+std::vector<Matrix> Meshes::repeated(const Element& instancing) const {
   const Element attributes = instancing.at("attributes");
   const auto view = [&](const char* key, const char* type) -> std::optional<FloatView> {
     const auto reference = attributes.find(key);
@@ -169,7 +169,7 @@ std::vector<Matrix> Meshes::repeated(const Element& instancing, const Matrix& to
       attributes.fail("as many elements in each: " + std::to_string(count), std::to_string((*each)->size()));
     else if (*each)
       count = (*each)->size();
-  if (count == 0) return {to_world};
+  if (count == 0) return {kIdentity};
   std::vector<Matrix> placements;
   for (std::size_t i = 0; i < count; ++i) {
     float values[3][4] = {{0, 0, 0, 0}, {0, 0, 0, 1}, {1, 1, 1, 0}};
@@ -179,40 +179,38 @@ std::vector<Matrix> Meshes::repeated(const Element& instancing, const Matrix& to
     const std::array<double, 3> t{values[0][0], values[0][1], values[0][2]},
         s{values[2][0], values[2][1], values[2][2]};
     const std::array<double, 4> r{values[1][0], values[1][1], values[1][2], values[1][3]};
-    const Matrix placement = product(to_world, composed(t.data(), r.data(), s.data()));
-    if (!is_finite(placement)) attributes.fail("finite transforms", "another of instance " + std::to_string(i));
-    placements.push_back(placement);
+    placements.push_back(composed(t.data(), r.data(), s.data()));
+    if (!is_finite(placements.back())) attributes.fail("finite transforms", "another of instance " + std::to_string(i));
   }
   return placements;
 }
 
-// A joint's world transform after its inverse bind matrix; the skinned node's own transform does not count (glTF 2.0,
-// 3.7.3.3).
-std::vector<Matrix> Meshes::joint_matrices(const Element& skin) {
-  const Element joints = skin.at("joints");
+// A joint's inverse bind matrix comes before its world transform; the skinned node's own transform does not count (glTF
+// 2.0, 3.7.3.3).
+Skin Meshes::skin_of(const Element& reference) const {
+  const Element element = document_.item("skins", reference), joints = element.at("joints");
+  Skin skin{reference.index(document_.size("skins")), {}, {}};
   std::optional<FloatView> inverse;
-  if (const auto reference = skin.find("inverseBindMatrices")) {
-    inverse.emplace(accessor_of(document_, *reference, {"MAT4"}));
+  if (const auto given = element.find("inverseBindMatrices")) {
+    inverse.emplace(accessor_of(document_, *given, {"MAT4"}));
     if (inverse->size() < joints.size())
-      reference->fail("a matrix for each of " + std::to_string(joints.size()) + " joints",
-                      std::to_string(inverse->size()));
+      given->fail("a matrix for each of " + std::to_string(joints.size()) + " joints", std::to_string(inverse->size()));
   }
-  std::vector<Matrix> matrices;
+  if (joints.size() == 0) joints.fail("at least one joint", "none");
   for (std::size_t j = 0; j < joints.size(); ++j) {
-    Matrix m = nodes_.to_world(joints[j].index(document_.size("nodes")));
+    skin.joints.push_back(joints[j].index(document_.size("nodes")));
+    Matrix bind = kIdentity;
     if (inverse) {
       float values[16];
       inverse->load(j, values);
-      Matrix bind;
       std::copy(values, values + 16, bind.begin());
       bind[3] = bind[7] = bind[11] = 0;  // exporters' rounding; a bind matrix is affine
       bind[15] = 1;
-      m = product(m, bind);
     }
-    if (!is_finite(m)) joints[j].fail("a finite transform", "another");
-    matrices.push_back(m);
+    if (!is_finite(bind)) joints[j].fail("a finite inverse bind matrix", "another");
+    skin.binds.push_back(bind);
   }
-  return matrices;
+  return skin;
 }
 
 void Meshes::count_uses(const Element& primitive) {
@@ -228,19 +226,9 @@ void Meshes::release(const Element& primitive, bool corners) {
   });
 }
 
-// Of the morph targets at rest: the node's go before the mesh's.
-std::vector<double> Meshes::weights_of(std::size_t node, const Element& mesh) const {
-  std::optional<Element> weights = nodes_.node(node).find("weights");
-  if (!weights) weights = mesh.find("weights");
-  std::vector<double> values;
-  for (std::size_t i = 0; weights && i < weights->size(); ++i)
-    values.push_back((*weights)[i].number(-kAnyNumber, kAnyNumber));
-  return values;
-}
-
 Box Meshes::box_of(const Primitive& primitive, const Instance& instance) {
   Box box;
-  if (instance.skinned) {
+  if (instance.skin) {
     for (std::size_t v = 0; v < primitive.vertices(); ++v)
       box.add(transformed(skinned(primitive, instance, v), primitive.position(v)));
     return box;
@@ -267,7 +255,7 @@ Box Meshes::box_of(const Primitive& primitive, const Instance& instance) {
 // Adds an instance's size to `total`, or fails where that is too much.
 PrimitiveSize Meshes::counted(const Instance& instance, PrimitiveSize total) const {
   const Element primitives = mesh_of(instance).at("primitives");
-  const std::size_t times = instance.skinned ? 1 : instance.placements.size() + (instance.stores_mesh ? 1 : 0);
+  const std::size_t times = instance.skin ? 1 : instance.placements.size() + (instance.stores_mesh ? 1 : 0);
   for (std::size_t p = 0; p < primitives.size(); ++p) {
     const PrimitiveSize size = size_of(document_, primitives[p]);
     total.triangles += times * size.triangles;
@@ -293,7 +281,7 @@ void Meshes::add() {
 }
 
 void Meshes::add_instance(const Instance& instance) {
-  const bool has_copies = instance.skinned || !instance.placements.empty();
+  const bool has_copies = instance.skin || !instance.placements.empty();
   if (instance.stores_mesh) {
     add_mesh(instance, true, !has_copies);
     stored_meshes_[mesh_of(instance).name()] = static_cast<std::uint32_t>(scene_.meshes.size() - 1);
@@ -327,23 +315,22 @@ void Meshes::add_mesh(const Instance& instance, bool in_own_space, bool is_last)
       continue;
     }
     if (size_of(document_, element).triangles == 0) continue;
-    const Primitive primitive(document_, element, weights_of(instance.node, mesh), draco_meshes_, warnings_);
-    if (instance.skinned && !primitive.has_joints())
+    const Primitive primitive(document_, element, morph_weights(document_, instance.node), draco_meshes_, warnings_);
+    if (instance.skin && !primitive.has_joints())
       warnings_.add(element.name(), "under a skin but without JOINTS_0: it stands where its node does");
-    if (!instance.skinned && primitive.has_joints())
+    if (!instance.skin && primitive.has_joints())
       warnings_.add(element.name(), "JOINTS_0 without a skin: it stands where its node does");
     const std::uint32_t material = materials_.material_of(element, variant_);
-    if (instance.skinned && primitive.has_joints())
-      add_primitive(primitive, material, instance, kIdentity, scene_.origin, true);
-    else if (instance.skinned)
-      add_primitive(primitive, material, {.node = instance.node, .placements = {}, .instances = {}},
-                    nodes_.to_world(instance.node), scene_.origin, true);
+    if (instance.skin && primitive.has_joints())
+      add_primitive(primitive, material, instance, 0, scene_.origin, true);
+    else if (instance.skin)
+      add_primitive(primitive, material, {instance.node, {kIdentity}, {}, {nodes_.to_world(instance.node)}, {}, false},
+                    0, scene_.origin, true);
     else if (in_own_space)
-      add_primitive(primitive, material, instance, kIdentity, {}, is_last);
+      add_primitive(primitive, material, {instance.node, {kIdentity}, {}, {kIdentity}, {}, false}, 0, {}, is_last);
     else
-      for (const Matrix& placement : instance.placements)
-        add_primitive(primitive, material, instance, placement, scene_.origin,
-                      &placement == &instance.placements.back());
+      for (std::size_t i = 0; i < instance.placements.size(); ++i)
+        add_primitive(primitive, material, instance, i, scene_.origin, i + 1 == instance.placements.size());
   }
   const std::size_t count = scene_.triangle_count() - first;
   if (count == 0) return;
@@ -355,16 +342,21 @@ void Meshes::add_mesh(const Instance& instance, bool in_own_space, bool is_last)
 }
 
 void Meshes::add_primitive(const Primitive& primitive, std::uint32_t material, const Instance& instance,
-                           const Matrix& placement, const Point3& origin, bool is_last) {
+                           std::size_t local, const Point3& origin, bool is_last) {
   const std::vector<std::uint32_t> kept = kept_vertices(primitive);
   const std::size_t count = kept.empty() ? primitive.vertices() : kept.size();
   const auto first = static_cast<std::uint32_t>(scene_.vertex_count());
-  const bool mirrored =
-      is_mirror(instance.skinned ? skinned(primitive, instance, primitive.triangle(0)[0]) : placement);
+  const auto first_triangle = static_cast<std::uint32_t>(scene_.triangle_count());
+  const Matrix placement =
+      instance.skin ? skinned(primitive, instance, primitive.triangle(0)[0]) : instance.placements[local];
+  const bool mirrored = is_mirror(placement);
   add_vertices(primitive, kept, count, instance, placement, origin);
   add_colors(primitive, kept, count);
   if (materials_.needs_channel(0)) add_uvs(primitive, kept, count, material, 0, scene_.uvs);
   if (materials_.needs_channel(1)) add_uvs(primitive, kept, count, material, 1, scene_.second_uvs);
+  if (rigging_.is_posed(instance, primitive))
+    rigging_.add(instance, {primitive, kept, local, first, static_cast<std::uint32_t>(count), first_triangle,
+                            static_cast<std::uint32_t>(primitive.triangles()), mirrored});
   if (is_last) release(primitive.element(), false);
   add_triangles(primitive, kept, first, mirrored);
   if (is_last) release(primitive.element(), true);
@@ -409,7 +401,7 @@ Matrix Meshes::skinned(const Primitive& primitive, const Instance& instance, std
 void Meshes::add_vertices(const Primitive& primitive, const std::vector<std::uint32_t>& kept, std::size_t count,
                           const Instance& instance, const Matrix& placement, const Point3& origin) {
   const Element attributes = primitive.element().at("attributes");
-  const bool moved_by_skin = instance.skinned;
+  const bool moved_by_skin = instance.skin.has_value();
   Matrix m = placement;
   NormalTransform turn(m);
   bool has_zero = false;

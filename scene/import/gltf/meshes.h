@@ -12,6 +12,7 @@
 #include "scene/import/gltf/materials.h"
 #include "scene/import/gltf/nodes.h"
 #include "scene/import/gltf/primitive.h"
+#include "scene/import/gltf/rigging.h"
 #include "scene/import/placement.h"
 
 namespace gleaner::scene::gltf {
@@ -24,12 +25,13 @@ inline constexpr std::size_t kLeastSparedTriangles = 50'000;
 class Meshes {
  public:
   // `variant`: see Materials::material_of. `instances`: see ImportOptions.
-  Meshes(Document& document, Scene& scene, Materials& materials, Nodes& nodes, Warnings& warnings,
+  Meshes(Document& document, Scene& scene, Materials& materials, Nodes& nodes, Rigging& rigging, Warnings& warnings,
          std::optional<std::size_t> variant, bool instances)
       : document_(document),
         scene_(scene),
         materials_(materials),
         nodes_(nodes),
+        rigging_(rigging),
         warnings_(warnings),
         variant_(variant),
         may_instance_(instances) {}
@@ -50,20 +52,11 @@ class Meshes {
   const std::vector<PlacedNode>& placed() const { return placed_; }
 
  private:
-  // A mesh under a node. A skinned one is moved by its joints alone.
-  struct Instance {
-    std::size_t node = 0;
-    std::vector<Matrix> placements;  // to the world; several where the node repeats its mesh
-    bool skinned = false;            // placements are the joints' matrices instead
-    std::vector<Matrix> instances;   // placements of which each is an instance, not a copy
-    bool stores_mesh = false;        // the first node with instances of its mesh
-  };
   void choose_instanced();
   bool is_instanced(const std::vector<Instance*>& nodes) const;
   void place_node(std::size_t index);
-  std::vector<Matrix> repeated(const Element& instancing, const Matrix& to_world) const;
-  std::vector<Matrix> joint_matrices(const Element& skin);
-  std::vector<double> weights_of(std::size_t node, const Element& mesh) const;
+  std::vector<Matrix> repeated(const Element& instancing) const;
+  Skin skin_of(const Element& reference) const;
   Element mesh_of(const Instance& instance) const;
   PrimitiveSize counted(const Instance& instance, PrimitiveSize total) const;
   Box box_of(const Primitive& primitive, const Instance& instance);
@@ -71,9 +64,10 @@ class Meshes {
   void add_instance(const Instance& instance);
   // In the mesh's own space, or as the placements say. `is_last`: the node reads the mesh's primitives no more.
   void add_mesh(const Instance& instance, bool in_own_space, bool is_last);
-  // `origin` comes off the placed positions. `is_last`: the node reads the primitive no more.
-  void add_primitive(const Primitive& primitive, std::uint32_t material, const Instance& instance,
-                     const Matrix& placement, const Point3& origin, bool is_last);
+  // By the instance's placement `local`, or its skin. `origin` comes off the placed positions. `is_last`: the node
+  // reads the primitive no more.
+  void add_primitive(const Primitive& primitive, std::uint32_t material, const Instance& instance, std::size_t local,
+                     const Point3& origin, bool is_last);
   void add_triangles(const Primitive& primitive, const std::vector<std::uint32_t>& kept, std::uint32_t first,
                      bool mirrored);
   void count_uses(const Element& primitive);
@@ -89,6 +83,7 @@ class Meshes {
   Scene& scene_;
   Materials& materials_;
   Nodes& nodes_;
+  Rigging& rigging_;
   Warnings& warnings_;
   std::optional<std::size_t> variant_;
   bool may_instance_;
