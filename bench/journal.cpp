@@ -53,7 +53,7 @@ JobRequest request_of(const scene::Scene& scene, BlobStore& blobs) {
   JobRequest request;
   request.scene_name = "cornell-box";
   request.scenes = {
-      {blobs.put(scene::serialize(scene)), blobs.put(scene::serialize(scene::build_bvh(scene))), summarize(scene)}};
+      {blobs.put(scene::serialize(scene)), blobs.put(scene::serialize(scene::build_bvh(scene))), summarize(scene), ""}};
   request.settings.camera = scene.cameras.front().camera;
   request.settings.width = request.settings.height = 256;
   return request;

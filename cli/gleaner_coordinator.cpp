@@ -26,6 +26,7 @@
 #include "coordinator/journal/sqlite_journal.h"
 #include "gleaner/version.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 
 namespace gleaner::cli {
 
@@ -49,6 +50,7 @@ struct CoordinatorOptions {
   std::uint64_t batch_items = 0;
   std::size_t keep_jobs = FarmSettings{}.ended_jobs;
   double keep_days = 30;
+  double recheck = 0.02;
 };
 
 // Who reaches a listener can do everything: in the clear it is for this machine's own, unless the user says otherwise.
@@ -86,10 +88,11 @@ int coordinate(const CoordinatorOptions& options) {
   settings.scheduler.fixed_batch_items = options.batch_items;
   // A worker's first batch of a scene includes fetching and loading it.
   settings.scheduler.lease_floor = 30;
-  settings.log = [log](const std::string& line) { log->info(line); };
+  settings.log = [log](const std::string& line) { log->info(printable(line)); };
   settings.journal = std::make_shared<JournalWriter>(open_sqlite_journal(data / "journal.sqlite"), settings.log);
   settings.scheduler.incarnation = settings.journal->begin();
   settings.records = data / "records";
+  settings.recheck_share = options.recheck;
   settings.active_jobs = options.active_jobs;
   settings.ended_jobs = options.keep_jobs;
   settings.ended_seconds = options.keep_days * 24 * 3600;
@@ -161,6 +164,10 @@ int main(int argc, char** argv) {
   app.add_option("--keep-days", options.keep_days, "... and for how many days")
       ->capture_default_str()
       ->check(CLI::NonNegativeNumber);
+  app.add_option("--recheck", options.recheck,
+                 "share of the batches that a second worker computes too, so that liars are found; 0: none")
+      ->capture_default_str()
+      ->check(CLI::Range(0.0, 1.0));
   app.add_option("--batch-items", options.batch_items, "every batch of this size")->group("");
   return run_program(app, argc, argv,
                      [&] { return options.check.empty() ? coordinate(options) : check(options.check); });

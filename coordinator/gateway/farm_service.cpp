@@ -141,8 +141,8 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
     if (!std::isfinite(request->exposure_stops()) || std::abs(request->exposure_stops()) > 100)
       return {StatusCode::INVALID_ARGUMENT, "exposure_stops: expected -100 to 100"};
     JobRequest job;
-    job.scene_name = request->scene_name();
-    job.camera_name = request->camera_name();
+    job.scene_name = printable(request->scene_name());
+    job.camera_name = printable(request->camera_name());
     job.settings = from_proto(request->settings());
     job.exposure_stops = request->exposure_stops();
     job.time_limit = request->settings().time_limit_seconds();

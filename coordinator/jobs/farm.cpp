@@ -141,6 +141,11 @@ std::optional<std::vector<std::string>> Farm::why(const std::string& id) const {
     if (!reason.empty()) reasons.push_back("stage " + stage->spec.name + ": " + reason);
     if (!stage->last_failure.empty()) reasons.push_back("last failure: " + stage->last_failure);
   }
+  if (!job->rechecks.empty())
+    reasons.push_back(std::to_string(job->rechecks.size()) + " batches are computed a second time, to compare workers");
+  if (job->state == JobState::running)
+    for (const auto& [worker_id, worker] : impl_->workers)
+      if (!worker.aside.empty()) reasons.push_back("worker " + worker.name + " is put aside: " + worker.aside);
   return reasons;
 }
 

@@ -74,8 +74,7 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
     }
     if (done == done_before || !same_picture(*job, frame, rendered)) {
       film = {};  // before the next plan takes its memory
-      aim(*job, frame);
-      film = render(job, frame);
+      film = render_trusted(job, frame);
       rendered = frame;
     } else {
       // Neither scene nor camera moves: what was made for the one frame holds for the other.
@@ -90,7 +89,24 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
     journal_changed(*job, JobState::queued);
     forget_records(job->id, records_of(job->id, frame));
     job->held.clear();
+    job->remembered.clear();
+    for (const WorkerId maker : std::exchange(job->makers, {})) ++job->frames_with[maker];
     changed(*job);
+  }
+}
+
+Film Farm::Impl::render_trusted(const std::shared_ptr<Job>& job, std::uint32_t frame) {
+  for (;;) {
+    aim(*job, frame);
+    try {
+      return render(job, frame);
+    } catch (const Distrusted&) {
+    } catch (const Error&) {
+      // A plan may choke on what a liar made.
+      std::lock_guard lock(mutex);
+      if (!job->distrusted) throw;
+    }
+    start_over(*job);
   }
 }
 
@@ -178,6 +194,7 @@ Film Farm::Impl::render(const std::shared_ptr<Job>& job, std::uint32_t frame) {
     if (job->memory > large_plan) ::malloc_trim(0);
     step = next_step(&*finished);
   }
+  await_rechecks(*job);
   end_frame(*job);
   Film film = timed([](Plan& plan) { return plan.take_film(); });
   std::lock_guard plan_lock(job->plan_mutex);
@@ -222,6 +239,7 @@ std::optional<FinishedStage> Farm::Impl::await_stage(Job& job) {
   for (;;) {
     if (job.cancel || stopping) throw Cancelled{};
     if (!job.failure.empty()) throw Error::failed(job.failure);
+    if (job.distrusted) throw Distrusted{};
     if (!job.finished.empty()) {
       auto stage = job.finished.front();
       job.finished.pop_front();
@@ -332,6 +350,7 @@ JobRemains Farm::Impl::withdraw(Job& job) {
     remains.arrived.push_back(std::exchange(stage->arrived, {}));
     remains.counted.push_back(std::exchange(stage->counted, {}));
   }
+  while (!job.rechecks.empty()) end_recheck(std::shared_ptr<RunningStage>(job.rechecks.back()));
   records_ready.notify_all();
   for (const auto& stage : job.finished) remains.stages.push_back(stage);
   job.finished.clear();

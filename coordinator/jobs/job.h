@@ -82,6 +82,7 @@ struct WorkerStatus {
   DeviceDescription device;
   std::uint32_t leases = 0;
   bool draining = false;
+  std::string aside;  // why it gets no work; empty: it does
   double connected_seconds = 0, silent_seconds = 0;
   std::map<std::string, double> items_per_second;  // by stage kind
 };
@@ -90,6 +91,7 @@ struct WorkerStatus {
 struct FarmTotals {
   std::uint64_t batches_accepted = 0, batches_failed = 0, batches_expired = 0;
   std::uint64_t items_accepted = 0, frames_written = 0;
+  std::uint64_t batches_rechecked = 0, liars_found = 0;
   double result_lock_seconds = 0;  // for which results held the farm's lock
 };
 

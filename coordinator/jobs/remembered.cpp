@@ -6,7 +6,6 @@
 #include <system_error>
 #include <utility>
 
-#include "coordinator/blobs/sha256.h"
 #include "coordinator/jobs/engine.h"
 #include "coordinator/journal/journal_writer.h"
 #include "coordinator/journal/record_file.h"
@@ -19,12 +18,6 @@ namespace fs = std::filesystem;
 namespace {
 
 constexpr std::uint64_t count_bytes = 4;
-
-std::string digest_of(const Bytes& bytes) {
-  Sha256 hash;
-  hash.update(bytes);
-  return hash.raw();
-}
 
 // The range can be the answer to a lease of the stage.
 bool answers(const RunningStage& stage, const JournalRange& range) {
@@ -94,8 +87,7 @@ void Farm::Impl::use_held(RunningStage& stage) {
   }
   if (next < stage.spec.items) stage.missing.push_back({next, stage.spec.items - next});
   ++stage.writers;  // until feed_held() has read them
-  job.reused.push_back(
-      {"stage " + stage.spec.name, "accepted before the coordinator was started again", stage.items_done});
+  job.reused.push_back({"stage " + stage.spec.name, "accepted before the frame was begun again", stage.items_done});
 }
 
 void Farm::Impl::feed_held(RunningStage& stage, Bytes* records) {
@@ -128,23 +120,29 @@ void Farm::Impl::feed_held(RunningStage& stage, Bytes* records) {
   --stage.writers;
 }
 
-void Farm::Impl::remember(RunningStage& stage, const Lease& lease, const Bytes& image, const Bytes& facts) {
+std::optional<JournalRange> Farm::Impl::store(RunningStage& stage, const Lease& lease, const Bytes& image,
+                                              const Bytes& facts, const std::string& digest) {
   try {
-    JournalRange range{.job = stage.job->id,
-                       .artifact = stage.artifact,
-                       .first = lease.first,
-                       .count = lease.count,
-                       .offset = stage.file->append(image),
-                       .bytes = image.size(),
-                       .digest = digest_of(image),
-                       .facts = facts};
-    settings.journal->accepted(std::move(range));
+    return JournalRange{.job = stage.job->id,
+                        .artifact = stage.artifact,
+                        .first = lease.first,
+                        .count = lease.count,
+                        .offset = stage.file->append(image),
+                        .bytes = image.size(),
+                        .digest = digest,
+                        .facts = facts};
   } catch (const Error& error) {
     // The frame does not need the file; a coordinator after this one would.
     if (!std::exchange(stage.job->said_unremembered, true))
       settings.log("job " + stage.job->id + ": " + error.what() +
                    "; the frame goes on, but after a restart these records are computed again");
+    return std::nullopt;
   }
+}
+
+void Farm::Impl::remember(RunningStage& stage, WorkerId maker, JournalRange range) {
+  if (stage.rests_on_no_stage()) stage.job->remembered.emplace_back(range, maker);
+  settings.journal->accepted(std::move(range));
 }
 
 void Farm::Impl::forget_records(const std::string& job, const fs::path& folder) {

@@ -115,6 +115,7 @@ void Farm::Impl::add_input(Job& job, RunningStage& stage, StageWork& work, const
     out.items = recipe->spec.items;
   } else if (auto found = job.data.find(input.artifact); found != job.data.end()) {
     out.data = found->second;
+    stage.reads_outputs = stage.reads_outputs || job.outputs.contains(input.artifact);
     out.blob = out.data->blob;
     out.counted = out.data->index != nullptr;
     out.record_bytes = out.data->record_bytes;

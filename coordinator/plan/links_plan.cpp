@@ -317,7 +317,7 @@ void LinksPlan::shade(const Artifact& gathered) {
                  .items = pixels(),
                  .tile = 16,
                  .priority = kFirst,
-                 .output = {.record_bytes = 12}};
+                 .output = {.record_bytes = 12, .floats = true}};
   const Artifact shaded = graph_.add(std::move(spec), p, {{"mesh", mesh_}, {"irradiance", irradiance}});
   mesh_ = probe_ = albedo_ = made_ = light_ = sent_ = {};
   const auto floats = [](const Bytes& records) {

@@ -269,42 +269,64 @@ std::vector<Meeting> meetings_on(const scene::Scene& scene, std::size_t count, R
   return meetings;
 }
 
-TEST(InstancedHits, HaveTheFramesThatCopiesHave) {
-  const scene::Scene scene = small_stack(40, 0.5, 7), copies = scene::baked(scene);
-  const std::vector<Origin> origins = origins_of(scene);
-  Random random(11);
+// Hits on an instanced scene, and the same ones on its copies.
+struct SameHits {
+  scene::Scene scene, copies;
   std::vector<Meeting> meetings, of_copies;
-  for (int i = 0; i < 20000; ++i) {
+};
+SameHits same_hits(double spread, std::size_t count) {
+  SameHits same{small_stack(40, spread, 7), {}, {}, {}};
+  same.copies = scene::baked(same.scene);
+  const std::vector<Origin> origins = origins_of(same.scene);
+  Random random(11);
+  for (std::size_t i = 0; i < count; ++i) {
     const std::uint32_t t = random.below(static_cast<std::uint32_t>(origins.size()));
     Meeting m{origins[t].primitive, origins[t].instance, 0, 0, rounded(random.direction())};
     random.weights(m.b1, m.b2);
-    meetings.push_back(m);
+    same.meetings.push_back(m);
     const bool mirrored = m.instance != GLEANER_NONE && m.instance % 2 == 1;
-    of_copies.push_back({t, GLEANER_NONE, mirrored ? m.b2 : m.b1, mirrored ? m.b1 : m.b2, m.direction});
+    same.of_copies.push_back({t, GLEANER_NONE, mirrored ? m.b2 : m.b1, mirrored ? m.b1 : m.b2, m.direction});
   }
+  return same;
+}
+
+TEST(InstancedHits, HaveTheFramesThatCopiesHave) {
+  const SameHits same = same_hits(0.5, 20000);
   KernelBench bench(16);
-  const auto a = met(bench, scene, meetings), b = met(bench, copies, of_copies);
+  const auto a = met(bench, same.scene, same.meetings), b = met(bench, same.copies, same.of_copies);
   const char* names[] = {"point", "error", "geometric", "normal", "outward", "tangent", "bitangent", "origin"};
   for (const Told k : {kPoint, kGeometric, kNormal, kOutward, kTangent, kBitangent}) {
     double worst = 0;
-    for (std::size_t i = 0; i < meetings.size(); ++i) worst = std::max(worst, length(a[k][i] - b[k][i]));
+    for (std::size_t i = 0; i < same.meetings.size(); ++i) worst = std::max(worst, length(a[k][i] - b[k][i]));
     std::printf("%s: at most %.2g apart\n", names[k], worst);
     EXPECT_LT(worst, 2e-4) << names[k];
   }
-  // The bound holds for the place itself, and is not much more than a copy's.
-  double widest = 0;
-  for (std::size_t i = 0; i < meetings.size(); ++i) {
-    const Meeting& m = meetings[i];
-    const Vec p0 = corner_of(scene, m, 0), p1 = corner_of(scene, m, 1), p2 = corner_of(scene, m, 2);
-    const Vec exact = p0 + m.b1 * (p1 - p0) + m.b2 * (p2 - p0), off = a[kPoint][i] - exact;
-    ASSERT_LE(std::abs(off.x), a[kError][i].x);
-    ASSERT_LE(std::abs(off.y), a[kError][i].y);
-    ASSERT_LE(std::abs(off.z), a[kError][i].z);
-    widest = std::max(widest, length(a[kError][i]) / length(b[kError][i]));
+}
+
+// The bound holds for the place itself. It is wider than a copy's, of whose place p little more than the last bit is
+// rounded: a query multiplies by the transform's inverse W, so that about 12 |M| |W| |t| units are added, of a matrix M
+// and a translation t. |M| |W| is at most 3 where M turns, and grows with the stretch.
+TEST(InstancedHits, BoundsHoldAndAreNotMuchWiderThanCopies) {
+  struct Case {
+    double spread, most;  // axes of lengths 10^U(-spread, spread); measured: 38.8 and 50.2
+  };
+  for (const Case& c : {Case{0, 44}, Case{0.5, 57}}) {
+    const SameHits same = same_hits(c.spread, 20000);
+    KernelBench bench(16);
+    const auto a = met(bench, same.scene, same.meetings), b = met(bench, same.copies, same.of_copies);
+    double widest = 0;
+    for (std::size_t i = 0; i < same.meetings.size(); ++i) {
+      const Meeting& m = same.meetings[i];
+      const Vec p0 = corner_of(same.scene, m, 0), p1 = corner_of(same.scene, m, 1), p2 = corner_of(same.scene, m, 2);
+      const Vec exact = p0 + m.b1 * (p1 - p0) + m.b2 * (p2 - p0), off = a[kPoint][i] - exact;
+      ASSERT_LE(std::abs(off.x), a[kError][i].x);
+      ASSERT_LE(std::abs(off.y), a[kError][i].y);
+      ASSERT_LE(std::abs(off.z), a[kError][i].z);
+      widest = std::max(widest, length(a[kError][i]) / length(b[kError][i]));
+    }
+    std::printf("spread %g: bounds at most %.1f times those of copies\n", c.spread, widest);
+    EXPECT_LT(widest, c.most);
   }
-  std::printf("bounds at most %.1f times those of copies\n", widest);
-  // Ten times stretched, the inverse that queries use is off by ten times as much.
-  EXPECT_LT(widest, 64);
 }
 
 // Of every instance alone, turned, stretched and moved.
@@ -501,9 +523,9 @@ TEST_P(InstancedPictures, AreThoseOfCopies) {
   }
   const double mean = sum / static_cast<double>(b.size());
   const double error = std::sqrt(squares / static_cast<double>(b.size())) / mean, bias = difference / sum;
-  std::printf("error %.2g, bias %+.2g\n", error, bias);
+  std::printf("mean %.4f, error %.2g, bias %+.2g\n", mean, error, bias);
   // The same random numbers: only paths at edges differ.
-  EXPECT_GT(mean, 0.02);
+  EXPECT_GT(mean, 0.03);  // 0.0354: not all black
   EXPECT_LT(error, 0.03);
   EXPECT_LT(std::abs(bias), 0.002);
 }

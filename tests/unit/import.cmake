@@ -8,3 +8,7 @@ foreach(subject gltf gltf_bad animation motion deform instances compression tole
 endforeach()
 target_link_libraries(test_import_compression PRIVATE meshoptimizer::meshoptimizer ${DRACO_LIBRARY})
 target_link_libraries(test_import_instances PRIVATE gleaner_library)
+if(TARGET gleaner_library)
+  gleaner_test(NAME import_oracle SOURCES import_oracle_test.cpp import_files.cpp
+               LIBRARIES gleaner_import gleaner_library OpenImageIO::OpenImageIO nlohmann_json::nlohmann_json)
+endif()

@@ -225,6 +225,14 @@ TEST_F(Animation, MalformedOnesAreRefusedByName) {
   EXPECT_THAT(refused([&] { animate("translation", {1, 0}, two, "VEC3"); }), HasSubstr("times from 0 on that rise"));
   EXPECT_THAT(refused([&] { animate("translation", {-1, 0}, two, "VEC3"); }), HasSubstr("times from 0 on that rise"));
   EXPECT_THAT(refused([&] { animate("translation", {0, NAN}, two, "VEC3"); }), HasSubstr("finite"));
+  EXPECT_THAT(refused([&] {
+                animate("translation", {0, 1}, {0, 0, 0, 1, NAN, 1}, "VEC3");
+              }),
+              HasSubstr("animations[0].samplers[0].output"));
+  EXPECT_THAT(refused([&] {
+                animate("rotation", {0, 1}, {0, 0, 0, 1, 0, 0, 0, 0}, "VEC4");
+              }),
+              HasSubstr("animations[0].samplers[0].output"));
   EXPECT_THAT(refused([&] { animate("translation", {0, 1, 2}, two, "VEC3"); }), HasSubstr("3 values"));
   EXPECT_THAT(refused([&] { animate("translation", {0, 1}, two, "VEC3", "CUBICSPLINE"); }), HasSubstr("output"));
   EXPECT_THAT(refused([&] { animate("translation", {0, 1}, two, "VEC3", "SPLINE"); }), HasSubstr("CUBICSPLINE"));

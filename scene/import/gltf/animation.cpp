@@ -138,6 +138,10 @@ Sampler::Sampler(const Document& document, const Element& sampler, std::size_t c
     output.fail(std::to_string(keys) + " values of " +
                     (components_ ? std::to_string(components_) : std::string("one or more")) + " numbers",
                 std::to_string(values_.size()) + " numbers");
+  for (std::size_t key = 0; rotation_ && key < times_.size(); ++key)
+    if (std::ranges::all_of(value(key, interpolation_ == Interpolation::cubic_spline ? 1 : 0),
+                            [](double x) { return x == 0; }))
+      output.fail("a quaternion", "four zeros at key " + std::to_string(key));
   // What was stored as integers is not of unit length.
   if (rotation_ && interpolation_ != Interpolation::cubic_spline)
     for (std::size_t key = 0; key < times_.size(); ++key) {
