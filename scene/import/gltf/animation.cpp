@@ -58,6 +58,17 @@ Values slerp(const Values& from, Values to, double part) {
   return result;
 }
 
+// Of the mesh under a node; 0: there are none.
+std::size_t morph_targets(const Document& document, const Element& node) {
+  const auto mesh = node.find("mesh");
+  if (!mesh) return 0;
+  const Element primitives = document.item("meshes", *mesh).at("primitives");
+  std::size_t most = 0;
+  for (std::size_t p = 0; p < primitives.size(); ++p)
+    if (const auto targets = primitives[p].find("targets")) most = std::max(most, targets->size());
+  return most;
+}
+
 // What a channel of a node animates, and how many numbers that has (0: what the output says).
 std::size_t components_of(const Element& path) {
   const std::string& word = path.text();
@@ -238,6 +249,7 @@ void Animations::add(const Document& document, const Element& animation, const E
     const Element moved = document.item("nodes", *node);
     if (moved.find("matrix") && path.text() != "weights")
       moved.at("matrix").fail("translation, rotation and scale of a node that is animated");
+    if (path.text() == "weights") components = morph_targets(document, moved);
     pointer = Pointer("/nodes/" + std::to_string(node->index(document.size("nodes"))) + "/" + path.text());
   }
   const Element samplers = animation.at("samplers");

@@ -207,7 +207,8 @@ Skin Meshes::skin_of(const Element& reference) const {
       bind[3] = bind[7] = bind[11] = 0;  // exporters' rounding; a bind matrix is affine
       bind[15] = 1;
     }
-    if (!is_finite(bind)) joints[j].fail("a finite inverse bind matrix", "another");
+    if (!is_finite(bind))
+      element.at("inverseBindMatrices").fail("finite matrices", "another of joint " + std::to_string(j));
     skin.binds.push_back(bind);
   }
   return skin;

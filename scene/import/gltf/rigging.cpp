@@ -1,6 +1,7 @@
 #include "scene/import/gltf/rigging.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "scene/model/limits.h"
 #include "scene/model/pose.h"
@@ -95,23 +96,38 @@ std::uint32_t Rigging::weights_of(std::size_t node, std::uint32_t targets) {
   return place->second;
 }
 
-std::uint32_t Rigging::add_deltas(const AddedPrimitive& added, const std::optional<FloatView>& deltas) {
+std::uint32_t Rigging::add_deltas(const AddedPrimitive& added, std::size_t target, const char* attribute) {
+  const std::optional<FloatView> deltas = added.primitive.deltas(target, attribute);
   if (!deltas) return GLEANER_NONE;
   const std::size_t first = rig_.deltas.size();
   if (first + 3 * std::size_t{added.vertex_count} >= GLEANER_NONE)
     added.primitive.element().at("targets").fail("at most 2^32 numbers of all morph targets", "more");
   rig_.deltas.resize(first + 3 * std::size_t{added.vertex_count});
-  for (std::size_t i = 0; i < added.vertex_count; ++i)
-    deltas->load(added.kept.empty() ? i : added.kept[i], &rig_.deltas[first + 3 * i]);
+  for (std::size_t i = 0; i < added.vertex_count; ++i) {
+    const std::size_t vertex = added.kept.empty() ? i : added.kept[i];
+    float* delta = &rig_.deltas[first + 3 * i];
+    deltas->load(vertex, delta);
+    for (std::size_t c = 0; c < 3; ++c)
+      if (!std::isfinite(delta[c]))
+        added.primitive.element().at("targets")[target].at(attribute).fail(
+            "finite numbers", std::to_string(delta[c]) + " at vertex " + std::to_string(vertex));
+  }
   return static_cast<std::uint32_t>(first);
 }
 
 void Rigging::add_influences(const AddedPrimitive& added) {
-  for (std::size_t i = 0; i < added.vertex_count; ++i)
-    added.primitive.each_influence(added.kept.empty() ? i : added.kept[i], [&](std::uint32_t joint, float weight) {
+  for (std::size_t i = 0; i < added.vertex_count; ++i) {
+    const std::size_t vertex = added.kept.empty() ? i : added.kept[i];
+    added.primitive.each_influence(vertex, [&](std::uint32_t joint, float weight) {
+      if (!(weight >= 0 && std::isfinite(weight)))
+        added.primitive.element()
+            .at("attributes")
+            .at("WEIGHTS_0")
+            .fail("finite weights of at least 0", std::to_string(weight) + " at vertex " + std::to_string(vertex));
       rig_.joints.push_back(weight != 0 ? joint : 0);
       rig_.joint_weights.push_back(weight);
     });
+  }
 }
 
 Rigging::Rest Rigging::rest_of(const AddedPrimitive& added, bool skinned) {
@@ -133,8 +149,8 @@ Rigging::Rest Rigging::rest_of(const AddedPrimitive& added, bool skinned) {
   }
   for (std::size_t t = 0; t < primitive.targets(); ++t) {
     MorphTarget target{};
-    target.positions = add_deltas(added, primitive.deltas(t, "POSITION"));
-    target.normals = primitive.has_normals() ? add_deltas(added, primitive.deltas(t, "NORMAL")) : GLEANER_NONE;
+    target.positions = add_deltas(added, t, "POSITION");
+    target.normals = primitive.has_normals() ? add_deltas(added, t, "NORMAL") : GLEANER_NONE;
     rig_.targets.push_back(target);
   }
   if (skinned) add_influences(added);

@@ -83,7 +83,7 @@ class Rigging {
   std::uint32_t matrices_of(const Instance& instance);
   std::uint32_t weights_of(std::size_t node, std::uint32_t targets);
   Rest rest_of(const AddedPrimitive& added, bool skinned);
-  std::uint32_t add_deltas(const AddedPrimitive& added, const std::optional<FloatView>& deltas);
+  std::uint32_t add_deltas(const AddedPrimitive& added, std::size_t target, const char* attribute);
   void add_influences(const AddedPrimitive& added);
 
   const Document& document_;
