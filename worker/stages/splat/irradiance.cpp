@@ -93,7 +93,8 @@ class Gradients {
   Vec translation(std::size_t color) const {
     double x = 0, y = 0;
     for (std::uint32_t j = 0; j < grid_.polar; ++j) {
-      const double sin0 = std::sqrt(j / double{grid_.polar}), cos2 = 1 - j / double{grid_.polar};
+      const double sin0 = std::sqrt(j / static_cast<double>(grid_.polar)),
+                   cos2 = 1 - j / static_cast<double>(grid_.polar);
       const double sine = std::sqrt((j + 0.5) / grid_.polar), cosine = std::sqrt(1 - (j + 0.5) / grid_.polar);
       const double height = std::cos(theta(j)) - std::cos(theta(j + 1));
       for (std::uint32_t k = 0; k < grid_.azimuthal; ++k) {
@@ -116,7 +117,7 @@ class Gradients {
 
  private:
   std::size_t index(std::uint32_t j, std::uint32_t k) const { return std::size_t{j} * grid_.azimuthal + k; }
-  double theta(std::uint32_t ring) const { return std::asin(std::sqrt(ring / double{grid_.polar})); }
+  double theta(std::uint32_t ring) const { return std::asin(std::sqrt(ring / static_cast<double>(grid_.polar))); }
   double step(std::size_t color, std::size_t to, std::size_t from) const {
     return (double{samples_[to].radiance[color]} - samples_[from].radiance[color]) *
            std::max(samples_[to].nearness, samples_[from].nearness);

@@ -38,11 +38,14 @@ class Selector {
         covers_(points.size()),
         boxes_(points.size() / tile_points_) {
     const std::uint32_t columns = splat_tiles(settings.width), rows = splat_tiles(settings.height);
-    for (std::size_t i = 0; i < points.size(); ++i)
-      if (points[i].exists()) {
-        boxes_[i / tile_points_].add(points[i].position);
-        ++made_.points;
-      }
+    constexpr float far = std::numeric_limits<float>::infinity();
+    surfaces_.reserve(points.size());
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      surfaces_.push_back({points[i].exists() ? points[i].position : Vec{far, far, far}, points[i].normal});
+      if (!points[i].exists()) continue;
+      boxes_[i / tile_points_].add(points[i].position);
+      ++made_.points;
+    }
     for (auto& tiles : squares_of_tiles(columns, rows, kGroupTiles)) {
       Group group;
       for (const std::uint32_t tile : tiles) group.box.add(boxes_[tile]);
@@ -142,12 +145,14 @@ class Selector {
   void cover_tile(const Selection::Place& place, std::uint32_t tile, int change) {
     const SplatPoint& record = points_[place.point];
     const Vec& m = record.normal;
+    const float reach = settings_.accuracy * place.radius, reach2 = reach * reach;
     for (std::uint32_t i = tile * tile_points_; i < (tile + 1) * tile_points_; ++i) {
-      const SplatPoint& point = points_[i];
-      if (!point.exists()) continue;
-      const Vec& n = point.normal;
+      const Surface& point = surfaces_[i];
       const float x = point.position[0] - record.position[0], y = point.position[1] - record.position[1],
                   z = point.position[2] - record.position[2];
+      // Eq. 4.
+      if (!(x * x + y * y + z * z <= reach2)) continue;
+      const Vec& n = point.normal;
       if (splat::splat_error(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], place.radius) > settings_.accuracy) continue;
       if (splat::splat_is_hidden(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], SPLAT_MOST_DEPTH * (1 - SPLAT_SLACK)))
         continue;
@@ -155,9 +160,15 @@ class Selector {
     }
   }
 
+  // What is read of a point over and over. One that does not exist is infinitely far.
+  struct Surface {
+    Vec position, normal;
+  };
+
   const SelectSettings settings_;
   const std::span<const SplatPoint> points_;
   const std::uint32_t tile_points_;
+  std::vector<Surface> surfaces_;
   std::vector<std::uint32_t> covers_;  // records that cover each point
   std::vector<PointBox> boxes_;        // about each tile's points
   std::vector<Group> groups_;

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "kernels/rays.h"
 #include "scene/model/error.h"
 #include "worker/stages/splat/points.h"
 #include "worker/stages/splat/stages.h"
