@@ -37,6 +37,9 @@ Client::Client(const std::string& address) : address_(address) {
   arguments.SetMaxReceiveMessageSize(256 << 20);  // previews are whole
   arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 15000);
   arguments.SetInt(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10000);
+  // Who calls again has waits of its own.
+  arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 500);
+  arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 1000);
   auto channel = grpc::CreateCustomChannel(address_, grpc::InsecureChannelCredentials(), arguments);
   if (!channel->WaitForConnected(std::chrono::system_clock::now() + connect_patience))
     throw Error::connection("no coordinator answers at " + address_);
@@ -49,6 +52,7 @@ void Client::check(const grpc::Status& status) const {
       return;
     case grpc::StatusCode::UNAVAILABLE:
     case grpc::StatusCode::DEADLINE_EXCEEDED:
+    case grpc::StatusCode::CANCELLED:  // by a coordinator that ends
       throw Error::connection("the coordinator at " + address_ + " does not answer: " + status.error_message());
     case grpc::StatusCode::INVALID_ARGUMENT:
     case grpc::StatusCode::NOT_FOUND:

@@ -26,6 +26,7 @@
 #include "coordinator/journal/sqlite_journal.h"
 #include "gleaner/version.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 
 namespace gleaner::cli {
 
@@ -47,6 +48,9 @@ struct CoordinatorOptions {
   double upload_gib = 64;
   double memory_gib = 0;  // 0: three quarters of the machine's
   std::uint64_t batch_items = 0;
+  std::size_t keep_jobs = FarmSettings{}.ended_jobs;
+  double keep_days = 30;
+  double recheck = 0.02;
 };
 
 // Who reaches a listener can do everything: in the clear it is for this machine's own, unless the user says otherwise.
@@ -84,10 +88,14 @@ int coordinate(const CoordinatorOptions& options) {
   settings.scheduler.fixed_batch_items = options.batch_items;
   // A worker's first batch of a scene includes fetching and loading it.
   settings.scheduler.lease_floor = 30;
-  settings.log = [log](const std::string& line) { log->info(line); };
+  settings.log = [log](const std::string& line) { log->info(printable(line)); };
   settings.journal = std::make_shared<JournalWriter>(open_sqlite_journal(data / "journal.sqlite"), settings.log);
   settings.scheduler.incarnation = settings.journal->begin();
+  settings.records = data / "records";
+  settings.recheck_share = options.recheck;
   settings.active_jobs = options.active_jobs;
+  settings.ended_jobs = options.keep_jobs;
+  settings.ended_seconds = options.keep_days * 24 * 3600;
   settings.memory_bytes =
       options.memory_gib > 0 ? static_cast<std::uint64_t>(options.memory_gib * gib) : machine_memory() / 4 * 3;
   settings.paths = [data](const std::string& job, std::uint32_t frame) {
@@ -151,6 +159,15 @@ int main(int argc, char** argv) {
                  "memory of the frames that run at the same time, in GiB; larger frames are refused, others wait "
                  "(default: three quarters of the machine's)")
       ->check(CLI::PositiveNumber);
+  app.add_option("--keep-jobs", options.keep_jobs, "jobs that ended and are still listed; pictures are always kept")
+      ->capture_default_str();
+  app.add_option("--keep-days", options.keep_days, "... and for how many days")
+      ->capture_default_str()
+      ->check(CLI::NonNegativeNumber);
+  app.add_option("--recheck", options.recheck,
+                 "share of the batches that a second worker computes too, so that liars are found; 0: none")
+      ->capture_default_str()
+      ->check(CLI::Range(0.0, 1.0));
   app.add_option("--batch-items", options.batch_items, "every batch of this size")->group("");
   return run_program(app, argc, argv,
                      [&] { return options.check.empty() ? coordinate(options) : check(options.check); });

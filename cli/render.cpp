@@ -3,6 +3,7 @@
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
@@ -100,6 +101,33 @@ void render_job(coordinator::Farm& farm, const coordinator::JobRequest& request,
   }
 }
 
+// One job: a base, and a state of it a frame.
+void render_states(EmbeddedFarm& embedded, scene::Scene base, const std::vector<FrameLook>& looks,
+                   coordinator::JobRequest& request, Signals& signals, bool quiet) {
+  const LentScene lent(embedded, std::move(base));
+  std::vector<coordinator::Blob> states;  // as long as they are lent
+  for (const FrameLook& look : looks) {
+    coordinator::FrameScene& shown = request.scenes.emplace_back(lent.blobs());
+    request.cameras.push_back(look.camera);
+    if (look.state->empty()) continue;
+    states.push_back(std::make_shared<const scene::Bytes>(scene::serialize(*look.state)));
+    shown.state_blob = embedded.blobs().lend(states.back());
+  }
+  render_job(embedded.farm(), request, signals, quiet);
+}
+
+// A job a frame: no more than one scene is in memory.
+void render_own_scenes(EmbeddedFarm& embedded, const LoadedFrame& frame, const std::vector<FrameLook>& looks,
+                       coordinator::JobRequest& request, Signals& signals, bool quiet) {
+  for (std::uint32_t i = 0; i < frame.frames(); ++i) {
+    request.first_frame = request.last_frame = frame.number(i);
+    request.settings.camera = looks[i].camera;
+    const LentScene lent(embedded, frame.moving->scene_at(looks[i].seconds));
+    request.scenes = {lent.blobs()};
+    render_job(embedded.farm(), request, signals, quiet);
+  }
+}
+
 int render(const RenderOptions& options) {
   if (fs::path(options.output).extension() != ".exr")
     throw Error::usage("-o: expected a name that ends in .exr, found \"" + options.output + "\"");
@@ -129,6 +157,7 @@ int render(const RenderOptions& options) {
   request.settings = frame.settings;
   request.first_frame = frame.first_frame;
   request.last_frame = frame.last_frame;
+  request.frame_step = frame.frame_step;
   request.cameras = frame.cameras;
   request.exposure_stops = options.frame.exposure_stops;
   request.time_limit = options.frame.time_limit;
@@ -136,21 +165,19 @@ int render(const RenderOptions& options) {
   coordinator::check_settings(request.settings, coordinator::summarize(frame.scene));
 
   EmbeddedFarm embedded(settings);
-  if (!frame.moves) {
+  if (!frame.moving) {
     const LentScene lent(embedded, std::exchange(frame.scene, {}));
     request.scenes = {lent.blobs()};
     render_job(embedded.farm(), request, signals, options.frame.quiet);
     return 0;
   }
-  // A job a frame: no more than one scene is in memory.
-  for (std::uint64_t number = frame.first_frame; number <= frame.last_frame; ++number) {
-    request.first_frame = request.last_frame = static_cast<std::uint32_t>(number);
-    MovedScene moved = load_moved(options.frame, frame, request.first_frame);
-    request.settings.camera = moved.camera;
-    const LentScene lent(embedded, std::move(moved.scene));
-    request.scenes = {lent.blobs()};
-    render_job(embedded.farm(), request, signals, options.frame.quiet);
-  }
+  frame.scene = {};
+  std::vector<FrameLook> looks;
+  for (std::uint32_t i = 0; i < frame.frames(); ++i) looks.push_back(look_of(options.frame, frame, frame.number(i)));
+  if (std::ranges::all_of(looks, [](const FrameLook& look) { return look.state.has_value(); }))
+    render_states(embedded, std::move(frame.moving->base()), looks, request, signals, options.frame.quiet);
+  else
+    render_own_scenes(embedded, frame, looks, request, signals, options.frame.quiet);
   return 0;
 }
 

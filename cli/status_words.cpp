@@ -55,6 +55,7 @@ json worker_json(const WorkerStatus& status) {
           {"memory_bytes", status.device.memory_bytes},
           {"leases", status.leases},
           {"draining", status.draining},
+          {"aside", status.aside},
           {"connected_seconds", status.connected_seconds},
           {"silent_seconds", status.silent_seconds},
           {"items_per_second", status.items_per_second}};

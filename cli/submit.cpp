@@ -3,6 +3,7 @@
 #include <CLI/CLI.hpp>
 #include <iostream>
 #include <memory>
+#include <optional>
 
 #include "cli/client.h"
 #include "cli/commands.h"
@@ -31,6 +32,27 @@ gleaner::v1::FrameScene upload(Client& client, const scene::Scene& scene) {
   return blobs;
 }
 
+// The base once, then a state a frame; frames that no state of the base shows have scenes of their own.
+void add_moving_frames(Client& client, const FrameOptions& options, const LoadedFrame& frame,
+                       gleaner::v1::SubmitJobRequest& request) {
+  std::optional<gleaner::v1::FrameScene> base;
+  for (std::uint32_t i = 0; i < frame.frames(); ++i) {
+    const FrameLook look = look_of(options, frame, frame.number(i));
+    *request.add_frame_cameras() = gateway::to_proto(look.camera);
+    if (!look.state) {
+      *request.add_frame_scenes() = upload(client, frame.moving->scene_at(look.seconds));
+      continue;
+    }
+    if (!base) base = upload(client, frame.moving->base());
+    gleaner::v1::FrameScene& shown = *request.add_frame_scenes();
+    shown = *base;
+    if (look.state->empty()) continue;
+    const scene::Bytes state = scene::serialize(*look.state);
+    shown.set_state_blob(coordinator::sha256_hex(state));
+    client.upload_missing({{shown.state_blob(), &state}});
+  }
+}
+
 int submit(const SubmitOptions& options) {
   Client client(options.coordinator);
   LoadedFrame frame = load_frame(options.frame);
@@ -43,14 +65,12 @@ int submit(const SubmitOptions& options) {
   request.mutable_settings()->set_time_limit_seconds(options.frame.time_limit);
   request.set_first_frame(frame.first_frame);
   request.set_last_frame(frame.last_frame);
+  request.set_frame_step(frame.frame_step);
   for (const scene::Camera& camera : frame.cameras) *request.add_frame_cameras() = gateway::to_proto(camera);
   request.set_exposure_stops(options.frame.exposure_stops);
-  if (frame.moves) {
-    for (std::uint64_t number = frame.first_frame; number <= frame.last_frame; ++number) {
-      const MovedScene moved = load_moved(options.frame, frame, static_cast<std::uint32_t>(number));
-      *request.add_frame_scenes() = upload(client, moved.scene);
-      *request.add_frame_cameras() = gateway::to_proto(moved.camera);
-    }
+  if (frame.moving) {
+    frame.scene = {};
+    add_moving_frames(client, options.frame, frame, request);
   } else {
     const gleaner::v1::FrameScene blobs = upload(client, frame.scene);
     request.set_scene_blob(blobs.scene_blob());

@@ -273,13 +273,13 @@ FN NextRay scatter_path(const Scene* scene, const Path* path, const PathFilter* 
 
 // Survivors, packed from `place` on; lanes that ended write behind the wave, where nobody reads.
 FN void write_survivors(global float* paths, uint capacity, uint place, vu rank, const Path* path, const NextRay* ray,
-                        const Carried* carried, vu primitive) {
+                        const Carried* carried, const Vertex* v) {
   vu to = ray_address(pick_u((vu)capacity, (vu)place + rank, ray->alive), PATH_ROWS);
   vu meta = ray->depth | (carried->diffuse_count << META_DIFFUSE) |
             pick_u((vu)0u, (vu)META_SPECULAR_SINCE, carried->specular_since) | ((path->bounce + 1u) << META_BOUNCE) |
             (path->sample << META_SAMPLE);
   vf rows[PATH_ROWS];
-  put_ray(rows, ray->origin, ray->direction, (vf)INFINITY, primitive);
+  put_ray(rows, ray->origin, ray->direction, (vf)INFINITY, v->primitive, hit_instance(&v->hit));
   rows[ROW_GEOMETRY] = as_vf((vu)GLEANER_NONE);
   rows[ROW_INSTANCE] = zero_f();
   put_words3(rows, ROW_THROUGHPUT, ray->throughput);
@@ -394,7 +394,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 
   sample_pair(pair_key, path.sample, GLEANER_PATH_SEQUENCE, 0u, &u_choice, &u_roulette);
   Connection c = sample_direct_light(scene, &path, &filter, &v, spent, parameters->clamp, pair_key, u_choice);
-  write_connection(shadows, block, &c, v.primitive, path.slot, slot_count);
+  write_connection(shadows, block, &c, &v, path.slot, slot_count);
   Carried carried;
   NextRay ray = scatter_path(scene, &path, &filter, &v, spent, parameters, pair_key, u_lobe, u_glass, u_roulette,
                              row_f(paths, PATH_ROWS, block, ROW_ETA), c.total, &carried);
@@ -404,5 +404,5 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   if (asked) atomic_add(counters + COUNTER_SHADOW, asked);
   if (kept == 0u) return;
   uint place = atomic_add(counters + COUNTER_ALIVE, kept);
-  write_survivors(next, capacity, place, rank, &path, &ray, &carried, v.primitive);
+  write_survivors(next, capacity, place, rank, &path, &ray, &carried, &v);
 }

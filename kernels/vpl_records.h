@@ -58,7 +58,8 @@ GLEANER_SIZE(VplTraceParameters, 32);
 #define POINT_TRIANGLE 12u  // uint; GLEANER_NONE: nothing to shade
 #define POINT_B1 13u
 #define POINT_B2 14u
-#define POINT_COS 15u  // clusters: least cosine between the normal and a member's
+#define POINT_INSTANCE 14u  // uint, in scenes with instances in place of B2: the triangle's, or GLEANER_NONE
+#define POINT_COS 15u       // clusters: least cosine between the normal and a member's
 
 // Camera paths that end at the first surface with a diffuse layer. Stage kinds "vpl_points" and "vpl_shade".
 typedef struct {

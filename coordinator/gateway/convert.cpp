@@ -208,7 +208,7 @@ pb::Device to_proto(const DeviceDescription& device) {
 }
 
 DeviceDescription from_proto(const pb::Device& device) {
-  auto text = [](const std::string& words) { return words.substr(0, 256); };
+  auto text = [](const std::string& words) { return printable(words.substr(0, 256)); };
   return {.name = text(device.name()),
           .platform = text(device.platform()),
           .driver = text(device.driver()),
@@ -227,6 +227,7 @@ pb::Worker to_proto(const WorkerStatus& status) {
   *out.mutable_device() = to_proto(status.device);
   out.set_leases(status.leases);
   out.set_draining(status.draining);
+  out.set_aside(printable(status.aside));
   out.set_connected_seconds(status.connected_seconds);
   out.set_silent_seconds(status.silent_seconds);
   for (const auto& [kind, rate] : status.items_per_second) (*out.mutable_items_per_second())[kind] = rate;
@@ -239,6 +240,7 @@ WorkerStatus from_proto(const pb::Worker& worker) {
                    .device = from_proto(worker.device()),
                    .leases = worker.leases(),
                    .draining = worker.draining(),
+                   .aside = worker.aside(),
                    .connected_seconds = worker.connected_seconds(),
                    .silent_seconds = worker.silent_seconds(),
                    .items_per_second = {}};

@@ -3,11 +3,13 @@
 #include <chrono>
 #include <cmath>
 #include <fstream>
+#include <set>
 #include <thread>
 
 #include "coordinator/film/write.h"
 #include "coordinator/gateway/convert.h"
 #include "scene/model/error.h"
+#include "scene/model/frame_state.h"
 #include "scene/model/names.h"
 
 namespace gleaner::gateway {
@@ -103,16 +105,32 @@ SceneSummary FarmService::summary_of(const std::string& scene_blob, const std::s
   return summaries_[scene_blob] = summary;
 }
 
+void FarmService::check_state(const FrameScene& scene) {
+  const Blob blob = blobs_.get(scene.state_blob);
+  const std::string origin = "state blob " + scene.state_blob;
+  if (!blob) throw Error::failed(origin + " has gone");
+  const scene::FrameState state = scene::parse_frame_state(*blob, origin);
+  scene::check_counts(state, scene.summary.matrices, scene.summary.morph_weights, origin);
+}
+
 Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* request, pb::SubmitJobReply* reply) {
   return guarded([&]() -> Status {
     if (const std::uint64_t most = most_frames; static_cast<std::uint64_t>(request->frame_scenes_size()) > most)
       return {StatusCode::INVALID_ARGUMENT, "frame_scenes: expected at most " + std::to_string(most)};
     std::vector<FrameScene> scenes;
+    const auto add = [&](const std::string& scene_blob, const std::string& bvh_blob, const std::string& state_blob) {
+      FrameScene& scene = scenes.emplace_back();
+      scene.scene_blob = scene_blob;
+      scene.bvh_blob = bvh_blob;
+      scene.state_blob = state_blob;
+    };
     for (const pb::FrameScene& scene : request->frame_scenes())
-      scenes.push_back({scene.scene_blob(), scene.bvh_blob(), {}});
-    if (scenes.empty()) scenes.push_back({request->scene_blob(), request->bvh_blob(), {}});
+      add(scene.scene_blob(), scene.bvh_blob(), scene.state_blob());
+    if (scenes.empty()) add(request->scene_blob(), request->bvh_blob(), {});
     for (const FrameScene& scene : scenes)
-      for (const std::string& id : {scene.scene_blob, scene.bvh_blob}) {
+      for (const std::string* each : {&scene.scene_blob, &scene.bvh_blob, &scene.state_blob}) {
+        const std::string& id = *each;
+        if (each == &scene.state_blob && id.empty()) continue;
         if (!is_sha256_hex(id))
           return {StatusCode::INVALID_ARGUMENT,
                   "blob id: expected 64 lower-case hexadecimal digits, found \"" + id.substr(0, 80) + "\""};
@@ -123,8 +141,8 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
     if (!std::isfinite(request->exposure_stops()) || std::abs(request->exposure_stops()) > 100)
       return {StatusCode::INVALID_ARGUMENT, "exposure_stops: expected -100 to 100"};
     JobRequest job;
-    job.scene_name = request->scene_name();
-    job.camera_name = request->camera_name();
+    job.scene_name = printable(request->scene_name());
+    job.camera_name = printable(request->camera_name());
     job.settings = from_proto(request->settings());
     job.exposure_stops = request->exposure_stops();
     job.time_limit = request->settings().time_limit_seconds();
@@ -134,8 +152,13 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
       job.first_frame = request->first_frame();
       job.last_frame = request->last_frame();
     }
+    if (request->frame_step() != 0) job.frame_step = request->frame_step();
     for (const pb::Camera& camera : request->frame_cameras()) job.cameras.push_back(from_proto(camera));
-    for (FrameScene& scene : scenes) scene.summary = summary_of(scene.scene_blob, job.scene_name);
+    std::set<std::string> checked;
+    for (FrameScene& scene : scenes) {
+      scene.summary = summary_of(scene.scene_blob, job.scene_name);
+      if (!scene.state_blob.empty() && checked.insert(lineage_of(scene)).second) check_state(scene);
+    }
     job.scenes = std::move(scenes);
     reply->set_job(farm_.submit(job));
     return Status::OK;

@@ -31,7 +31,9 @@ constexpr std::chrono::seconds last_words{2};  // for a write that is under way 
 std::string printable(const std::string& words) {
   std::string text = words.substr(0, 4096);
   std::replace_if(
-      text.begin(), text.end(), [](unsigned char c) { return c != '\n' && (c < 0x20 || c > 0x7e); }, '?');
+      text.begin(), text.end(), [](unsigned char c) { return c == '\n'; }, ' ');
+  std::replace_if(
+      text.begin(), text.end(), [](unsigned char c) { return c < 0x20 || c > 0x7e; }, '?');
   return text;
 }
 
@@ -95,6 +97,7 @@ class StreamSession final : public WorkerSession {
       out.set_most_records(work->output.most_records);
       out.set_scene_blob(work->scene_blob);
       out.set_bvh_blob(work->bvh_blob);
+      out.set_state_blob(work->state_blob);
     });
   }
 

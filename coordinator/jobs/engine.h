@@ -9,6 +9,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <random>
 #include <set>
 #include <string>
 #include <thread>
@@ -28,8 +29,11 @@ struct Worker {
   std::shared_ptr<WorkerSession> session;
   Seconds joined = 0, heard = 0;
   bool draining = false;
-  unsigned wrong_copies = 0;  // of its parts that turned out to be other bytes
-  unsigned waits = 0;         // results of its that wait for the plan: it cannot be heard meanwhile
+  unsigned wrong_copies = 0;              // of its parts that turned out to be other bytes
+  std::string kind;                       // of its device
+  std::string aside;                      // why it gets nothing any more; empty: it does
+  std::set<std::string> rechecked_kinds;  // of stages of which its first batch was computed again
+  unsigned waits = 0;                     // results of its that wait for the plan: it cannot be heard meanwhile
   std::set<Epoch> leases;
 };
 
@@ -40,9 +44,15 @@ struct RetainedArtifact {
   unsigned readers = 0;         // stages that compute something again and read it
   std::vector<ItemRange> lost;  // while a stage makes it: what that stage had made, and nobody holds any more
   Bytes facts;
+  bool untrusted = false;  // a liar may have had a part in it: no other frame gets it
 };
 
-struct Cancelled {};  // thrown on a job's thread
+struct Cancelled {};   // thrown on a job's thread
+struct Distrusted {};  // likewise: the frame rests on what a liar made
+
+// Devices of one kind make the same bytes of the same items.
+std::string device_kind(const DeviceDescription& device);
+std::string digest_of(const Bytes& bytes);
 
 // Memory of a job's that may be large: destroyed where the farm's mutex is not held.
 struct JobRemains {
@@ -94,6 +104,18 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void journal_changed(const Job& job, JobState state);  // mutex held
   void restore();                                        // the journal's jobs, when the farm is made
   std::shared_ptr<Job> restored(const JournalJob& entry, std::string& failure);
+
+  // Accepted records in files (remembered.cpp); without a journal they do nothing.
+  std::filesystem::path records_of(const std::string& job, std::uint32_t frame) const;
+  void drop_left_records(const std::set<std::string>& waiting) const;  // of jobs that are over
+  void recall(Job& job);                                // what of its frame was accepted, checked; on the job's thread
+  void use_held(RunningStage& stage);                   // mutex held
+  void feed_held(RunningStage& stage, Bytes* records);  // `records`: of a collected output of fixed stride
+  // Appends the records to the stage's file; none: that failed.
+  std::optional<JournalRange> store(RunningStage& stage, const Lease& lease, const Bytes& image, const Bytes& facts,
+                                    const std::string& digest);
+  void remember(RunningStage& stage, WorkerId maker, JournalRange range);  // mutex held
+  void forget_records(const std::string& job, const std::filesystem::path& folder);
   void join_ended_threads();
   static void run(std::shared_ptr<Impl> self, std::shared_ptr<Job> job);  // the job's thread
 
@@ -104,8 +126,11 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   template <typename Call>
   auto compute(Job& job, const Call& call);
   void aim(Job& job, std::uint32_t frame);  // a plan for the frame
+  // Of the scene as the frame's state shows it. Throws Error::bad_input where the state does not fit its base.
+  SceneSummary summary_of(Job& job, std::uint32_t frame);
   FrameReport new_report(const Job& job, std::uint32_t frame) const;
   Film render(const std::shared_ptr<Job>& job, std::uint32_t frame);
+  Film render_trusted(const std::shared_ptr<Job>& job, std::uint32_t frame);  // again where a liar had a part in it
   void warn(Job& job, std::uint32_t frame);  // mutex held; what the report's warnings say
   void reuse(Job& job, std::uint32_t frame, std::uint32_t rendered);
   // Draws accepted batches until a stage is whole. None: the time limit has ended the frame.
@@ -170,10 +195,29 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   const Worker* worker_with(const std::string& token) const;
   const RunningStage* reader(const Worker& worker, Epoch epoch, const ArtifactId& id, ItemRange* own) const;
 
+  // Batches that are computed again to find liars (recheck.cpp; mutex held but by the job's thread).
+  bool wants_recheck(const RunningStage& stage, Worker& worker);
+  void recheck(const std::shared_ptr<RunningStage>& stage, WorkerId maker, const Lease& lease, std::string digest);
+  // False: there is nobody to ask.
+  bool ask_another(Job& job, const RunningStage& like, std::unique_ptr<Recheck> what);
+  void take_recheck(const std::shared_ptr<RunningStage>& stage, const Worker& worker, std::string digest);
+  void end_recheck(const std::shared_ptr<RunningStage>& stage);
+  void disagree(Job& job, const Recheck& recheck);
+  void drop_hopeless_rechecks();  // a worker is gone
+  std::set<WorkerId> witnesses(const Recheck& recheck) const;
+  void distrust(WorkerId liar, const std::string& why);
+  void await_rechecks(Job& job);  // the job's thread
+  void start_over(Job& job);      // the job's thread; the frame, with what honest workers made of it
+
   // Results (results.cpp).
+  // Mutex held. The stage of the worker's lease, and the lease; null: there is none such.
+  std::shared_ptr<RunningStage> stage_of(WorkerId id, LeaseId lease_id, Epoch epoch, Lease& lease) const;
   Verdict result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutput output, const BatchCost& cost);
-  // Why the output is not what the lease asks for; empty: it is.
+  // Why the output is not what the lease asks for; empty: it is. Without the mutex: it reads all of it.
   static std::string misfit(const RunningStage& stage, const Lease& lease, const BatchOutput& output);
+  // What of a batch needs its digest: the journal, and what is computed again. The lock is held before and after.
+  void put_on_record(const std::shared_ptr<RunningStage>& stage, WorkerId id, const Lease& lease, const Bytes& image,
+                     bool rechecked, std::unique_lock<std::mutex>& lock);
   // Mutex held. Puts an accepted batch where its stage's records go.
   void collect(const std::shared_ptr<RunningStage>& stage, const Lease& lease, const Bytes& records,
                std::unique_lock<std::mutex>& lock);
@@ -205,6 +249,8 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   ArtifactRegistry registry;
   std::map<ArtifactId, RetainedArtifact> retained;
   std::map<std::string, WorkerId> tokens;
+  std::set<WorkerId> liars;
+  std::mt19937_64 random{std::random_device{}()};
   std::map<WorkerId, std::string> names_of_gone;  // the last few: they may still be in dispute
   KeptRecords kept{settings.kept_bytes};
   std::map<std::string, std::shared_ptr<Job>> jobs;

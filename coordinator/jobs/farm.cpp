@@ -141,21 +141,27 @@ std::optional<std::vector<std::string>> Farm::why(const std::string& id) const {
     if (!reason.empty()) reasons.push_back("stage " + stage->spec.name + ": " + reason);
     if (!stage->last_failure.empty()) reasons.push_back("last failure: " + stage->last_failure);
   }
+  if (!job->rechecks.empty())
+    reasons.push_back(std::to_string(job->rechecks.size()) + " batches are computed a second time, to compare workers");
+  if (job->state == JobState::running)
+    for (const auto& [worker_id, worker] : impl_->workers)
+      if (!worker.aside.empty()) reasons.push_back("worker " + worker.name + " is put aside: " + worker.aside);
   return reasons;
 }
 
 std::vector<fs::path> Farm::files(const std::string& id) const {
-  std::uint32_t first = 0, count = 0;
+  std::uint32_t first = 0, count = 0, step = 1;
   {
     std::lock_guard lock(impl_->mutex);
     auto job = impl_->find(id);
     if (!job) return {};
     first = job->request.first_frame;
     count = job->frames_done;
+    step = job->request.frame_step;
   }
   std::vector<fs::path> files;
   for (std::uint32_t frame = 0; frame < count; ++frame) {
-    const FramePaths paths = impl_->settings.paths(id, first + frame);
+    const FramePaths paths = impl_->settings.paths(id, first + frame * step);
     for (const fs::path& path : {paths.exr, paths.png, paths.report})
       if (!path.empty()) files.push_back(path);
   }

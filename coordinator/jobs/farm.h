@@ -47,6 +47,9 @@ struct FarmSettings {
   // needs more than what is free waits.
   std::uint64_t memory_bytes = std::numeric_limits<std::uint64_t>::max();
   Seconds silence = 30;  // a worker not heard of for so long is lost
+  // Of accepted batches, the share that another worker of the same kind computes again, beside each worker's first
+  // batch of each kind of stage (jobs/recheck.cpp).
+  double recheck_share = 0;
   // Jobs that ended are listed, and their files are fetched, until there are more of them or they are older. Files
   // stay.
   std::size_t ended_jobs = 1000;
@@ -54,6 +57,7 @@ struct FarmSettings {
   // Jobs are written to it, and those that it knows are there when the farm is made: what had ended is listed, what
   // had not goes on. Null: jobs end with the farm.
   std::shared_ptr<JournalWriter> journal{};
+  std::filesystem::path records{};  // folder of accepted records, with a journal; empty: frames begin again
 };
 
 class Farm {

@@ -2,6 +2,7 @@
 // One frame on its way: the stages that run, what came back, what it cost. Guarded by the farm's mutex unless said
 // otherwise.
 
+#include <algorithm>
 #include <condition_variable>
 #include <deque>
 #include <map>
@@ -16,12 +17,14 @@
 #include "coordinator/jobs/job.h"
 #include "coordinator/jobs/progress.h"
 #include "coordinator/jobs/report.h"
+#include "coordinator/journal/journal.h"
 #include "coordinator/plan/plan.h"
 #include "coordinator/schedule/scheduler.h"
 
 namespace gleaner::coordinator {
 
 struct Job;
+class RecordFile;
 
 // How a retained artifact is made: kept for as long as its items, or those of what was made of it, may have to be
 // computed again.
@@ -38,8 +41,20 @@ struct CountedBatch {
   Bytes counts, records;
 };
 
+// An accepted batch that another worker computes again, to compare the bytes.
+struct Recheck {
+  struct Answer {
+    WorkerId worker = 0;
+    std::string name, digest;
+  };
+  std::string stage;  // its name
+  ItemRange items;
+  std::string device_kind;      // devices of one kind make the same bytes
+  std::vector<Answer> answers;  // the first one is what was accepted
+};
+
 // A stage that the scheduler knows.
-struct RunningStage {
+struct RunningStage : std::enable_shared_from_this<RunningStage> {
   std::shared_ptr<Job> job;
   StageSpec spec;
   StageId id = 0;
@@ -53,6 +68,7 @@ struct RunningStage {
   std::shared_ptr<const Recipe> recipe;              // of a retained output, else null
   std::vector<std::shared_ptr<const Recipe>> reads;  // as Recipe::inputs
   std::vector<ItemRange> again;                      // the items that are to be run; empty: all
+  bool reads_outputs = false;                        // collected ones of other stages
   bool computes_again = false;                       // what was lost of an output that another stage made
   std::vector<WorkerId> avoid;                       // whose answers are in dispute
   bool paused = false;                               // a retained input does not exist at the moment
@@ -61,7 +77,11 @@ struct RunningStage {
   std::shared_ptr<const CountIndex> index;           // collected and counted: when it is
   std::uint64_t record_count = 0;                    // when delivered
   Bytes facts;
-  std::uint64_t items = 0;  // to be run
+  std::shared_ptr<RecordFile> file;  // of accepted records, for the next coordinator; null: they are not kept
+  std::vector<JournalRange> held;    // the last coordinator accepted them, and they are being read back
+  std::vector<ItemRange> missing;    // with them: the other items
+  std::unique_ptr<Recheck> recheck;  // then this stage is one batch of another one, once more
+  std::uint64_t items = 0;           // to be run
   std::uint64_t items_done = 0;
   std::vector<ItemRange> copied;  // accepted and copied in, in any order
   Seconds first_lease = -1, last_result = -1;
@@ -72,6 +92,10 @@ struct RunningStage {
   // Predicted cost of an item, in samples of a path tracer.
   double work_per_item() const {
     return spec.work > 0 && spec.items > 0 ? spec.work / static_cast<double>(spec.items) : 1;
+  }
+  // Nothing that it reads was made by another stage.
+  bool rests_on_no_stage() const {
+    return std::all_of(reads.begin(), reads.end(), [](const auto& input) { return !input; }) && !reads_outputs;
   }
   bool streamed() const { return spec.output.placement == Placement::stream; }
   bool retained() const { return spec.output.placement == Placement::retain; }
@@ -91,6 +115,9 @@ struct Job : std::enable_shared_from_this<Job> {
   std::string id;
   JobRequest request;
   FrameScene scene{};  // of the frame that runs
+  // The job's thread alone: the base that the frames' states were last applied to, and its id.
+  std::shared_ptr<const scene::Scene> base;
+  std::string base_blob;
   JobState state = JobState::queued;
   std::string message;
   std::uint64_t version = 1;
@@ -123,7 +150,16 @@ struct Job : std::enable_shared_from_this<Job> {
   double work_done = 0;      // of that
   double work_to_come = 0;   // of stages that its plan will still ask for, as predicted
   FrameProgress progress;
-  std::vector<std::string> warnings;  // of the frames so far
+  std::vector<std::string> warnings;                     // of the frames so far
+  bool restored = false;                                 // from the journal
+  std::map<ArtifactId, std::vector<JournalRange>> held;  // of its frame, whole and in order; the job's thread
+  bool said_unremembered = false;
+  // Of the frame: its accepted ranges that rest on no other stage's records, and who made them.
+  std::vector<std::pair<JournalRange, WorkerId>> remembered;
+  std::set<WorkerId> makers;                            // of the frame's accepted batches
+  std::map<WorkerId, std::uint32_t> frames_with;        // frames written with a worker's help
+  std::vector<std::shared_ptr<RunningStage>> rechecks;  // that run; the frame waits for them
+  bool distrusted = false;  // one of `makers` was found lying: the frame begins again, with what the others made
 
   FrameReport report;
   std::vector<StageStatus> last_stages;  // of a job that ended, in place of `stages`

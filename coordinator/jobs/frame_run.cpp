@@ -11,6 +11,7 @@
 #include "coordinator/film/exposure.h"
 #include "coordinator/jobs/engine.h"
 #include "scene/model/error.h"
+#include "scene/model/frame_state.h"
 
 namespace gleaner::coordinator {
 
@@ -24,7 +25,7 @@ constexpr std::uint64_t most_drawn = std::uint64_t{4} << 20;    // bytes of reco
 
 FrameSettings settings_of(const JobRequest& request, std::uint32_t frame) {
   FrameSettings settings = request.settings;
-  if (!request.cameras.empty()) settings.camera = request.cameras[frame - request.first_frame];
+  if (!request.cameras.empty()) settings.camera = request.cameras[(frame - request.first_frame) / request.frame_step];
   return settings;
 }
 
@@ -57,14 +58,14 @@ auto Farm::Impl::compute(Job& job, const Call& call) {
 }
 
 void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
+  if (job->restored) recall(*job);
   Film film;
   Seconds begun = job->accepted;
-  const std::uint32_t first = job->request.first_frame;
   const std::uint64_t frames = frames_of(job->request);
-  std::uint32_t rendered = first;
+  std::uint32_t rendered = job->request.first_frame;
   const std::uint64_t done_before = job->frames_done;  // by a coordinator before this one
   for (std::uint64_t done = done_before; done < frames; ++done) {
-    const auto frame = static_cast<std::uint32_t>(first + done);
+    const std::uint32_t frame = frame_at(job->request, done);
     {
       std::lock_guard lock(mutex);
       job->frame_begun = now();
@@ -73,8 +74,7 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
     }
     if (done == done_before || !same_picture(*job, frame, rendered)) {
       film = {};  // before the next plan takes its memory
-      aim(*job, frame);
-      film = render(job, frame);
+      film = render_trusted(job, frame);
       rendered = frame;
     } else {
       // Neither scene nor camera moves: what was made for the one frame holds for the other.
@@ -87,21 +87,61 @@ void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
     job->progress = FrameProgress(begun);  // of the next one
     ++totals.frames_written;
     journal_changed(*job, JobState::queued);
+    forget_records(job->id, records_of(job->id, frame));
+    job->held.clear();
+    job->remembered.clear();
+    for (const WorkerId maker : std::exchange(job->makers, {})) ++job->frames_with[maker];
     changed(*job);
   }
 }
 
+Film Farm::Impl::render_trusted(const std::shared_ptr<Job>& job, std::uint32_t frame) {
+  for (;;) {
+    aim(*job, frame);
+    try {
+      return render(job, frame);
+    } catch (const Distrusted&) {
+    } catch (const Error&) {
+      // A plan may choke on what a liar made.
+      std::lock_guard lock(mutex);
+      if (!job->distrusted) throw;
+    }
+    start_over(*job);
+  }
+}
+
 bool Farm::Impl::same_picture(const Job& job, std::uint32_t a, std::uint32_t b) {
-  if (scene_of(job.request, a).scene_blob != scene_of(job.request, b).scene_blob) return false;
+  if (lineage_of(scene_of(job.request, a)) != lineage_of(scene_of(job.request, b))) return false;
   const scene::Camera first = settings_of(job.request, a).camera, second = settings_of(job.request, b).camera;
   return std::memcmp(&first, &second, sizeof first) == 0;
+}
+
+SceneSummary Farm::Impl::summary_of(Job& job, std::uint32_t frame) {
+  const FrameScene& shown = scene_of(job.request, frame);
+  if (shown.state_blob.empty()) return shown.summary;
+  const auto fetch = [&](const std::string& id) {
+    Blob blob = blobs.get(id);
+    if (!blob) throw Error::failed("blob " + id + " has gone");
+    return blob;
+  };
+  if (job.base_blob != shown.scene_blob) {
+    job.base = nullptr;  // before the next one takes its memory
+    job.base =
+        std::make_shared<const scene::Scene>(scene::parse_scene(*fetch(shown.scene_blob), job.request.scene_name));
+    job.base_blob = shown.scene_blob;
+  }
+  const std::string origin = job.request.scene_name + ", frame " + std::to_string(frame);
+  SceneSummary summary =
+      summarize(scene::posed(*job.base, scene::parse_frame_state(*fetch(shown.state_blob), origin), origin));
+  summary.blob = lineage_of(shown);
+  return summary;
 }
 
 void Farm::Impl::aim(Job& job, std::uint32_t frame) {
   const FrameSettings frame_settings = settings_of(job.request, frame);
   compute(job, [&] {
     job.plan.reset();  // before the next one takes its memory
-    job.plan = settings.plan(frame_settings, scene_of(job.request, frame).summary);
+    job.plan = settings.plan(frame_settings, summary_of(job, frame));
     job.drawn = false;
   });
   std::lock_guard lock(mutex);
@@ -154,6 +194,7 @@ Film Farm::Impl::render(const std::shared_ptr<Job>& job, std::uint32_t frame) {
     if (job->memory > large_plan) ::malloc_trim(0);
     step = next_step(&*finished);
   }
+  await_rechecks(*job);
   end_frame(*job);
   Film film = timed([](Plan& plan) { return plan.take_film(); });
   std::lock_guard plan_lock(job->plan_mutex);
@@ -198,6 +239,7 @@ std::optional<FinishedStage> Farm::Impl::await_stage(Job& job) {
   for (;;) {
     if (job.cancel || stopping) throw Cancelled{};
     if (!job.failure.empty()) throw Error::failed(job.failure);
+    if (job.distrusted) throw Distrusted{};
     if (!job.finished.empty()) {
       auto stage = job.finished.front();
       job.finished.pop_front();
@@ -229,8 +271,9 @@ bool Farm::Impl::stream(Job& job, std::unique_lock<std::mutex>& lock) {
 }
 
 void Farm::Impl::take_next(Job& job, std::shared_ptr<RunningStage> stage, std::unique_lock<std::mutex>& lock) {
-  const ArrivedRecords::Batch batch = *stage->arrived.next();
+  ArrivedRecords::Batch batch = *stage->arrived.next();
   lock.unlock();
+  if (batch.read) batch.records = batch.read();
   compute(job, [&] {
     job.plan->take(stage->spec.name, batch.first, batch.count, batch.records);
     job.drawn = true;
@@ -307,6 +350,7 @@ JobRemains Farm::Impl::withdraw(Job& job) {
     remains.arrived.push_back(std::exchange(stage->arrived, {}));
     remains.counted.push_back(std::exchange(stage->counted, {}));
   }
+  while (!job.rechecks.empty()) end_recheck(std::shared_ptr<RunningStage>(job.rechecks.back()));
   records_ready.notify_all();
   for (const auto& stage : job.finished) remains.stages.push_back(stage);
   job.finished.clear();

@@ -13,8 +13,13 @@ namespace gleaner::coordinator {
 struct FrameScene {
   std::string scene_blob;  // id; the store holds it
   std::string bvh_blob;    // id; empty: the embedded farm, none of whose workers needs one
-  SceneSummary summary;
+  SceneSummary summary;    // of the scene; of a base at rest where there is a state
+  std::string state_blob;  // id of the state that shows the scene as a base; empty: the scene as it is
 };
+// Names what is made of it (artifact_id).
+inline std::string lineage_of(const FrameScene& scene) {
+  return scene.state_blob.empty() ? scene.scene_blob : scene.scene_blob + "+" + scene.state_blob;
+}
 
 struct JobRequest {
   std::string scene_name;   // for people and the report
@@ -23,6 +28,7 @@ struct JobRequest {
   std::vector<FrameScene> scenes;
   FrameSettings settings;
   std::uint32_t first_frame = 1, last_frame = 1;  // inclusive
+  std::uint32_t frame_step = 1;                   // between their numbers
   // One a frame, the settings' way is then theirs; or none: all are seen by the settings' camera.
   std::vector<scene::Camera> cameras;
   double exposure_stops = 0;  // of the PNG
@@ -31,10 +37,15 @@ struct JobRequest {
 
 inline constexpr std::uint64_t most_frames = 100000;  // of a job
 inline const FrameScene& scene_of(const JobRequest& request, std::uint32_t frame) {
-  return request.scenes.size() == 1 ? request.scenes.front() : request.scenes[frame - request.first_frame];
+  return request.scenes.size() == 1 ? request.scenes.front()
+                                    : request.scenes[(frame - request.first_frame) / request.frame_step];
 }
 inline std::uint64_t frames_of(const JobRequest& request) {
-  return std::uint64_t{request.last_frame} - request.first_frame + 1;
+  return (std::uint64_t{request.last_frame} - request.first_frame) / request.frame_step + 1;
+}
+
+inline std::uint32_t frame_at(const JobRequest& request, std::uint64_t index) {
+  return static_cast<std::uint32_t>(request.first_frame + index * request.frame_step);
 }
 
 enum class JobState { queued, running, done, failed, cancelled };
@@ -71,6 +82,7 @@ struct WorkerStatus {
   DeviceDescription device;
   std::uint32_t leases = 0;
   bool draining = false;
+  std::string aside;  // why it gets no work; empty: it does
   double connected_seconds = 0, silent_seconds = 0;
   std::map<std::string, double> items_per_second;  // by stage kind
 };
@@ -79,6 +91,7 @@ struct WorkerStatus {
 struct FarmTotals {
   std::uint64_t batches_accepted = 0, batches_failed = 0, batches_expired = 0;
   std::uint64_t items_accepted = 0, frames_written = 0;
+  std::uint64_t batches_rechecked = 0, liars_found = 0;
   double result_lock_seconds = 0;  // for which results held the farm's lock
 };
 

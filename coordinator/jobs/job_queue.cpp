@@ -35,7 +35,7 @@ std::shared_ptr<Job> Farm::Impl::find(const std::string& id) const {
 
 std::shared_ptr<Job> Farm::Impl::accept(const JobRequest& request) {
   const std::string frames = std::to_string(request.first_frame) + "-" + std::to_string(request.last_frame);
-  if (request.last_frame < request.first_frame || frames_of(request) > most_frames)
+  if (request.frame_step == 0 || request.last_frame < request.first_frame || frames_of(request) > most_frames)
     throw Error::usage("frames " + frames + ": expected first <= last, and at most " + std::to_string(most_frames) +
                        " frames");
   if (!request.cameras.empty() && request.cameras.size() != frames_of(request))
@@ -45,15 +45,18 @@ std::shared_ptr<Job> Farm::Impl::accept(const JobRequest& request) {
     throw Error::usage("scenes: expected one, or one for each of " + std::to_string(frames_of(request)) +
                        " frames, found " + std::to_string(request.scenes.size()));
   for (const FrameScene& scene : request.scenes)
-    for (const std::string& id : {scene.scene_blob, scene.bvh_blob})
+    for (const std::string& id : {scene.scene_blob, scene.bvh_blob, scene.state_blob})
       if (!id.empty() && !blobs.has(id) && !blobs.source(id))  // lent ones are there as well
         throw Error::bad_input("blob " + id, "", "to be uploaded first");
   auto job = std::make_shared<Job>();
   job->request = request;
-  for (FrameScene& scene : job->request.scenes) scene.summary.blob = scene.scene_blob;
+  std::vector<FrameScene>& scenes = job->request.scenes;
+  for (FrameScene& scene : scenes) scene.summary.blob = lineage_of(scene);
+  if (std::all_of(scenes.begin(), scenes.end(),
+                  [&](const FrameScene& scene) { return lineage_of(scene) == lineage_of(scenes.front()); }))
+    scenes.resize(1);
   // What a trajectory's frames share is made for one scene.
-  if (!request.cameras.empty() && request.scenes.size() == 1)
-    job->request.settings.trajectory = trajectory_of(request.cameras);
+  if (!request.cameras.empty() && scenes.size() == 1) job->request.settings.trajectory = trajectory_of(request.cameras);
   job->memory = settings.check(settings_of(job->request, request.first_frame), request.scenes.front().summary);
   if (job->memory > settings.memory_bytes)
     throw Error::usage("a frame of " + std::to_string(request.settings.width) + "x" +
@@ -103,7 +106,10 @@ JobRemains Farm::Impl::end_job(Job& job, JobState state, const std::string& mess
   remains.scenes = std::exchange(job.request.scenes, {});
   job.request.settings.trajectory = {};
   // What a farm that ends stops goes on with the next one.
-  if (!stopping || state != JobState::cancelled) journal_changed(job, state);
+  if (!stopping || state != JobState::cancelled) {
+    journal_changed(job, state);
+    forget_records(job.id, settings.records / job.id);
+  }
   settings.log("job " + job.id + " " + job_state_name(state) + (message.empty() ? "" : ": " + message));
   changed(job);
   ended_jobs.push_back(jobs.at(job.id));
@@ -154,6 +160,7 @@ void Farm::Impl::run(std::shared_ptr<Impl> self, std::shared_ptr<Job> job) {
     plan = std::move(job->plan);
   }
   plan.reset();
+  job->base.reset();
   JobRemains remains;
   std::lock_guard lock(self->mutex);
   self->memory_taken -= job->memory;

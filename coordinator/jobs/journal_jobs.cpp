@@ -50,6 +50,7 @@ void Farm::Impl::restore() {
   if (!settings.journal) return;
   const std::vector<JournalJob> entries = settings.journal->jobs();
   std::size_t waiting = 0;
+  std::set<std::string> kept_records;
   JobRemains remains;  // destroyed last
   std::unique_lock lock(mutex);
   for (const JournalJob& entry : entries) {
@@ -65,6 +66,8 @@ void Farm::Impl::restore() {
       remains = end_job(*job, JobState::failed, failure);
     } else {
       ++waiting;
+      job->restored = true;
+      kept_records.insert(job->id);
       queue.push_back(job);
     }
   }
@@ -74,6 +77,9 @@ void Farm::Impl::restore() {
     settings.log("journal " + settings.journal->name() + ": " + std::to_string(entries.size()) + " jobs, of which " +
                  std::to_string(waiting) + " go on");
   forget_ended();
+  lock.unlock();
+  drop_left_records(kept_records);
+  lock.lock();
   start_queued();
 }
 

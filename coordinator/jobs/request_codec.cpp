@@ -43,13 +43,10 @@ std::vector<scene::Camera> cameras_of(const json& value) {
 
 json encode_scene(const FrameScene& scene) {
   const SceneSummary& summary = scene.summary;
-  return {{"scene", binary(scene.scene_blob)},
-          {"bvh", binary(scene.bvh_blob)},
-          {"needs", summary.needs.bits()},
-          {"triangles", summary.triangles},
-          {"emissive_triangles", summary.emissive_triangles},
-          {"lights", summary.lights},
-          {"lower", summary.bounds.lower},
+  return {{"scene", binary(scene.scene_blob)}, {"bvh", binary(scene.bvh_blob)},
+          {"state", binary(scene.state_blob)}, {"needs", summary.needs.bits()},
+          {"triangles", summary.triangles},    {"emissive_triangles", summary.emissive_triangles},
+          {"lights", summary.lights},          {"lower", summary.bounds.lower},
           {"upper", summary.bounds.upper}};
 }
 
@@ -57,6 +54,7 @@ FrameScene decode_scene(const json& value) {
   FrameScene scene;
   scene.scene_blob = text_at(value, "scene");
   scene.bvh_blob = text_at(value, "bvh");
+  scene.state_blob = text_at(value, "state");
   scene.summary.needs = scene::needs_from_bits(value.at("needs").get<std::uint32_t>());
   scene.summary.triangles = value.at("triangles").get<std::uint64_t>();
   scene.summary.emissive_triangles = value.at("emissive_triangles").get<std::uint64_t>();
@@ -102,6 +100,7 @@ Bytes encode_request(const JobRequest& request) {
                {"set", set},
                {"first_frame", request.first_frame},
                {"last_frame", request.last_frame},
+               {"frame_step", request.frame_step},
                {"exposure_stops", request.exposure_stops},
                {"time_limit", request.time_limit}});
 }
@@ -131,6 +130,7 @@ JobRequest decode_request(std::span<const std::byte> bytes) {
     for (const json& entry : value.at("set")) settings.set[text_of(entry.at(0))] = text_of(entry.at(1));
     request.first_frame = value.at("first_frame").get<std::uint32_t>();
     request.last_frame = value.at("last_frame").get<std::uint32_t>();
+    request.frame_step = value.value("frame_step", request.frame_step);
     request.exposure_stops = value.at("exposure_stops").get<double>();
     request.time_limit = value.at("time_limit").get<double>();
     return request;

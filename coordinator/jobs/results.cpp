@@ -18,6 +18,21 @@ constexpr std::uint64_t count_bytes = 4;
 constexpr Seconds unavailable_for = 60;  // that inputs may lack, beyond the time in which a lost worker is noticed
 constexpr std::uint64_t most_arrived = std::uint64_t{64} << 20;  // bytes of a stage that wait for its plan
 
+// Sums of a film's samples must stay finite: a record beyond is no light.
+constexpr int most_exponent = 108;
+
+// The first of the 32-bit floats that is not a number of sane size; their count: none.
+std::size_t first_insane(const Bytes& image) {
+  const std::size_t words = image.size() / sizeof(std::uint32_t);
+  constexpr std::uint32_t sign = 0x80000000u, most = static_cast<std::uint32_t>(most_exponent + 127) << 23;
+  for (std::size_t word = 0; word < words; ++word) {
+    std::uint32_t bits;
+    std::memcpy(&bits, image.data() + word * sizeof bits, sizeof bits);
+    if ((bits & ~sign) >= most) return word;
+  }
+  return words;
+}
+
 // Adds the time from here on to a total, until it is stopped.
 class Stopwatch {
  public:
@@ -61,31 +76,51 @@ std::string Farm::Impl::misfit(const RunningStage& stage, const Lease& lease, co
     }
     expected = lease.count * count_bytes + records * wanted.record_bytes;
   }
-  return output.image.size() == expected
-             ? ""
-             : "sent " + std::to_string(output.image.size()) + " bytes instead of " + std::to_string(expected);
+  if (output.image.size() != expected)
+    return "sent " + std::to_string(output.image.size()) + " bytes instead of " + std::to_string(expected);
+  if (!wanted.floats) return "";
+  const std::size_t words = output.image.size() / sizeof(float), bad = first_insane(output.image);
+  if (bad == words) return "";
+  float value;
+  std::memcpy(&value, output.image.data() + bad * sizeof value, sizeof value);
+  return "sent " + std::to_string(value) + " in the record of item " +
+         std::to_string(lease.first + bad * sizeof value / wanted.record_bytes) + ", expected finite numbers below 2^" +
+         std::to_string(most_exponent);
+}
+
+std::shared_ptr<RunningStage> Farm::Impl::stage_of(WorkerId id, LeaseId lease_id, Epoch epoch, Lease& lease) const {
+  const auto known = leases.find(epoch);
+  if (known == leases.end() || known->second.worker != id || known->second.id != lease_id) return nullptr;
+  lease = known->second;
+  const auto found = active_stages.find(lease.stage);
+  return found == active_stages.end() ? nullptr : found->second;
 }
 
 Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutput output, const BatchCost& cost) {
-  std::unique_lock lock(mutex);
-  Stopwatch held(totals.result_lock_seconds);
-  auto worker = workers.find(id);
-  if (worker == workers.end()) return Verdict::unknown_lease;
-  worker->second.heard = now();
-  auto known = leases.find(epoch);
-  const bool own = known != leases.end() && known->second.worker == id && known->second.id == lease_id;
-  const Lease lease = own ? known->second : Lease{};
+  Lease lease;
   std::shared_ptr<RunningStage> stage;
-  if (auto found = active_stages.find(lease.stage); own && found != active_stages.end()) stage = found->second;
-  if (stage)
+  std::unique_lock lock(mutex);
+  {
+    const Stopwatch held(totals.result_lock_seconds);
+    stage = stage_of(id, lease_id, epoch, lease);
+  }
+  if (stage) {
+    lock.unlock();
     if (const std::string why = misfit(*stage, lease, output); !why.empty()) {
-      held.stop();
-      lock.unlock();
       failed(id, lease_id, epoch, why, false);
       return Verdict::stale;
     }
+    lock.lock();
+  }
+  Stopwatch held(totals.result_lock_seconds);
+  const auto worker = workers.find(id);
+  if (worker == workers.end()) return Verdict::unknown_lease;
+  worker->second.heard = now();
+  stage = stage_of(id, lease_id, epoch, lease);  // it may have ended meanwhile
   ResultOutcome outcome = scheduler.result(id, lease_id, epoch, cost.seconds, now());
-  if (own) forget_lease(epoch);
+  if (const auto known = leases.find(epoch);
+      known != leases.end() && known->second.worker == id && known->second.id == lease_id)
+    forget_lease(epoch);
   revoke(outcome.revoke);
   offer(worker->second);  // it gets its next batch before this one is put away
   offer_to_unserved_soon();
@@ -93,12 +128,18 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutp
     if (output.part) take_late_part(worker->second, outcome.verdict, *output.part);
     return outcome.verdict;
   }
-  account(*stage, worker->second, lease, cost, output.sent_bytes ? output.sent_bytes : output.image.size());
-  stage->complete = outcome.stage_complete;
-  stage->unavailable_since = -1;
-  if (stage->spec.solo) stage->facts = std::move(output.facts);
-  changed(*stage->job);
+  bool rechecked = false;
+  if (!stage->recheck) {
+    rechecked = wants_recheck(*stage, worker->second);
+    account(*stage, worker->second, lease, cost, output.sent_bytes ? output.sent_bytes : output.image.size());
+    stage->complete = outcome.stage_complete;
+    stage->unavailable_since = -1;
+    if (stage->spec.solo) stage->facts = std::move(output.facts);
+    changed(*stage->job);
+  }
   held.stop();
+  if (stage->recheck || stage->file || rechecked) put_on_record(stage, id, lease, output.image, rechecked, lock);
+  if (stage->recheck) return outcome.verdict;
   if (stage->streamed())
     stream_in(*stage, lease, std::move(output.image), lock);
   else if (stage->retained())
@@ -108,6 +149,23 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutp
   else
     collect(stage, lease, output.image, lock);
   return outcome.verdict;
+}
+
+void Farm::Impl::put_on_record(const std::shared_ptr<RunningStage>& stage, WorkerId id, const Lease& lease,
+                               const Bytes& image, bool rechecked, std::unique_lock<std::mutex>& lock) {
+  ++stage->writers;  // the stage is not whole before this batch is put away
+  const Bytes facts = stage->facts;
+  lock.unlock();
+  const std::string digest = digest_of(image);
+  std::optional<JournalRange> range;
+  if (stage->file) range = store(*stage, lease, image, facts, digest);
+  lock.lock();
+  --stage->writers;
+  if (stage->delivered) return;  // the frame is over, or begins again
+  if (range) remember(*stage, id, std::move(*range));
+  if (rechecked) recheck(stage, id, lease, digest);
+  if (stage->recheck)
+    if (const auto worker = workers.find(id); worker != workers.end()) take_recheck(stage, worker->second, digest);
 }
 
 void Farm::Impl::collect_counted(const std::shared_ptr<RunningStage>& stage, const Lease& lease, Bytes image) {
@@ -182,6 +240,7 @@ void Farm::Impl::account(RunningStage& stage, const Worker& worker, const Lease&
   stage.last_result = time;
   remember_progress(stage, time);
   Job& job = *stage.job;
+  job.makers.insert(worker.id);
   job.work_done += stage.work_per_item() * static_cast<double>(lease.count);
   job.progress.update(time, job.work_done, job.work_asked - job.work_done + job.work_to_come);
   ++stage.report.batches;
@@ -228,11 +287,16 @@ void Farm::Impl::failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::s
                           std::to_string(lease.first + lease.count - 1) + ", worker " + worker->second.name + ": " +
                           message;
     settings.log("job " + stage->job->id + ": " + stage->last_failure);
-    if (outcome.stage_failed && stage->job->failure.empty()) {
+    if (outcome.stage_failed && !stage->recheck && stage->job->failure.empty()) {
       stage->job->failure = stage->last_failure;
       stage->job->events.notify_all();
     }
     forget_lease(epoch);
+    if (stage->recheck && (outcome.stage_failed || input_unavailable)) {
+      // Nobody can compare: where the answers so far differ, nobody decides.
+      end_recheck(stage);
+      if (stage->recheck->answers.size() > 1) disagree(*stage->job, *stage->recheck);
+    }
   }
   offer(worker->second);
   offer_to_unserved_soon();

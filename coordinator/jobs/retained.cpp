@@ -27,14 +27,6 @@ ArtifactLayout layout_of(const StageSpec& spec) {
           .most_records = spec.output.most_records};
 }
 
-// Devices of one kind make the same bytes of the same items.
-std::string kind_of(const DeviceDescription& device) {
-  std::string kind;
-  for (const std::string* word : {&device.name, &device.platform, &device.driver, &device.version, &device.tracer})
-    kind += *word + "\n";
-  return kind;
-}
-
 bool overlap(const ItemRange& a, const ItemRange& b) {
   return a.first < b.first + b.count && b.first < a.first + a.count;
 }
@@ -80,7 +72,8 @@ void Farm::Impl::release_if_unused(const ArtifactId& id) {
   const auto at = retained.find(id);
   if (at == retained.end() || !at->second.frames.empty() || at->second.readers > 0) return;
   std::vector<ArtifactId> gone = {id};
-  if (at->second.recipe->spec.output.reusable) gone = registry.keep(id, settings.retained_bytes);
+  if (at->second.recipe->spec.output.reusable && !at->second.untrusted)
+    gone = registry.keep(id, settings.retained_bytes);
   for (const ArtifactId& artifact : gone) {
     for (const WorkerId holder : registry.release(artifact))
       if (auto worker = workers.find(holder); worker != workers.end()) worker->second.session->release({artifact});
@@ -287,11 +280,8 @@ bool Farm::Impl::fits(const RunningStage& stage, const Lease& lease, const Batch
 
 void Farm::Impl::take_part(const RunningStage& stage, Worker& worker, const ItemRange& items,
                            const BatchOutput::Retained& sent) {
-  const Part part{.items = items,
-                  .bytes = sent.bytes,
-                  .records = sent.records,
-                  .digest = sent.digest,
-                  .device_kind = kind_of(worker.hello.device)};
+  const Part part{
+      .items = items, .bytes = sent.bytes, .records = sent.records, .digest = sent.digest, .device_kind = worker.kind};
   const ArtifactId id = stage.artifact;
   const PartOutcome outcome = registry.accept(id, part, worker.id);
   const std::string what = "job " + stage.job->id + ": stage " + stage.spec.name + ", " + words_of(items);
@@ -316,9 +306,11 @@ void Farm::Impl::take_part(const RunningStage& stage, Worker& worker, const Item
   for (const WorkerId liar : outcome.outvoted) quarantine(liar, what + ": made other records than two others");
 }
 
-// Nothing that it made counts any more: its parts are lost, its leases go to others, and it gets none.
+// Nothing that it made counts any more: its parts are lost, its leases go to others, and it gets none. It stays
+// connected, so that people see it and nobody starts it anew.
 void Farm::Impl::quarantine(WorkerId id, const std::string& why) {
   settings.log("worker " + name_of(id) + " is quarantined: " + why);
+  liars.insert(id);
   const auto found = workers.find(id);
   if (found == workers.end()) return;
   Worker& worker = found->second;
@@ -328,9 +320,10 @@ void Farm::Impl::quarantine(WorkerId id, const std::string& why) {
   }
   scheduler.worker_lost(id, now());
   worker.draining = true;
+  worker.aside = why;
   unserved.erase(id);
-  worker.session->drain();
   lose_parts(id);
+  drop_hopeless_rechecks();
   offer_to_unserved_soon();
 }
 

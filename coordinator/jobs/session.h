@@ -73,7 +73,7 @@ struct StageWork {
   std::vector<Input> inputs;
   std::string artifact;  // id of what the stage makes
   StageOutput output;
-  std::string scene_blob, bvh_blob;  // ids
+  std::string scene_blob, bvh_blob, state_blob;  // ids; see FrameScene
 };
 
 // The farm's way to one worker. Calls come with the farm locked: they queue what is to be said and return.

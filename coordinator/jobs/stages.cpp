@@ -1,5 +1,6 @@
 // A stage from the plan's step to its whole records.
 
+#include <algorithm>
 #include <cstring>
 #include <new>
 #include <span>
@@ -43,7 +44,7 @@ void Farm::Impl::post(const std::shared_ptr<Job>& job, const Step& step, double 
   std::map<ArtifactId, std::string> names;
   for (const auto& [id, bytes] : step.artifacts) names[id] = is_sha256_hex(id) ? id : data_id(*bytes);
   std::vector<std::shared_ptr<const ArtifactData>> released;  // destroyed where the mutex is not held
-  std::vector<std::shared_ptr<RunningStage>> posted;
+  std::vector<std::shared_ptr<RunningStage>> posted, held;
   {
     std::lock_guard lock(mutex);
     if (job->cancel || stopping) throw Cancelled{};
@@ -51,6 +52,7 @@ void Farm::Impl::post(const std::shared_ptr<Job>& job, const Step& step, double 
     for (const StageSpec& spec : step.stages) {
       auto stage = schedule(job, spec);
       if (!stage) continue;
+      if (!stage->held.empty()) held.push_back(stage);
       if (stage->collected() && !spec.output.counted)
         posted.push_back(stage);
       else
@@ -67,12 +69,19 @@ void Farm::Impl::post(const std::shared_ptr<Job>& job, const Step& step, double 
     timer_wakes.notify_all();
     changed(*job);
   }
+  for (const auto& stage : held)
+    if (!stage->collected() || stage->spec.output.counted) {
+      feed_held(*stage, nullptr);
+      std::lock_guard lock(mutex);
+      deliver_if_complete(stage);
+    }
   for (const auto& stage : posted) {
     std::shared_ptr<Bytes> records;
     try {
       records = std::make_shared<Bytes>(stage->spec.items * stage->spec.output.record_bytes);
     } catch (const std::bad_alloc&) {
     }
+    if (records && std::ranges::find(held, stage) != held.end()) feed_held(*stage, records.get());
     std::lock_guard lock(mutex);
     stage->failed_to_allocate = !records;
     stage->records = std::move(records);
@@ -106,6 +115,7 @@ void Farm::Impl::add_input(Job& job, RunningStage& stage, StageWork& work, const
     out.items = recipe->spec.items;
   } else if (auto found = job.data.find(input.artifact); found != job.data.end()) {
     out.data = found->second;
+    stage.reads_outputs = stage.reads_outputs || job.outputs.contains(input.artifact);
     out.blob = out.data->blob;
     out.counted = out.data->index != nullptr;
     out.record_bytes = out.data->record_bytes;
@@ -137,13 +147,14 @@ std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Job>& j
   work->output = spec.output;
   work->scene_blob = job->scene.scene_blob;
   work->bvh_blob = job->scene.bvh_blob;
+  work->state_blob = job->scene.state_blob;
   auto stage = std::make_shared<RunningStage>();
   stage->job = job;
   stage->spec = spec;
   for (const auto& input : spec.inputs) add_input(*job, *stage, *work, input);
   // The plan may have given its data names of its own; what stages make is named by what the farm knows it as.
   for (std::size_t i = 0; i < spec.inputs.size(); ++i) stage->spec.inputs[i].artifact = work->inputs[i].blob;
-  stage->artifact = work->artifact = artifact_id(work->scene_blob, stage->spec);
+  stage->artifact = work->artifact = artifact_id(lineage_of(job->scene), stage->spec);
   stage->work = std::move(work);
   stage->report.name = spec.name;
   stage->report.kind = spec.kind;
@@ -194,6 +205,9 @@ void Farm::Impl::start(const std::shared_ptr<RunningStage>& stage) {
                            .only = {},
                            .avoid = stage->avoid,
                            .near = {}};
+  use_held(*stage);
+  for (const ItemRange& range : stage->missing) scheduled.only.push_back({range.first, range.count});
+  if (!stage->held.empty() && stage->missing.empty()) scheduled.only.push_back({0, 0});
   if (!stage->retained() && !spec.output.counted)
     scheduled.most_items = std::max<std::uint64_t>(1, most_batch_bytes / spec.output.record_bytes);
   for (const ItemRange& range : stage->again) scheduled.only.push_back({range.first, range.count});
@@ -205,6 +219,7 @@ void Farm::Impl::start(const std::shared_ptr<RunningStage>& stage) {
   stage->complete = scheduler.complete(stage->id);
   stage->job->stages.push_back(stage);
   stage->job->work_asked += stage->work_per_item() * static_cast<double>(stage->items);
+  stage->job->work_done += stage->work_per_item() * static_cast<double>(stage->items_done);
   active_stages[stage->id] = stage;
   pause_if_inputs_lack(*stage);
   offer_to_unserved_soon();

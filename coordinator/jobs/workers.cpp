@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 
 #include "coordinator/jobs/engine.h"
 
@@ -88,6 +89,7 @@ void Farm::Impl::lose(WorkerId id, const std::string& why) {
   workers.erase(found);
   unserved.erase(id);
   lose_parts(id);
+  drop_hopeless_rechecks();
   offer_to_unserved_soon();
 }
 
@@ -143,6 +145,7 @@ Farm::Joined Farm::join(const WorkerHello& hello, std::shared_ptr<WorkerSession>
   Worker worker;
   worker.id = id;
   worker.hello = hello;
+  worker.kind = device_kind(hello.device);
   worker.name = name;
   worker.session = std::move(session);
   worker.joined = worker.heard = impl_->now();
@@ -170,6 +173,7 @@ void Farm::drain(WorkerId id) {
   impl_->unserved.erase(id);
   impl_->scheduler.worker_draining(id);
   worker->second.session->drain();
+  impl_->drop_hopeless_rechecks();
 }
 
 void Farm::heard(WorkerId id) {
@@ -186,10 +190,14 @@ std::vector<WorkerStatus> Farm::workers() const {
                         .address = worker.hello.address,
                         .device = worker.hello.device,
                         .leases = static_cast<std::uint32_t>(worker.leases.size()),
-                        .draining = worker.draining,
+                        .draining = worker.draining && worker.aside.empty(),
+                        .aside = worker.aside,
                         .connected_seconds = time - worker.joined,
                         .silent_seconds = time - worker.heard,
                         .items_per_second = {}};
+    if (const auto until = impl_->scheduler.quarantined_until(id); until && status.aside.empty())
+      status.aside = "failures or leases that ran out; it is asked again in " +
+                     std::to_string(static_cast<int>(std::ceil(std::max(0.0, *until - time)))) + " s";
     for (const auto& kind : impl_->kinds)
       if (double rate = impl_->scheduler.items_per_second(id, kind); rate > 0) status.items_per_second[kind] = rate;
     all.push_back(std::move(status));

@@ -35,7 +35,17 @@ void Farm::Impl::write(Job& job, std::uint32_t frame, const Film& film, Seconds 
   report.pixels_sha256 = pixels_sha256(film);
   report.seconds = now() - begun;
   report.write_seconds = now() - begun_writing;
-  if (!paths.exr.empty()) write_exr(film, report_metadata(report), paths.exr.string());
+  try {
+    if (!paths.exr.empty()) write_exr(film, report_metadata(report), paths.exr.string());
+  } catch (...) {
+    // A PNG alone would look like a frame that was written.
+    if (png.valid()) {
+      png.wait();
+      std::error_code ignored;
+      fs::remove(paths.png, ignored);
+    }
+    throw;
+  }
   if (png.valid()) png.get();
   report.seconds = now() - begun;
   report.write_seconds = now() - begun_writing;

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <map>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -37,10 +38,9 @@ struct JournalChanges {
   std::map<std::string, JournalJob> jobs;  // by id; the request is not written again
   std::vector<std::string> forgotten;      // jobs
   std::vector<JournalRange> ranges;
-  // Of this job's artifacts nothing is needed any more, but what is named; before `ranges`.
-  std::map<std::string, std::vector<std::string>> kept_artifacts;
+  std::set<std::string> frames_over;  // jobs whose ranges so far are needed no more; before `ranges`
 
-  bool empty() const { return jobs.empty() && forgotten.empty() && ranges.empty() && kept_artifacts.empty(); }
+  bool empty() const { return jobs.empty() && forgotten.empty() && ranges.empty() && frames_over.empty(); }
 };
 
 // Every call may throw Error::failed, naming the journal and the reason; nothing has changed then. Not thread-safe.

@@ -83,13 +83,10 @@ void JournalWriter::accepted(JournalRange range) {
   if (changes_.ranges.size() == 1) wakes_.notify_all();
 }
 
-void JournalWriter::keep_artifacts(const std::string& job, std::vector<std::string> artifacts,
-                                   std::function<void()> then) {
+void JournalWriter::frame_over(const std::string& job, std::function<void()> then) {
   std::lock_guard lock(mutex_);
-  std::erase_if(changes_.ranges, [&](const JournalRange& range) {
-    return range.job == job && std::ranges::find(artifacts, range.artifact) == artifacts.end();
-  });
-  changes_.kept_artifacts[job] = std::move(artifacts);
+  std::erase_if(changes_.ranges, [&](const JournalRange& range) { return range.job == job; });
+  changes_.frames_over.insert(job);
   then_.push_back(std::move(then));
   wakes_.notify_all();
 }
@@ -159,11 +156,10 @@ void JournalWriter::merge_back(JournalChanges&& unwritten) {
   for (const std::string& id : changes_.forgotten) changes_.jobs.erase(id);
   changes_.forgotten.insert(changes_.forgotten.begin(), unwritten.forgotten.begin(), unwritten.forgotten.end());
   for (auto& range : unwritten.ranges) {
-    const auto dropped = changes_.kept_artifacts.find(range.job);
-    if (changes_.ranges.size() < most_ranges && dropped == changes_.kept_artifacts.end())
+    if (changes_.ranges.size() < most_ranges && !changes_.frames_over.contains(range.job))
       changes_.ranges.push_back(std::move(range));
   }
-  for (auto& [job, kept] : unwritten.kept_artifacts) changes_.kept_artifacts.emplace(job, std::move(kept));
+  changes_.frames_over.merge(unwritten.frames_over);
 }
 
 }  // namespace gleaner::coordinator

@@ -32,9 +32,8 @@ class JournalWriter {
   void changed(JournalJob job);
   void forget(const std::string& job);
   void accepted(JournalRange range);
-  // Of the job's artifacts only those are needed any more. Once that is written, `then` is called by the writer's
-  // thread.
-  void keep_artifacts(const std::string& job, std::vector<std::string> artifacts, std::function<void()> then);
+  // The job's ranges so far are needed no more. Once that is written, `then` is called by the writer's thread.
+  void frame_over(const std::string& job, std::function<void()> then);
 
   // Waits until what has happened so far is written; false: it cannot be, trouble() says why.
   bool flush();

@@ -249,14 +249,8 @@ class SqliteJournal final : public Journal {
   }
 
   void write_ranges(const JournalChanges& changes) {
-    for (const auto& [job, kept] : changes.kept_artifacts) {
-      std::string text = "DELETE FROM ranges WHERE job = ?";
-      for (std::size_t i = 0; i < kept.size(); ++i) text += " AND artifact <> ?";
-      Statement drop(*this, text.c_str());
-      drop.bind(job);
-      for (const std::string& artifact : kept) drop.bind(artifact);
-      drop.run();
-    }
+    for (const std::string& job : changes.frames_over)
+      Statement(*this, "DELETE FROM ranges WHERE job = ?").bind(job).run();
     Statement insert(*this,
                      "INSERT INTO ranges(job, artifact, first, count, place, bytes, digest, facts) "
                      "VALUES(?, ?, ?, ?, ?, ?, ?, ?)");

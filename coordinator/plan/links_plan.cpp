@@ -96,6 +96,10 @@ class LinksPlan final : public GraphPlan {
         settings_(settings),
         links_(read_settings(settings)),
         paths_(graph_, film_, settings) {
+    if (scene.needs.instances)
+      throw Error::usage(
+          "--method links: expected a scene of copies, found one with instances, whose vertices are one for all "
+          "places");
     skips_ = path_skips(scene.needs);
     double diagonal = 0;
     for (std::size_t k = 0; k < 3; ++k)
@@ -313,7 +317,7 @@ void LinksPlan::shade(const Artifact& gathered) {
                  .items = pixels(),
                  .tile = 16,
                  .priority = kFirst,
-                 .output = {.record_bytes = 12}};
+                 .output = {.record_bytes = 12, .floats = true}};
   const Artifact shaded = graph_.add(std::move(spec), p, {{"mesh", mesh_}, {"irradiance", irradiance}});
   mesh_ = probe_ = albedo_ = made_ = light_ = sent_ = {};
   const auto floats = [](const Bytes& records) {
@@ -377,6 +381,7 @@ Method links_method() {
       // Beside the paths: the pass, its square, the preview and the records, all RGB.
       .bytes_a_pixel = kPathBytesAPixel + 4 * 3 * sizeof(float),
       .check = check,
+      .takes_instances = false,
       .settings = {
           {"links.vertices", whole, 0, 1u << 24, "4000, or twice the triangles where that is more",
            "triangles are divided until there are about so many vertices; 0: the scene's own vertices"},

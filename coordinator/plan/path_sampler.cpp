@@ -122,7 +122,8 @@ void PathSampler::ask(Asked asked) {
   spec.tile = std::max(1u, 16 / chunk_samples_);
   spec.work = static_cast<double>(samples_of(asked, {0, asked.items}));
   // The records of a whole stage of a large film are larger than all that the film holds.
-  spec.output = {.record_bytes = static_cast<std::uint32_t>(record_bytes(asked)), .placement = Placement::stream};
+  spec.output = {
+      .record_bytes = static_cast<std::uint32_t>(record_bytes(asked)), .placement = Placement::stream, .floats = true};
   std::vector<Graph::Input> inputs = program_.inputs;
   if (asked.list) inputs.push_back({"items", graph_.data(asked.list), Extent::own_items});
   spec.parameters = bytes_of(p);

@@ -236,7 +236,7 @@ void PhotonPlan::shade_caustics(std::uint32_t pass) {
                                       .items = pixels(),
                                       .priority = kFirst,
                                       .work = static_cast<double>(pixels()) * photon_.samples,
-                                      .output = {.record_bytes = 12}},
+                                      .output = {.record_bytes = 12, .floats = true}},
                                      p, {{"guide", guide_}, {"map", s.map}});
   s.map = {};
   graph_.on_preview(shaded, [this](auto first, auto count, const Bytes& records) {

@@ -35,6 +35,9 @@ struct StageOutput {
   // Other frames of the same scene may read it: it is kept by its id, within the caches' bounds, and a stage that would
   // make it again is not run.
   bool reusable = false;
+  // Records that reach the coordinator and are 32-bit floats throughout: one that is not a number of sane size shows
+  // that its worker is broken.
+  bool floats = false;
 };
 
 enum class Extent {

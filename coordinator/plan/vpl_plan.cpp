@@ -334,8 +334,9 @@ void VplPlan::shade(std::uint32_t pass, const Artifact& visibility) {
     inputs.push_back({"points", points_});
     inputs.push_back({"visibility", visibility});
   }
-  const Artifact shaded = graph_.add(
-      split(numbered("vpl.shade", pass), "vpl_shade", pixels(), 16, {.record_bytes = 12}), p, std::move(inputs));
+  const Artifact shaded =
+      graph_.add(split(numbered("vpl.shade", pass), "vpl_shade", pixels(), 16, {.record_bytes = 12, .floats = true}), p,
+                 std::move(inputs));
   s.table = {};
   graph_.on_preview(shaded, [this](auto first, auto count, const Bytes& records) {
     film_.draw_pass(first, floats_of(records).first(3 * count));

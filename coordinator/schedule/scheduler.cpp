@@ -547,6 +547,10 @@ struct Scheduler::Impl {
       return out;
     }
 
+    if (stage.spec.at_once) {
+      out.count = round_to_tiles(0, stage, out.piece);
+      return out;
+    }
     const std::uint64_t held_items = items_in_flight(worker, stage.id);
     const auto known = worker.throughput.find(stage.kind);
     const Throughput throughput = known == worker.throughput.end() ? Throughput{} : known->second;
@@ -920,6 +924,12 @@ bool Scheduler::complete(StageId id) const {
 std::uint64_t Scheduler::items_done(StageId id) const {
   const auto at = impl_->stages.find(id);
   return at == impl_->stages.end() ? 0 : at->second.done_items;
+}
+
+std::optional<Seconds> Scheduler::quarantined_until(WorkerId id) const {
+  const auto worker = impl_->workers.find(id);
+  if (worker == impl_->workers.end() || !worker->second.quarantined) return std::nullopt;
+  return worker->second.quarantined_until;
 }
 
 double Scheduler::items_per_second(WorkerId id, const std::string& kind) const {

@@ -26,6 +26,7 @@ struct ScheduledStage {
   std::uint64_t items = 0;
   std::uint32_t tile = 1;  // batches begin and end at multiples of it
   bool solo = false;
+  bool at_once = false;             // the next worker that has room takes it, also beyond its share
   std::uint64_t most_items = 0;     // of a batch; 0: as many as its worker can do in time
   int priority = 0;                 // higher first; equal: older first
   std::vector<WorkerId> preferred;  // solo: who holds most of its inputs
@@ -135,6 +136,8 @@ class Scheduler {
 
   bool complete(StageId stage) const;  // every item accepted
   std::uint64_t items_done(StageId stage) const;
+  // Until when the worker gets nothing, after failures or leases that ran out; none: it is not quarantined.
+  std::optional<Seconds> quarantined_until(WorkerId worker) const;
   double items_per_second(WorkerId worker, const std::string& kind) const;  // 0 = unknown
   std::map<WorkerId, WorkerProgress> progress(StageId stage) const;
   // One line for a person: why this stage has items that nobody runs; empty where all runs.

@@ -36,7 +36,11 @@ kernel WIDE void links_light_rays(global const LinksParameters* restrict paramet
 #ifdef NEED_MEDIA
   c.media = media_of(0u, 0u);
 #endif
-  vu primitive = (vu)GLEANER_NONE;
+  Vertex v;
+  v.primitive = (vu)GLEANER_NONE;
+#ifdef NEED_INSTANCES
+  v.hit.instance = (vu)GLEANER_NONE;
+#endif
 #ifdef NEED_LIGHTS
   Mesh m = load_mesh(mesh);
   vi active = (vi)(element < m.elements ? all_lanes() : no_lanes());
@@ -44,8 +48,7 @@ kernel WIDE void links_light_rays(global const LinksParameters* restrict paramet
     vu sample = (vu)(first_lane % samples) + lane_index();
     vu key = element_key(parameters->seed_low, parameters->seed_high, element, 0x4cu);
     RingPoint at = random_ring_point(&m, element, 1.0f, key, sample);
-    Vertex v = element_surface(scene, &at, element, active);
-    primitive = v.primitive;
+    v = element_surface(scene, &at, element, active);
     vf u_choice, u_spare, l0, l1;
     sample_pair(key, sample, LINKS_MOST_SAMPLES, 0u, &u_choice, &u_spare);
     sample_pair(key, sample, LINKS_MOST_SAMPLES, 1u, &l0, &l1);
@@ -68,7 +71,7 @@ kernel WIDE void links_light_rays(global const LinksParameters* restrict paramet
     if (asked) atomic_add(counters + COUNTER_SHADOW, asked);
   }
 #endif
-  write_connection(shadows, block, &c, primitive, slot, slot_count);
+  write_connection(shadows, block, &c, &v, slot, slot_count);
 }
 
 // Sums each element's samples in their order. Samples that are not finite are left out and reported.

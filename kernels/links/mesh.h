@@ -107,7 +107,7 @@ FN RingPoint ring_point(const Mesh* mesh, uint vertex, float reach, vf u_corner,
 FN Vertex element_surface(const Scene* scene, const RingPoint* at, uint element, vi active) {
   Vertex v;
   v.primitive = pick_u((vu)0u, at->triangle, active);
-  v.hit = load_hit(scene, v.primitive, at->b1, at->b2, active);
+  v.hit = load_hit(scene, v.primitive, (vu)GLEANER_NONE, at->b1, at->b2, active);
   v.active = active;
   v.passes = no_lanes();
   load_color(scene, &v.hit, &v.surface, active);

@@ -57,7 +57,8 @@ kernel WIDE void links_rays(global const LinksParameters* restrict parameters, S
 #endif
   v3 origin = offset_ray_origin(from.hit.p, from.hit.error, from.hit.geometric, direction);
   active = active & (weight > zero_f()) & (above.z > (vf)1e-6f) & finite3(origin) & finite3(direction);
-  set_ray(rays, LINK_ROWS, block, origin, direction, pick((vf)-1.0f, (vf)INFINITY, active), from.primitive);
+  set_ray(rays, LINK_ROWS, block, origin, direction, pick((vf)-1.0f, (vf)INFINITY, active), from.primitive,
+          hit_instance(&from.hit));
   set_row_u(rays, LINK_ROWS, block, ROW_GEOMETRY, (vu)GLEANER_NONE);
   set_row_f(rays, LINK_ROWS, block, ROW_WEIGHT, pick(zero_f(), weight, active));
 }

@@ -25,7 +25,7 @@ kernel WIDE void links_interpolate(SCENE_PARAMETERS, global const uint* restrict
     Mesh m = load_mesh(mesh);
     vu triangle = pick_u((vu)0u, as_vu(w[POINT_TRIANGLE]), active);
     vf b1 = pick(zero_f(), w[POINT_B1], active), b2 = pick(zero_f(), w[POINT_B2], active);
-    Hit h = load_hit(scene, triangle, b1, b2, active);
+    Hit h = load_hit(scene, triangle, (vu)GLEANER_NONE, b1, b2, active);
     // The point's normal is the hit's, on the viewer's side.
     vu side = pick_u((vu)0u, (vu)1u, dot3(h.normal, words3(w, POINT_NORMAL)) < zero_f());
     Corners c = corners_at(&m, triangle, b1, b2);

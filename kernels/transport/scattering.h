@@ -35,7 +35,8 @@ FN Vertex meet_surface(const Scene* scene, global const float* rays, uint rows, 
   v.active = active;
   v.passes = no_lanes();
   v.primitive = pick_u((vu)0u, row_u(rays, rows, block, ROW_PRIMITIVE), active);
-  v.hit = load_hit(scene, v.primitive, row_f(rays, rows, block, ROW_U), row_f(rays, rows, block, ROW_V), active);
+  v.hit = load_hit(scene, v.primitive, row_u(rays, rows, block, ROW_INSTANCE), row_f(rays, rows, block, ROW_U),
+                   row_f(rays, rows, block, ROW_V), active);
   load_color(scene, &v.hit, &v.surface, active);
   return v;
 }
@@ -132,7 +133,7 @@ FN void leave_vertex(const Vertex* v, v3 direction, v3 throughput, vu depth, Nex
 // Rows of a path that moves in place, in its own block: light paths and camera paths to the first non-specular surface.
 FN void set_path(global float* paths, uint block, const NextRay* ray, vu slot, vu meta, vu key) {
   set_ray(paths, PATH_ROWS, block, ray->origin, ray->direction, pick((vf)-1.0f, (vf)INFINITY, ray->alive),
-          (vu)GLEANER_NONE);
+          (vu)GLEANER_NONE, (vu)0u);
   set_row_u(paths, PATH_ROWS, block, ROW_GEOMETRY, (vu)GLEANER_NONE);
   set_row_3(paths, PATH_ROWS, block, ROW_THROUGHPUT, ray->throughput);
   set_row_u(paths, PATH_ROWS, block, ROW_SLOT, slot);

@@ -72,7 +72,11 @@ kernel WIDE void vpl_point_step(global const VplPointParameters* restrict parame
   put_words3(w, POINT_ALBEDO, scale3(mul3(point.throughput, point.albedo), (vf)INV_PI));
   w[POINT_TRIANGLE] = as_vf(point.vertex.primitive);
   w[POINT_B1] = h->b1;
+#ifdef NEED_INSTANCES
+  w[POINT_INSTANCE] = as_vf(h->instance);
+#else
   w[POINT_B2] = h->b2;
+#endif
   w[POINT_COS] = one_f();
   store_words(points, row * POINT_WORDS, w);
 #ifdef NEED_LOBE

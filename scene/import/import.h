@@ -2,9 +2,12 @@
 // Files that people have, turned into scenes.
 
 #include <cstdint>
+#include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
+#include "scene/model/frame_state.h"
 #include "scene/model/scene.h"
 
 namespace gleaner::scene {
@@ -24,11 +27,44 @@ struct ImportOptions {
   std::uint64_t most_texels = std::uint64_t{1} << 30;  // in all images together: 4 GiB
   bool strict = false;                                 // what would be a warning is an error
   bool needs_camera = true;                            // false: somebody else brings one, none is missed
+  bool instances = true;                               // false: copies in place of instances
 };
 
 // Reads .gltf, .glb, .obj, .ply or .stl by its extension. The result is validated and finished. A file without a camera
 // gets one that frames it, and a warning. Throws Error::bad_input naming the file, the element and what was expected.
 Scene import_scene(const std::string& path, const ImportOptions& options = {});
+
+// How a base looks in a frame, and who sees it: the base's cameras, where they stand then; none where it has but the
+// one that was added.
+struct ShownFrame {
+  FrameState state;
+  std::vector<NamedCamera> cameras;
+};
+
+// A file whose scene may move: read once, as a base, of which frames show states.
+class MovingScene {
+ public:
+  // Reads as import_scene() does.
+  explicit MovingScene(const std::string& path, const ImportOptions& options = {});
+  ~MovingScene();
+  MovingScene(const MovingScene&) = delete;
+  MovingScene& operator=(const MovingScene&) = delete;
+
+  // Whether anything changes with time. The base of a scene that stands still is that scene.
+  bool moves() const;
+  // With a rig of what moves. Its warnings are those of the file. An environment that is put into it lights all frames.
+  Scene& base();
+  // The state at that time. Nothing where no state of the base looks so (textures that slide, a mesh turned inside out,
+  // lights or cameras that come and go): scene_at() makes a scene of its own then. Throws as import_scene().
+  std::optional<ShownFrame> at(double seconds);
+  // The scene as it is at that time, without a rig.
+  Scene scene_at(double seconds);
+
+ private:
+  friend Scene import_scene(const std::string& path, const ImportOptions& options);
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
 
 struct EnvironmentOptions {
   double rotation_degrees = 0;  // about +y, counter-clockwise seen from above

@@ -21,6 +21,15 @@ bool may_be_instanced(const Material& material);
 // float. What it says otherwise, in words.
 std::optional<std::string> refused_transform(const gl_float (&transform)[12]);
 
+// The meshes that are instanced or deform, in their order: those that have triangles.
+std::vector<std::uint32_t> meshes_with_own_bvh(const Scene& scene);
+
+// The triangles of all other meshes, in runs as long as can be.
+struct TriangleRun {
+  std::uint32_t first, count;
+};
+std::vector<TriangleRun> still_triangles(const Scene& scene);
+
 // A box about the triangles of a mesh, in the mesh's own space.
 Bounds bounds_of(const Scene& scene, const Mesh& mesh);
 

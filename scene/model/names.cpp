@@ -25,11 +25,21 @@ std::size_t utf8_length(std::string_view text) {
   return 0;
 }
 
+namespace {
+
+// Escape sequences begin with them, and lines end: U+0000 to U+001F, U+007F to U+009F.
+bool is_control(std::string_view character) {
+  const auto first = static_cast<unsigned char>(character.front());
+  return first < 0x20 || first == 0x7f || (first == 0xc2 && static_cast<unsigned char>(character[1]) < 0xa0);
+}
+
+}  // namespace
+
 std::string printable(std::string_view name) {
   constexpr char digits[] = "0123456789abcdef";
   std::string text;
   while (!name.empty()) {
-    if (const std::size_t length = utf8_length(name)) {
+    if (const std::size_t length = utf8_length(name); length > 0 && !is_control(name.substr(0, length))) {
       text.append(name.substr(0, length));
       name.remove_prefix(length);
       continue;

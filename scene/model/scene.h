@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "scene/model/records.h"
+#include "scene/model/rig.h"
 
 namespace gleaner::scene {
 
@@ -63,6 +64,8 @@ struct Scene {
   std::vector<Light> lights;
   std::vector<NamedCamera> cameras;
   Environment environment;
+  // What moves, where anything does: the arrays above show it at rest. A scene with a rig is the base of FrameStates.
+  Rig rig;
   // What the importer wants a person to know. Like `origin`, these do not travel.
   std::vector<std::string> warnings;
   std::string light_units;  // what a file's candela and lux were taken for, and why; empty: it has none
@@ -136,6 +139,8 @@ void finish_materials(Scene& scene);
 // Throws Error::bad_input naming `file` and the element: non-finite vertices, indices and materials out of range,
 // arrays of the wrong length, too many triangles (2^27) or texels (2^32).
 void validate(const Scene& scene, const std::string& file);
+// The part of it that asks after the scene's rig.
+void validate_rig(const Scene& scene, const std::string& file);
 
 // A camera that frames the scene's bounds from the front, for files without one.
 NamedCamera framing_camera(const Scene& scene);

@@ -6,8 +6,10 @@
 #include <cstdint>
 #include <iterator>
 #include <string>
+#include <vector>
 
 #include "scene/model/error.h"
+#include "scene/model/instances.h"
 #include "scene/model/limits.h"
 #include "scene/model/scene.h"
 
@@ -25,6 +27,7 @@ class Checker {
   void run() const {
     geometry();
     meshes();
+    instances();
     for (std::size_t i = 0; i < scene_.materials.size(); ++i) material(i);
     textures();
     for (std::size_t i = 0; i < scene_.albedo_tables.size(); ++i)
@@ -32,6 +35,7 @@ class Checker {
     for (std::size_t i = 0; i < scene_.lights.size(); ++i) light(i);
     for (std::size_t i = 0; i < scene_.cameras.size(); ++i) camera(i);
     environment();
+    validate_rig(scene_, file_);
   }
 
  private:
@@ -121,6 +125,47 @@ class Checker {
     if (next != scene_.triangle_count())
       fail("meshes", "ranges that cover " + std::to_string(scene_.triangle_count()) + " triangles",
            std::to_string(next));
+  }
+
+  // After geometry() and meshes().
+  void instances() const {
+    const Scene& s = scene_;
+    if (s.instances.size() > kMaxInstances)
+      fail("instances", "at most " + std::to_string(kMaxInstances), std::to_string(s.instances.size()));
+    std::vector<Bounds> boxes(s.meshes.size());
+    std::vector<bool> placed(s.meshes.size());
+    for (std::size_t m = 0; m < s.meshes.size(); ++m) {
+      if (s.meshes[m].instanced) instanced_mesh(m);
+      if (s.meshes[m].instanced) boxes[m] = bounds_of(s, s.meshes[m]);
+    }
+    for (std::size_t i = 0; i < s.instances.size(); ++i) {
+      const Instance& instance = s.instances[i];
+      if (instance.mesh >= s.meshes.size() || !s.meshes[instance.mesh].instanced)
+        fail(item("instances", i, "mesh"), "an instanced mesh, below " + std::to_string(s.meshes.size()),
+             std::to_string(instance.mesh));
+      placed[instance.mesh] = true;
+      if (std::any_of(instance.reserved, instance.reserved + 3, [](gl_uint word) { return word != 0; }))
+        fail(item("instances", i, "reserved"), "zeros", "other words");
+      if (const auto why = refused_transform(instance.transform))
+        fail(item("instances", i, "transform"), "a finite transform with an inverse of moderate size", *why);
+      const DerivedInstance d = derived(instance.transform, boxes[instance.mesh]);
+      for (int c = 0; c < 3; ++c)
+        if (!(d.lower[c] >= -kMaxCoordinate && d.upper[c] <= kMaxCoordinate))
+          fail(item("instances", i, "transform"), "a place within " + number(kMaxCoordinate) + " m",
+               number(static_cast<float>(d.lower[c])) + " to " + number(static_cast<float>(d.upper[c])));
+    }
+    for (std::size_t m = 0; m < s.meshes.size(); ++m)
+      if (s.meshes[m].instanced && !placed[m]) fail(item("meshes", m), "an instance of it", "none");
+  }
+
+  void instanced_mesh(std::size_t m) const {
+    const Mesh& mesh = scene_.meshes[m];
+    if (mesh.deforming) fail(item("meshes", m), "a mesh that is instanced or deforms", "one that does both");
+    if (mesh.triangle_count == 0) fail(item("meshes", m), "triangles, being instanced", "none");
+    for (std::size_t t = mesh.first_triangle; t < std::size_t{mesh.first_triangle} + mesh.triangle_count; ++t)
+      if (!may_be_instanced(scene_.materials[scene_.triangle_material[t]]))
+        fail(item("meshes", m), "materials that neither emit nor bound a solid that light passes, being instanced",
+             item("materials", scene_.triangle_material[t]));
   }
 
   void material(std::size_t i) const {

@@ -141,6 +141,12 @@ class BlockRunner final : public worker::Runner {
                   std::shared_ptr<const scene::Bvh>) override {
     scenes_.insert(id);
   }
+  bool holds_base(const std::string& id) const override { return scenes_.contains(id); }
+  void load_base(const std::string& id, std::shared_ptr<const scene::Scene>,
+                 std::shared_ptr<const scene::Bvh>) override {
+    scenes_.insert(id);
+  }
+  void load_frame(const std::string& id, const std::string&, const scene::FrameState&) override { scenes_.insert(id); }
 
   worker::BatchResult run(const worker::StageTask& task, std::uint64_t first, std::uint64_t count) override {
     worker::BatchResult result;

@@ -712,5 +712,20 @@ TEST_F(FarmEngine, NonFiniteItemsAreNamed) {
   EXPECT_EQ(json["nonfinite_items"][0]["stage"], "scatter");
 }
 
+TEST_F(FarmEngine, AFrameWhoseExrCannotBeWrittenLeavesNoPng) {
+  FarmSettings farm_settings = settings();
+  const std::filesystem::path exr = folder_.path() / "in_the_way.exr", png = folder_.path() / "frame.png";
+  std::filesystem::create_directory(exr);
+  farm_settings.paths = [&](const std::string&, std::uint32_t) { return FramePaths{exr, png, {}}; };
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  const std::string job = farm.submit(request());
+  serve(farm, worker, job);
+  EXPECT_EQ(farm.status(job)->state, JobState::failed);
+  EXPECT_THAT(farm.status(job)->message, HasSubstr("in_the_way.exr"));
+  EXPECT_FALSE(std::filesystem::exists(png));
+}
+
 }  // namespace
 }  // namespace gleaner::test

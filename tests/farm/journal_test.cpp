@@ -5,6 +5,8 @@
 
 #include <cmath>
 #include <ctime>
+#include <fstream>
+#include <map>
 
 #include "coordinator/jobs/request_codec.h"
 #include "coordinator/journal/journal_writer.h"
@@ -28,6 +30,7 @@ class FarmJournal : public FarmEngine {
     farm_settings.journal =
         std::make_shared<JournalWriter>(open_sqlite_journal(folder_.path() / "journal.sqlite"), farm_settings.log);
     farm_settings.scheduler.incarnation = farm_settings.journal->begin();
+    farm_settings.records = folder_.path() / "records";
     return farm_settings;
   }
 
@@ -101,6 +104,96 @@ TEST_F(FarmJournal, AJobGoesOnWithTheFrameThatWasNotWritten) {
   EXPECT_EQ(farm.totals().frames_written, 3u) << "frames that were there are not rendered again";
   for (std::size_t i = 0; i < 4; ++i)
     EXPECT_EQ(report(farm, running, ".json", i)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+}
+
+// Batches that `worker` was offered of each stage until the job's end.
+std::map<std::string, int> batches_until_the_end(Farm& farm, ScriptedWorker& worker, BlobStore& blobs,
+                                                 const std::string& job) {
+  std::map<std::string, int> batches;
+  while (!ended(farm.status(job)->state))
+    if (auto offer = worker.next(0.05)) {
+      ++batches[offer->work->stage];
+      worker.deliver(*offer, worker.compute(*offer, blobs));
+    }
+  return batches;
+}
+
+// "scatter" has 8 batches of 256 items, "gather" 2.
+class FarmRecords : public FarmJournal, public testing::WithParamInterface<const char*> {
+ protected:
+  // A farm that ends after so many accepted batches of a frame that was begun. Returns the job.
+  std::string begin(int batches) {
+    JobRequest job = request();
+    if (*GetParam()) job.settings.set[GetParam()] = "";
+    Farm farm(journaled(), blobs_);
+    ScriptedWorker worker;
+    worker.join(farm);
+    const std::string id = farm.submit(job);
+    for (int i = 0; i < batches; ++i) {
+      auto offer = worker.next();
+      EXPECT_TRUE(offer);
+      if (!offer) break;
+      EXPECT_EQ(worker.deliver(*offer, worker.compute(*offer, blobs_)), Verdict::accepted);
+    }
+    return id;
+  }
+  std::map<std::string, int> go_on(const std::string& job) {
+    Farm farm(journaled(), blobs_);
+    ScriptedWorker worker;
+    worker.join(farm);
+    const auto batches = batches_until_the_end(farm, worker, blobs_, job);
+    EXPECT_EQ(end_of(farm, job).state, JobState::done) << end_of(farm, job).message;
+    EXPECT_EQ(report(farm, job)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+    return batches;
+  }
+  std::vector<std::filesystem::path> files() const {
+    std::vector<std::filesystem::path> all;
+    std::error_code code;
+    for (const auto& entry : std::filesystem::recursive_directory_iterator(folder_.path() / "records", code))
+      if (entry.is_regular_file()) all.push_back(entry.path());
+    return all;
+  }
+};
+INSTANTIATE_TEST_SUITE_P(Gather, FarmRecords, testing::Values("", "stream", "solo"),
+                         [](const auto& kind) { return *kind.param ? std::string(kind.param) : "collect"; });
+
+TEST_P(FarmRecords, OnlyWhatIsMissingIsComputed) {
+  const std::string job = begin(3);
+  EXPECT_EQ(files().size(), 1u);
+  auto batches = go_on(job);
+  EXPECT_EQ(batches["scatter"], 5);
+  EXPECT_EQ(batches["gather"], std::string(GetParam()) == "solo" ? 1 : 2);
+  EXPECT_TRUE(files().empty()) << "they go with their frame";
+}
+
+TEST_P(FarmRecords, AStageThatWasWholeIsNotRun) {
+  const std::string job = begin(std::string(GetParam()) == "solo" ? 8 : 9);
+  auto batches = go_on(job);
+  EXPECT_EQ(batches["scatter"], 0);
+  EXPECT_EQ(batches["gather"], 1);
+}
+
+TEST_P(FarmRecords, RecordsThatWereAlteredAreComputedAgain) {
+  const std::string job = begin(3);
+  ASSERT_EQ(files().size(), 1u);
+  {
+    std::fstream file(files()[0], std::ios::in | std::ios::out | std::ios::binary);
+    file.seekp(256 * 8 + 100);
+    file.put('#');
+  }
+  EXPECT_EQ(go_on(job)["scatter"], 6);
+}
+
+TEST_P(FarmRecords, RecordsThatAreGoneAreComputedAgain) {
+  const std::string job = begin(3);
+  std::filesystem::remove_all(folder_.path() / "records");
+  EXPECT_EQ(go_on(job)["scatter"], 8);
+}
+
+TEST_P(FarmRecords, AFrameThatCannotBeRememberedIsRenderedAllTheSame) {
+  std::ofstream(folder_.path() / "records") << "a file where the folder would be";
+  const std::string job = begin(3);
+  EXPECT_EQ(go_on(job)["scatter"], 8);
 }
 
 TEST_F(FarmJournal, ACancelledJobStaysCancelled) {
@@ -205,18 +298,20 @@ TEST(RequestCodec, EveryFieldComesBack) {
   request.settings.target_error = 0.1;
   request.settings.set = {{"vpl.count", "12"}, {"odd\xfe", ""}};
   request.first_frame = 5;
-  request.last_frame = 6;
+  request.last_frame = 8;
+  request.frame_step = 3;
   request.exposure_stops = -1.25;
   request.time_limit = 1e-3;
   request.cameras = {request.settings.camera, request.settings.camera};
   request.cameras[1].origin[1] = std::nextafterf(1, 2);
-  FrameScene scene{.scene_blob = std::string(64, 'a'), .bvh_blob = {}, .summary = {}};
+  FrameScene scene{.scene_blob = std::string(64, 'a'), .bvh_blob = {}, .summary = {}, .state_blob = {}};
   scene.summary.needs.glossy = scene.summary.needs.iridescence = true;
   scene.summary.triangles = 1ull << 40;
   scene.summary.emissive_triangles = 2;
   scene.summary.lights = 3;
   scene.summary.bounds = {{-1, 0, 1}, {0.1f, 2, 3}};
   request.scenes = {scene, scene};
+  request.scenes[1].state_blob = std::string(64, 'b');
   JobRequest back = decode_request(encode_request(request));
   decode_frames(encode_frames(request), back);
   EXPECT_EQ(encode_request(back), encode_request(request));
@@ -230,12 +325,15 @@ TEST(RequestCodec, EveryFieldComesBack) {
   EXPECT_EQ(back.settings.spp, 7u);
   EXPECT_EQ(back.time_limit, request.time_limit);
   EXPECT_EQ(back.exposure_stops, request.exposure_stops);
-  EXPECT_EQ(back.last_frame, 6u);
+  EXPECT_EQ(back.last_frame, 8u);
+  EXPECT_EQ(back.frame_step, 3u);
   EXPECT_EQ(std::memcmp(back.cameras.data(), request.cameras.data(), 2 * sizeof(scene::Camera)), 0);
   EXPECT_EQ(back.scenes[1].summary.needs.bits(), scene.summary.needs.bits());
   EXPECT_EQ(back.scenes[1].summary.triangles, scene.summary.triangles);
   EXPECT_EQ(back.scenes[1].summary.bounds.upper, scene.summary.bounds.upper);
   EXPECT_EQ(back.scenes[1].scene_blob, scene.scene_blob);
+  EXPECT_EQ(back.scenes[0].state_blob, "");
+  EXPECT_EQ(back.scenes[1].state_blob, request.scenes[1].state_blob);
 }
 
 // A record of any length must be refused or read, never crash.

@@ -126,15 +126,18 @@ class ProcessFarm {
                                   folder_ / name, std::map<std::string, std::string>{{"POCL_MAX_PTHREAD_COUNT", "1"}});
     return *workers_[name];
   }
-  // Runs `gleaner WORDS...` against this farm.
-  Ran gleaner(std::vector<std::string> words) {
+  // Starts `gleaner WORDS...` against this farm.
+  std::unique_ptr<Process> begin_gleaner(std::vector<std::string> words) {
     words.insert(words.begin(), (programs_ / "gleaner").string());
-    Process process(words, folder_ / (std::string("gleaner").append(std::to_string(calls_++))),
-                    {{"GLEANER_COORDINATOR", address_}});
+    return std::make_unique<Process>(words, folder_ / (std::string("gleaner").append(std::to_string(calls_++))),
+                                     std::map<std::string, std::string>{{"GLEANER_COORDINATOR", address_}});
+  }
+  Ran gleaner(const std::vector<std::string>& words) {
+    const auto process = begin_gleaner(words);
     Ran ran;
-    ran.status = process.wait();
-    ran.out = process.out();
-    ran.err = process.err();
+    ran.status = process->wait();
+    ran.out = process->out();
+    ran.err = process->err();
     return ran;
   }
 
@@ -178,13 +181,15 @@ class ProcessFarm {
     return eventually([&] { return workers().size() == count; }, 120);
   }
 
-  // Waits for the job's end and fetches its report.
+  // Where finish() puts a job's files.
+  std::filesystem::path fetched(const std::string& job) const { return folder_ / (std::string("fetched-") + job); }
+  // Waits for the job's end and fetches its files; returns the first frame's report.
   nlohmann::json finish(const std::string& job) {
     Ran watched = gleaner({"watch", job, "--quiet"});
     if (watched.status != 0) throw Error::failed("job " + job + ": " + watched.err);
-    std::filesystem::path into = folder_ / (std::string("fetched-") + job);
-    Ran fetched = gleaner({"fetch", job, "-o", into.string()});
-    if (fetched.status != 0) throw Error::failed("fetch " + job + ": " + fetched.err);
+    const std::filesystem::path into = fetched(job);
+    const Ran ran = gleaner({"fetch", job, "-o", into.string()});
+    if (ran.status != 0) throw Error::failed("fetch " + job + ": " + ran.err);
     return nlohmann::json::parse(read_text(into / "frame_0001.json"));
   }
 

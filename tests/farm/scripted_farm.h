@@ -94,7 +94,7 @@ class FarmEngine : public testing::Test {
   JobRequest request(const FrameSettings& frame = fake_settings()) {
     JobRequest job;
     job.scene_name = "fake.glb";
-    job.scenes = {{blobs_.put(bytes_of(std::vector<int>{1, 2, 3})), {}, {}}};
+    job.scenes = {{blobs_.put(bytes_of(std::vector<int>{1, 2, 3})), {}, {}, {}}};
     job.settings = frame;
     return job;
   }

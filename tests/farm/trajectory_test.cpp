@@ -11,6 +11,7 @@
 #include "coordinator/plan/trajectory.h"
 #include "scene/bvh/build.h"
 #include "scene/library/library.h"
+#include "scene/model/frame_state.h"
 #include "tests/farm/fake_frame.h"
 
 namespace gleaner::test {
@@ -25,7 +26,7 @@ using testing::StartsWith;
 JobRequest request_of(const scene::Scene& scene) {
   JobRequest request;
   request.scene_name = "box";
-  request.scenes = {{{}, {}, coordinator::summarize(scene)}};
+  request.scenes.emplace_back().summary = coordinator::summarize(scene);
   request.settings.method = "vpl";
   request.settings.width = request.settings.height = 48;
   request.settings.spp = 4;
@@ -131,6 +132,89 @@ TEST(FarmMovingScenes, FramesAreThoseOfTheirScenes) {
     EXPECT_EQ(frames[0]["pixels_sha256"], frames[1]["pixels_sha256"]) << method;
     EXPECT_NE(frames[0]["pixels_sha256"], frames[2]["pixels_sha256"]) << method;
     EXPECT_EQ(render(scenes[2], alone).at(0)["pixels_sha256"], frames[2]["pixels_sha256"]) << method;
+  }
+}
+
+// The box with a mesh that moves: the scene's last triangles, placed by a matrix.
+scene::Scene moving_box() {
+  scene::Scene base = scene::make_scene("cornell-box", {});
+  const scene::Mesh& mesh = base.meshes.back();
+  const std::size_t corners = 3 * std::size_t{mesh.triangle_count};
+  scene::PosedMesh posed{};
+  posed.first_triangle = mesh.first_triangle;
+  posed.triangle_count = mesh.triangle_count;
+  // Vertices of its own, at the end.
+  posed.first_vertex = static_cast<std::uint32_t>(base.vertex_count());
+  posed.vertex_count = static_cast<std::uint32_t>(corners);
+  posed.matrix_count = 1;
+  for (std::size_t i = 0; i < corners; ++i) {
+    std::uint32_t& index = base.indices[3 * std::size_t{mesh.first_triangle} + i];
+    for (std::size_t c = 0; c < 3; ++c) {
+      base.rig.positions.push_back(base.positions[3 * std::size_t{index} + c]);
+      base.rig.normals.push_back(base.normals[3 * std::size_t{index} + c]);
+    }
+    index = posed.first_vertex + static_cast<std::uint32_t>(i);
+  }
+  base.positions.insert(base.positions.end(), base.rig.positions.begin(), base.rig.positions.end());
+  base.normals.insert(base.normals.end(), base.rig.normals.begin(), base.rig.normals.end());
+  if (!base.uvs.empty()) base.uvs.resize(2 * base.vertex_count());
+  if (!base.second_uvs.empty()) base.second_uvs.resize(2 * base.vertex_count());
+  if (!base.colors.empty()) base.colors.resize(4 * base.vertex_count(), 65535);
+  base.rig.meshes = {posed};
+  base.rig.matrices = 1;
+  return base;
+}
+
+scene::FrameState moved_by(double x) {
+  scene::FrameState state;
+  state.matrices = {{1, 0, 0, x, 0, 1, 0, 0, 0, 0, 1, 0}};
+  return state;
+}
+
+// The frames' pixels, of a farm that has rendered nothing before; of no states: those of the base's own scene.
+std::vector<std::string> pixels(const scene::Scene& base, const std::vector<scene::FrameState>& states,
+                                JobRequest request, unsigned workers) {
+  TemporaryFolder folder;
+  cli::EmbeddedSettings settings;
+  settings.workers = workers;
+  settings.paths = [&](const std::string&, std::uint32_t frame) {
+    return coordinator::FramePaths{{}, {}, folder.path() / (std::to_string(frame) + ".json")};
+  };
+  cli::EmbeddedFarm embedded(settings);
+  coordinator::FrameScene shown;
+  shown.summary = coordinator::summarize(base);
+  shown.scene_blob = embedded.blobs().put(scene::serialize(base));
+  if (embedded.needs_bvh()) shown.bvh_blob = embedded.blobs().put(scene::serialize(scene::build_bvh(base)));
+  request.scenes = {shown};
+  if (!states.empty()) request.scenes.assign(states.size(), shown);
+  for (std::size_t i = 0; i < states.size(); ++i)
+    request.scenes[i].state_blob = embedded.blobs().put(scene::serialize(states[i]));
+  request.last_frame = static_cast<std::uint32_t>(request.scenes.size());
+  const std::string job = embedded.farm().submit(request);
+  while (!ended(embedded.farm().status(job)->state)) embedded.farm().wait(job, ~std::uint64_t{0}, 0.1);
+  EXPECT_EQ(embedded.farm().status(job)->state, coordinator::JobState::done) << embedded.farm().status(job)->message;
+  std::vector<std::string> all;
+  for (std::uint32_t frame = 1; frame <= request.last_frame; ++frame) {
+    std::ifstream file(folder.path() / (std::to_string(frame) + ".json"));
+    all.push_back(json::parse(file)["pixels_sha256"]);
+  }
+  return all;
+}
+
+// A base in a state is the picture of that scene alone, whatever frames came before and however many workers there are.
+TEST(FarmMovingScenes, StatesOfABaseAreThoseOfTheirScenes) {
+  const scene::Scene base = moving_box();
+  for (const char* method : {"path", "vpl", "ao"}) {
+    JobRequest request = request_of(base);
+    request.settings.method = method;
+    if (std::string(method) != "vpl") request.settings.set = {};
+    const std::vector<scene::FrameState> states = {moved_by(0), moved_by(0.1), moved_by(0.2)};
+    const std::vector<std::string> frames = pixels(base, states, request, 1);
+    EXPECT_NE(frames[0], frames[2]) << method;
+    EXPECT_EQ(pixels(scene::posed(base, states[2], "own"), {}, request, 1)[0], frames[2]) << method;
+    EXPECT_EQ(pixels(base, {states[2]}, request, 1)[0], frames[2]) << method << ", rendered alone";
+    EXPECT_EQ(pixels(base, {states[2], states[0], states[1]}, request, 2)[0], frames[2]) << method;
+    EXPECT_EQ(pixels(base, states, request, 3), frames) << method;
   }
 }
 

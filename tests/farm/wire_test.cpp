@@ -333,6 +333,35 @@ TEST_F(Wire, WorkersSpeakInOrder) {
   }
 }
 
+// A name that ends within a character must not break the list for everybody, nor one with escape sequences a terminal.
+TEST_F(Wire, NamesOfStrangersAreOneLineOfText) {
+  pb::WorkerMessage words = hello();
+  words.mutable_hello()->mutable_device()->set_name(std::string(255, 'a') + "\u00e9");
+  words.mutable_hello()->mutable_device()->set_driver("\x1b[2Jgone\nworker eve joined");
+  words.mutable_hello()->mutable_device()->set_version("\u009b2J");
+  ClientContext context, list;
+  auto stream = workers_->Work(&context);
+  pb::HubMessage welcome;
+  ASSERT_TRUE(stream->Write(words) && stream->Read(&welcome));
+  pb::ListWorkersReply reply;
+  const grpc::Status status = people_->ListWorkers(&list, {}, &reply);
+  stream->WritesDone();
+  while (stream->Read(&welcome)) continue;
+  stream->Finish();
+  ASSERT_TRUE(status.ok()) << status.error_message();
+  ASSERT_EQ(reply.workers_size(), 1);
+  const pb::Device& device = reply.workers(0).device();
+  EXPECT_EQ(device.name(), std::string(255, 'a') + "\\xc3");
+  EXPECT_EQ(device.driver(), "\\x1b[2Jgone\\x0aworker eve joined");
+  EXPECT_EQ(device.version(), "\\xc2\\x9b2J");
+
+  pb::SubmitJobRequest request = farm_.good_request();
+  request.set_scene_name("a\nb\x1b[31m.glb");
+  std::string job;
+  ASSERT_TRUE(submit(request, &job).ok());
+  EXPECT_EQ(farm_.farm().status(job)->scene_name, "a\\x0ab\\x1b[31m.glb");
+}
+
 TEST_F(Wire, ResultsArePiecedTogetherInOrder) {
   std::string job;
   ASSERT_TRUE(submit(farm_.good_request(), &job).ok());

@@ -108,7 +108,7 @@ TEST(BadGltf, IsRefusedByNameAndElement) {
       {[](GltfFile& f) {
          f.json["buffers"] = {{{"byteLength", 4}, {"uri", "a%2"}}};
        },
-       {"buffers[0].uri", "after %"}},
+       {"buffers[0].uri", "a%2"}},
       {[](GltfFile& f) {
          f.json["buffers"] = {{{"byteLength", 4}, {"uri", "a%00b"}}};
        },

@@ -95,12 +95,11 @@ TEST_F(SqliteJournal, RangesComeBackUntilTheyAreNoLongerNeeded) {
   EXPECT_EQ(ranges[1].digest, range("a", "x", 16).digest);
   EXPECT_EQ(ranges[1].facts, range("a", "x", 16).facts);
   changes = {};
-  changes.kept_artifacts["a"] = {"y"};
+  changes.frames_over = {"a"};
   changes.ranges = {range("a", "z", 0)};
   journal->write(changes);
-  ASSERT_THAT(journal->ranges("a"), SizeIs(2));
-  EXPECT_EQ(journal->ranges("a")[0].artifact, "y");
-  EXPECT_EQ(journal->ranges("a")[1].artifact, "z");
+  ASSERT_THAT(journal->ranges("a"), SizeIs(1));
+  EXPECT_EQ(journal->ranges("a")[0].artifact, "z") << "of the frame that follows";
   EXPECT_THAT(journal->ranges("b"), SizeIs(1));
 }
 
@@ -203,13 +202,13 @@ TEST(JournalWriter, TriesAgainAndLosesNoJob) {
     EXPECT_THAT(writer.trouble(), HasSubstr("the disk is full"));
     // What comes later stands above what could not be written.
     writer.changed({.id = "a", .state = "queued", .message = {}, .frames_done = 2, .request = {}});
-    writer.keep_artifacts("a", {}, [&] { cleaned = true; });
+    writer.frame_over("a", [&] { cleaned = true; });
     ASSERT_TRUE(eventually([&] { return writer.trouble().empty(); }));
   }
   ASSERT_THAT(memory.writes, SizeIs(1));
   EXPECT_EQ(memory.writes[0].jobs.at("a").frames_done, 2u);
   EXPECT_THAT(memory.writes[0].ranges, IsEmpty()) << "of a frame that is over";
-  EXPECT_TRUE(memory.writes[0].kept_artifacts.contains("a"));
+  EXPECT_TRUE(memory.writes[0].frames_over.contains("a"));
   EXPECT_TRUE(cleaned) << "after the write, not before";
   EXPECT_THAT(said, SizeIs(2)) << "once that it fails, once that it does not";
 }

@@ -296,6 +296,49 @@ TEST(Needs, HaveOneNameABit) {
 
 // --- validation ----------------------------------------------------------------------------------------------------
 
+TEST(Validate, InstancesAreChecked) {
+  const auto instanced = [] {
+    Scene scene = square();
+    scene.meshes[0].instanced = true;
+    for (std::size_t m = 1; m < scene.meshes.size(); ++m) scene.meshes[m].instanced = true;
+    for (std::uint32_t m = 0; m < scene.meshes.size(); ++m) {
+      Instance instance{};
+      instance.transform[0] = instance.transform[5] = instance.transform[10] = 1;
+      instance.mesh = m;
+      scene.instances.push_back(instance);
+    }
+    for (Material& m : scene.materials) std::fill(m.emission, m.emission + 3, 0.0f);
+    return scene;
+  };
+  const auto why = [](const Scene& scene) -> std::string {
+    try {
+      validate(scene, "f");
+    } catch (const Error& error) {
+      return error.what();
+    }
+    return "accepted";
+  };
+  EXPECT_EQ(why(instanced()), "accepted");
+  Scene s = instanced();
+  s.instances[0].mesh = 99;
+  EXPECT_NE(why(s).find("instances[0].mesh"), std::string::npos) << why(s);
+  s = instanced();
+  s.instances[0].transform[5] = 0;
+  EXPECT_NE(why(s).find("instances[0].transform"), std::string::npos) << why(s);
+  s = instanced();
+  s.instances[0].transform[3] = std::numeric_limits<float>::quiet_NaN();
+  EXPECT_NE(why(s).find("instances[0].transform"), std::string::npos) << why(s);
+  s = instanced();
+  s.meshes[0].deforming = true;
+  EXPECT_NE(why(s).find("meshes[0]"), std::string::npos) << why(s);
+  s = instanced();
+  s.instances.clear();
+  EXPECT_NE(why(s).find("meshes[0]"), std::string::npos) << why(s);
+  s = instanced();
+  s.materials[s.triangle_material[0]].emission[0] = 1;
+  EXPECT_NE(why(s).find("meshes[0]"), std::string::npos) << why(s);
+}
+
 TEST(Validate, AcceptsWhatIsRight) {
   EXPECT_NO_THROW(validate(square(), "f"));
   EXPECT_NO_THROW(validate(rich_square(), "f"));

@@ -36,7 +36,7 @@ constexpr std::size_t piece_bytes = std::size_t{1} << 20;
 constexpr std::size_t most_facts_bytes = std::size_t{64} << 10;
 constexpr std::size_t most_unsent = 2;  // results: a device faster than the network waits
 constexpr std::chrono::milliseconds unavailable_pause{200};
-constexpr double first_backoff_seconds = 0.2, longest_backoff_seconds = 10;
+constexpr double first_backoff_seconds = 1, longest_backoff_seconds = 30;
 
 using Clock = std::chrono::steady_clock;
 
@@ -357,8 +357,7 @@ struct Agent::Impl {
     task.kind = lease.kind();
     auto parameters = std::as_bytes(std::span(lease.parameters()));
     task.parameters.assign(parameters.begin(), parameters.end());
-    task.scene = lease.scene_blob();
-    prepare_scene(lease);
+    task.scene = prepare_scene(lease);
     for (const pb::StageInput& input : lease.inputs()) task.inputs[input.name()] = inputs.load(input, lease);
     Clock::time_point begin = Clock::now();
     BatchResult result = runner->run(task, lease.first(), lease.count());
@@ -367,9 +366,30 @@ struct Agent::Impl {
     return result;
   }
 
-  void prepare_scene(const pb::Lease& lease) {
+  // Returns the name under which the runner holds what the lease shows.
+  std::string prepare_scene(const pb::Lease& lease) {
     const std::string& id = lease.scene_blob();
-    if (runner->holds_scene(id)) return;
+    if (lease.state_blob().empty()) {
+      if (!runner->holds_scene(id)) {
+        auto [scene, bvh] = fetch_scene(lease);
+        runner->load_scene(id, std::move(scene), std::move(bvh));
+      }
+      return id;
+    }
+    const std::string name = id + "+" + lease.state_blob();
+    if (runner->holds_scene(name)) return name;
+    if (!runner->holds_base(id)) {
+      auto [scene, bvh] = fetch_scene(lease);
+      runner->load_base(id, std::move(scene), std::move(bvh));
+    }
+    runner->load_frame(name, id,
+                       scene::parse_frame_state(*inputs.blob(lease.state_blob()), "state blob " + lease.state_blob()));
+    return name;
+  }
+
+  std::pair<std::shared_ptr<const scene::Scene>, std::shared_ptr<const scene::Bvh>> fetch_scene(
+      const pb::Lease& lease) {
+    const std::string& id = lease.scene_blob();
     auto scene = std::make_shared<const scene::Scene>(scene::parse_scene(*inputs.blob(id), "scene blob " + id));
     std::shared_ptr<const scene::Bvh> bvh;
     if (runner->needs_bvh()) {
@@ -377,7 +397,7 @@ struct Agent::Impl {
       bvh = std::make_shared<const scene::Bvh>(
           scene::parse_bvh(*inputs.blob(lease.bvh_blob()), scene->triangle_count(), "BVH blob " + lease.bvh_blob()));
     }
-    runner->load_scene(id, std::move(scene), std::move(bvh));
+    return {std::move(scene), std::move(bvh)};
   }
 
   // The sender's thread: results as they come, a heartbeat where there are none.

@@ -11,6 +11,7 @@
 #include "kernels/scene_layout.h"
 #include "scene/model/emission.h"
 #include "scene/model/error.h"
+#include "scene/model/instances.h"
 #include "worker/stages/light_clusters.h"
 
 namespace gleaner::worker {
@@ -124,6 +125,47 @@ void write_triangles(const scene::Scene& scene, const std::vector<std::uint32_t>
   }
 }
 
+std::vector<scene::Bounds> boxes_of_instanced(const scene::Scene& scene) {
+  std::vector<scene::Bounds> boxes(scene.meshes.size());
+  for (std::size_t m = 0; m < boxes.size(); ++m)
+    if (scene.meshes[m].instanced) boxes[m] = bounds_of(scene, scene.meshes[m]);
+  return boxes;
+}
+
+// Rows of kernels/scene_layout.h. `boxes`: about each instanced mesh.
+std::vector<float> table_of_instances(std::span<const scene::Instance> instances,
+                                      const std::vector<scene::Bounds>& boxes) {
+  std::vector<float> rows((instances.size() + 1) * INSTANCE_WORDS);
+  for (unsigned k = 0; k < 3; ++k) rows[INSTANCE_LINEAR + 4 * k] = rows[INSTANCE_NORMAL + 4 * k] = 1;
+  rows[INSTANCE_SIDE] = 1;
+  float* row = rows.data() + INSTANCE_WORDS;
+  for (const scene::Instance& instance : instances) {
+    const scene::DerivedInstance d = scene::derived(instance.transform, boxes[instance.mesh]);
+    for (unsigned r = 0; r < 3; ++r) {
+      for (unsigned c = 0; c < 3; ++c) {
+        row[INSTANCE_LINEAR + 3 * r + c] = instance.transform[4 * r + c];
+        row[INSTANCE_NORMAL + 3 * r + c] = static_cast<float>(d.inverse[3 * c + r]);
+      }
+      row[INSTANCE_TRANSLATION + r] = instance.transform[4 * r + 3];
+      row[INSTANCE_ERROR + r] = static_cast<float>(d.error[r]);
+    }
+    row[INSTANCE_SIDE] = d.mirrored ? -1.0f : 1.0f;
+    row += INSTANCE_WORDS;
+  }
+  return rows;
+}
+
+// What moves of a mesh's rows: places and normals of the corners.
+void write_corners(const scene::Scene& shown, const scene::Mesh& mesh, unsigned words, float* out) {
+  for (std::size_t t = mesh.first_triangle; t < std::size_t{mesh.first_triangle} + mesh.triangle_count;
+       ++t, out += words)
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::size_t vertex = shown.indices[3 * t + k];
+      std::memcpy(out + TRIANGLE_P0 + 3 * k, &shown.positions[3 * vertex], 12);
+      std::memcpy(out + TRIANGLE_N0 + 3 * k, &shown.normals[3 * vertex], 12);
+    }
+}
+
 // Ranks take 16 bits.
 constexpr std::size_t kMostMedia = 65535;
 
@@ -199,7 +241,8 @@ cl::Buffer DeviceScene::upload(const Device& device, cl::CommandQueue& queue, co
   return buffer;
 }
 
-DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scene> scene, const scene::Bvh* bvh) {
+DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scene> scene, const scene::Bvh* bvh)
+    : device_(device), scene_(scene) {
   scene::SceneNeeds needs = scene::needs_of(*scene);
   cl::CommandQueue queue = device.make_queue();
   LightTables lights = make_light_tables(*scene);
@@ -216,6 +259,10 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
   bytes_ += triangle_bytes;
 
   const auto bytes_of = [](const auto& v) { return v.size() * sizeof(v[0]); };
+  instance_count_ = scene->instances.size();
+  instanced_boxes_ = boxes_of_instanced(*scene);
+  const std::vector<float> instances = table_of_instances(scene->instances, instanced_boxes_);
+  instances_ = upload(device, queue, instances.data(), bytes_of(instances));
   const std::vector<std::uint32_t> media = needs.media ? scene::media_by_rank(*scene) : std::vector<std::uint32_t>{};
   if (media.size() > kMostMedia)
     throw Error::bad_input(scene->name, "solids", "at most " + std::to_string(kMostMedia) + " transmitting materials",
@@ -246,7 +293,7 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
     tracer_ = make_embree_tracer(*scene, device.info().threads);
   } else {
     if (!bvh) throw Error::failed("the OpenCL tracer needs the scene's BVH");
-    tracer_ = make_opencl_tracer(device, *bvh, triangles_, triangle_words_);
+    tracer_ = make_opencl_tracer(device, *scene, *bvh, triangles_, triangle_words_);
   }
 
   bool emission_textures = false, alpha_emitters = false;
@@ -285,6 +332,7 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
       {needs.two_sided_emitters, "TWO_SIDED_EMITTERS"},
       {alpha_emitters, "ALPHA_EMITTERS"},
       {needs.environment, "ENVIRONMENT"},
+      {needs.instances, "INSTANCES"},
   };
   options_ = "-D LANES=" + std::to_string(device.lanes());
   // Lights of no power make no clusters: the scene is as good as without lights.
@@ -298,6 +346,32 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
   if (lights.cluster_slots) options_ += " -D CLUSTERS=" + std::to_string(lights.cluster_slots);
 }
 
+MotionReport DeviceScene::move(const scene::Scene& shown, std::span<const std::uint32_t> deformed) {
+  const scene::Scene& base = *scene_;
+  if (shown.positions.size() != base.positions.size() || shown.indices.size() != base.indices.size() ||
+      shown.meshes.size() != base.meshes.size())
+    throw Error::failed("a scene that moved has other vertices, triangles or meshes than as it was loaded");
+  cl::CommandQueue queue = device_.make_queue();
+  for (const std::uint32_t m : deformed) {
+    if (m >= base.meshes.size() || !base.meshes[m].deforming)
+      throw Error::failed("mesh " + std::to_string(m) + " does not deform");
+    const scene::Mesh& mesh = base.meshes[m];
+    if (mesh.triangle_count == 0) continue;
+    const std::size_t row_bytes = 4 * std::size_t{triangle_words_};
+    auto* rows =
+        static_cast<float*>(queue.enqueueMapBuffer(triangles_, CL_TRUE, CL_MAP_READ | CL_MAP_WRITE,
+                                                   row_bytes * mesh.first_triangle, row_bytes * mesh.triangle_count));
+    write_corners(shown, mesh, triangle_words_, rows);
+    queue.enqueueUnmapMemObject(triangles_, rows);
+  }
+  if (!shown.instances.empty()) {
+    const std::vector<float> rows = table_of_instances(shown.instances, instanced_boxes_);
+    queue.enqueueWriteBuffer(instances_, CL_TRUE, 0, rows.size() * sizeof(float), rows.data());
+  }
+  queue.finish();
+  return tracer_->follow({shown.positions, deformed, shown.instances});
+}
+
 bool DeviceScene::has_albedo_row(std::uint32_t table, float row) const {
   if (table == 0 && row == 0) return true;  // every scene has it (upload)
   const auto found = albedo_rows_.find(table);
@@ -306,6 +380,7 @@ bool DeviceScene::has_albedo_row(std::uint32_t table, float row) const {
 
 void DeviceScene::set_arguments(Kernel& kernel) const {
   kernel.set("triangles", triangles_)
+      .set("instances", instances_)
       .set("materials", materials_)
       .set("textures", textures_)
       .set("texels", texels_)
@@ -317,8 +392,8 @@ void DeviceScene::set_arguments(Kernel& kernel) const {
 }
 
 unsigned DeviceScene::set_arguments(cl::Kernel& kernel, unsigned first) const {
-  for (const cl::Buffer* buffer :
-       {&triangles_, &materials_, &textures_, &texels_, &srgb_, &albedo_tables_, &emitters_, &clusters_, &environment_})
+  for (const cl::Buffer* buffer : {&triangles_, &instances_, &materials_, &textures_, &texels_, &srgb_, &albedo_tables_,
+                                   &emitters_, &clusters_, &environment_})
     kernel.setArg(first++, *buffer);
   return first;
 }

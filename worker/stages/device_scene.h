@@ -6,7 +6,9 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <span>
 #include <string>
+#include <vector>
 
 #include "scene/model/blob.h"
 #include "scene/model/media.h"
@@ -19,6 +21,11 @@ class DeviceScene {
  public:
   // `bvh` is needed where the device traces in OpenCL. Throws Error::failed.
   DeviceScene(const Device& device, std::shared_ptr<const scene::Scene> scene, const scene::Bvh* bvh);
+
+  // Shows the scene as `shown` has it, which differs from the scene as loaded in the instances' transforms and in the
+  // positions and normals of the meshes `deformed` (marked Mesh::deforming) alone. Rewrites their rows and lets the
+  // tracer follow. The caller sees to it that no query and no kernel runs meanwhile.
+  MotionReport move(const scene::Scene& shown, std::span<const std::uint32_t> deformed);
 
   // Compiler options that select the variant: one NEED_... a need, and how many light clusters there are.
   const std::string& kernel_options() const { return options_; }
@@ -39,18 +46,23 @@ class DeviceScene {
   bool shines() const { return shines_; }
   std::uint64_t triangles() const { return triangle_count_; }
   const cl::Buffer& triangle_rows() const { return triangles_; }
+  // Rows of instances (kernels/scene_layout.h): one more than there are instances.
+  const cl::Buffer& instance_rows() const { return instances_; }
+  std::uint64_t instances() const { return instance_count_; }
   unsigned triangle_words() const { return triangle_words_; }  // of a row (kernels/scene_layout.h)
   // Whether an albedo table of the scene's materials begins at `table` and has this (fractional) row.
   bool has_albedo_row(std::uint32_t table, float row) const;
   std::size_t bytes() const { return bytes_; }
 
  private:
+  const Device& device_;
+  std::shared_ptr<const scene::Scene> scene_;  // as it was loaded
   cl::Buffer upload(const Device& device, cl::CommandQueue& queue, const void* data, std::size_t bytes);
 
   std::string options_;
   std::unique_ptr<Tracer> tracer_;
-  cl::Buffer triangles_, materials_, textures_, texels_, srgb_, albedo_tables_, emitters_, clusters_, environment_,
-      emission_;
+  cl::Buffer triangles_, instances_, materials_, textures_, texels_, srgb_, albedo_tables_, emitters_, clusters_,
+      environment_, emission_;
   bool shines_ = false;
   bool transparent_shadows_ = false;
   unsigned triangle_words_ = 0, path_rows_ = 0, shadow_rows_ = 0;
@@ -59,7 +71,8 @@ class DeviceScene {
   mutable std::mutex media_mutex_;
   mutable std::optional<scene::Camera> media_camera_;
   mutable std::array<cl_uint, 2> camera_media_{};
-  std::uint64_t triangle_count_ = 0;
+  std::uint64_t triangle_count_ = 0, instance_count_ = 0;
+  std::vector<scene::Bounds> instanced_boxes_;          // about each instanced mesh, in its own space
   std::map<std::uint32_t, std::uint32_t> albedo_rows_;  // by table
   std::size_t bytes_ = 0;
 };

@@ -4,6 +4,9 @@
 #include <list>
 #include <set>
 
+#ifdef GLEANER_WITH_EMBREE
+#include "scene/bvh/build.h"
+#endif
 #include "scene/model/error.h"
 #include "worker/stages/stage_table.h"
 
@@ -12,11 +15,21 @@ namespace {
 
 // Scenes kept warm: so many, and at most so much of the device's memory.
 constexpr std::size_t kMostScenes = 4;
+// Bases lie in the host's memory.
+constexpr std::size_t kMostBases = 2;
 
 // Of the device's memory, what stays taken between batches, and what tables may take.
 std::size_t most_workspace(const DeviceInfo& info) { return info.memory_bytes / 8; }
 std::size_t most_tables(const DeviceInfo& info) {
   return static_cast<std::size_t>(std::min<std::uint64_t>(info.memory_bytes / 16, std::uint64_t{512} << 20));
+}
+
+scene::Bvh rebuilt_bvh([[maybe_unused]] const scene::Scene& scene) {
+#ifdef GLEANER_WITH_EMBREE
+  return scene::build_bvh(scene);
+#else
+  throw Error::failed("a scene that moves needs a new BVH in each frame, and this program was built without Embree");
+#endif
 }
 
 }  // namespace
@@ -47,7 +60,14 @@ struct Executor::Impl {
   Device device;
   Workspace workspace;
   KeptTables tables;
+  struct Base {
+    std::string id;
+    std::shared_ptr<const scene::Scene> scene;
+    std::shared_ptr<const scene::Bvh> bvh;
+  };
+
   std::list<std::pair<std::string, std::unique_ptr<DeviceScene>>> scenes;  // the latest used first
+  std::list<Base> bases;                                                   // alike
   std::set<std::pair<std::string, std::string_view>> foreseen;
 };
 
@@ -88,6 +108,28 @@ void Executor::load_scene(const std::string& id, std::shared_ptr<const scene::Sc
       ++held;
     }
   }
+}
+
+bool Executor::holds_base(const std::string& id) const {
+  return std::ranges::any_of(impl_->bases, [&](const Impl::Base& base) { return base.id == id; });
+}
+
+void Executor::load_base(const std::string& id, std::shared_ptr<const scene::Scene> scene,
+                         std::shared_ptr<const scene::Bvh> bvh) {
+  if (holds_base(id)) return;
+  impl_->bases.push_front({id, std::move(scene), std::move(bvh)});
+  if (impl_->bases.size() > kMostBases) impl_->bases.pop_back();
+}
+
+void Executor::load_frame(const std::string& id, const std::string& base_id, const scene::FrameState& state) {
+  if (holds_scene(id)) return;
+  const auto base = std::ranges::find(impl_->bases, base_id, &Impl::Base::id);
+  if (base == impl_->bases.end()) throw Error::failed("base " + base_id + " was not loaded");
+  impl_->bases.splice(impl_->bases.begin(), impl_->bases, base);
+  auto scene = std::make_shared<const scene::Scene>(scene::posed(*base->scene, state, "scene " + id));
+  std::shared_ptr<const scene::Bvh> bvh = base->bvh;
+  if (needs_bvh() && !base->scene->rig.empty()) bvh = std::make_shared<const scene::Bvh>(rebuilt_bvh(*scene));
+  load_scene(id, std::move(scene), std::move(bvh));
 }
 
 void Executor::profile_kernels() { impl_->device.profile().turn_on(); }

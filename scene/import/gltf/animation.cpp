@@ -127,6 +127,10 @@ Sampler::Sampler(const Document& document, const Element& sampler, std::size_t c
     output.fail(std::to_string(keys) + " values of " +
                     (components_ ? std::to_string(components_) : std::string("one or more")) + " numbers",
                 std::to_string(values_.size()) + " numbers");
+  for (std::size_t key = 0; rotation_ && key < times_.size(); ++key)
+    if (std::ranges::all_of(value(key, interpolation_ == Interpolation::cubic_spline ? 1 : 0),
+                            [](double x) { return x == 0; }))
+      output.fail("a quaternion", "four zeros at key " + std::to_string(key));
   // What was stored as integers is not of unit length.
   if (rotation_ && interpolation_ != Interpolation::cubic_spline)
     for (std::size_t key = 0; key < times_.size(); ++key) {
@@ -238,7 +242,7 @@ void Animations::add(const Document& document, const Element& animation, const E
   }
   const Element samplers = animation.at("samplers");
   const Element sampler = samplers[channel.at("sampler").index(samplers.size())];
-  Channel made{pointer, scalar, Sampler(document, sampler, components, names_rotation(pointer))};
+  Channel made{pointer, pointer.to_string(), scalar, Sampler(document, sampler, components, names_rotation(pointer))};
   // A default that the file leaves out is a number where one number animates it.
   if (path.text() == "pointer" && components == 0) made.scalar = made.sampler.components() == 1;
   const auto same = std::ranges::find(channels_, pointer, &Channel::target);
@@ -248,6 +252,26 @@ void Animations::add(const Document& document, const Element& animation, const E
   }
   warnings.add(channel.name(), "animates what another channel animates as well; the later one is played");
   *same = std::move(made);
+}
+
+bool Animations::animates(const std::string& pointer) const {
+  return std::ranges::any_of(channels_, [&](const Channel& channel) {
+    return channel.text.starts_with(pointer) &&
+           (channel.text.size() == pointer.size() || channel.text[pointer.size()] == '/');
+  });
+}
+
+bool Animations::needs_own_scenes() const {
+  return std::ranges::any_of(channels_, [](const Channel& channel) {
+    const std::string& text = channel.text;
+    if (text.starts_with("/materials/")) return text.find("Texture") != std::string::npos;
+    if (text.starts_with("/meshes/")) return text.find("/weights") == std::string::npos;
+    if (!text.starts_with("/nodes/")) return false;
+    const std::size_t path = text.find('/', std::string("/nodes/").size());
+    for (const char* known : {"/translation", "/rotation", "/scale", "/weights"})
+      if (path != std::string::npos && std::string_view(text).substr(path).starts_with(known)) return false;
+    return true;
+  });
 }
 
 void Animations::pose(double seconds, Document& document) const {

@@ -45,12 +45,20 @@ class Animations {
   // All of the file's, by name and length.
   const std::vector<AnimationInfo>& list() const { return list_; }
 
+  // Whether any channel of those that were read moves something that is rendered.
+  bool moves() const { return !channels_.empty(); }
+  // Whether a channel animates the value that the JSON pointer leads to, or one within it.
+  bool animates(const std::string& pointer) const;
+  // Whether they animate what changes a scene's topology or its textures: no pose of one base shows that.
+  bool needs_own_scenes() const;
+
   // Puts their values at that time into the document.
   void pose(double seconds, Document& document) const;
 
  private:
   struct Channel {
     nlohmann::json::json_pointer target;
+    std::string text;  // of the target
     bool scalar = false;
     Sampler sampler;
   };

@@ -11,6 +11,7 @@
 
 #include "scene/import/files.h"
 #include "scene/import/gltf/compression.h"
+#include "scene/import/gltf/mend.h"
 #include "scene/import/text.h"
 #include "scene/model/error.h"
 
@@ -97,6 +98,7 @@ Version version_of(const Element& element) {
 
 Document::Document(const std::string& path, Warnings& warnings) : file_(path), warnings_(warnings) {
   const std::span<const std::byte> binary_chunk = read_container();
+  mend(json_, warnings_);
   check_version();
   check_extensions();
   warn_of_extensions();
@@ -108,8 +110,14 @@ std::span<const std::byte> Document::read_container() {
   container_ = read_file(file_, file_size, file_, "");
   std::span<const std::byte> bytes = container_;
   const bool has_magic = bytes.size() >= 4 && std::memcmp(bytes.data(), "glTF", 4) == 0;
-  if (!has_magic && (file_.ends_with(".glb") || file_.ends_with(".GLB")))
+  const auto is_text = [&] {
+    const auto first = std::find_if(bytes.begin(), bytes.end(), [](std::byte b) { return b > std::byte(' '); });
+    return first != bytes.end() && (*first == std::byte('{') || *first == std::byte(0xef));
+  };
+  const bool is_called_binary = file_.ends_with(".glb") || file_.ends_with(".GLB");
+  if (!has_magic && is_called_binary && !is_text())
     throw Error::bad_input(file_, "header", "the magic \"glTF\"", "other bytes");
+  if (!has_magic && is_called_binary) warnings_.add("header", "the file is JSON: it is read as .gltf");
   if (!has_magic) {
     parse(bytes);
     container_.clear();

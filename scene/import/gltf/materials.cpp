@@ -48,8 +48,19 @@ std::array<double, 6> UvSource::matrix() const {
 }
 
 void Materials::read(std::uint64_t most_texels) {
-  for (std::size_t i = 0; i < document_.size("materials"); ++i) add(document_.item("materials", i));
+  read_without_images();
   textures_.decode_into(scene_, document_.file(), most_texels, warnings_);
+}
+
+void Materials::read_without_images() {
+  for (std::size_t i = 0; i < document_.size("materials"); ++i) add(document_.item("materials", i));
+  in_file_ = uvs_.size();
+}
+
+bool Materials::lays_on_textures_as(const Materials& other) const {
+  return in_file_ == other.in_file_ &&
+         std::equal(uvs_.begin(), uvs_.begin() + std::ptrdiff_t(in_file_), other.uvs_.begin()) &&
+         slots_ == other.slots_ && textures_ == other.textures_;
 }
 
 std::uint32_t Materials::material_of(const Element& primitive, std::optional<std::size_t> variant) {
@@ -303,8 +314,10 @@ void Materials::lay_on(Material& m) {
       for (std::size_t k = 0; k < 6; ++k) t.use.transform[k] = static_cast<float>(matrix[k]);
     }
     m.*t.slot = textures_.add(t.use);
+    slots_.emplace_back(t.slot, m.*t.slot);
   }
   uvs_.push_back(uvs);
+  slots_.emplace_back(nullptr, GLEANER_NONE);  // the material's end
 }
 
 std::size_t Materials::image(const Element& element) {

@@ -1,7 +1,6 @@
 #include "scene/import/obj/lines.h"
 
 #include <algorithm>
-#include <cctype>
 #include <charconv>
 #include <cmath>
 #include <cstdio>
@@ -29,7 +28,19 @@ std::string_view without_comment(std::string_view line) {
   if (!std::memchr(line.data(), '#', line.size())) return line;
   std::string_view rest = line;
   if (takes_a_name(take_word(rest))) return line;
-  return line.substr(0, line.find('#'));
+  std::size_t at = line.find('#');
+  // "1.#IND" and its like are how some C libraries write what is no number.
+  while (at != line.npos && at > 0 && line[at - 1] == '.') at = line.find('#', at + 1);
+  return line.substr(0, at);
+}
+
+// Whether a line begins a statement of OBJ or MTL.
+bool begins_statement(std::string_view line) {
+  const std::string word = lower_case(take_word(line));
+  for (const char* each : {"",   "v",  "vn", "vt", "vp", "f",  "l",  "p",     "s",  "ka", "kd",
+                           "ks", "ke", "ns", "ni", "d",  "tr", "tf", "illum", "pr", "pm"})
+    if (word == each) return true;
+  return takes_a_name(word) || word.starts_with('#');
 }
 
 }  // namespace
@@ -48,12 +59,6 @@ std::string_view take_word(std::string_view& text) {
   const std::string_view word = text.substr(begin, end - begin);
   text.remove_prefix(end);
   return word;
-}
-
-std::string lower_case(std::string_view text) {
-  std::string lower(text);
-  std::transform(lower.begin(), lower.end(), lower.begin(), [](unsigned char c) { return std::tolower(c); });
-  return lower;
 }
 
 Lines::Lines(const std::filesystem::path& path, const std::string& shown, const std::string& element) : file_(shown) {
@@ -104,19 +109,32 @@ std::optional<std::string_view> Lines::physical_line() {
   return line;
 }
 
+std::optional<std::string_view> Lines::held_or_next_line() {
+  if (!held_) return physical_line();
+  given_ = std::move(*held_);
+  held_.reset();
+  return given_;
+}
+
 std::optional<std::string_view> Lines::next() {
-  while (std::optional<std::string_view> line = physical_line()) {
+  while (std::optional<std::string_view> line = held_or_next_line()) {
     std::string_view text = *line;
     // A comment goes on to its line's end, whatever stands there.
     if (trimmed(text).starts_with('#')) continue;
-    if (text.ends_with('\\')) {
-      joined_.clear();
-      while (text.ends_with('\\')) {
-        joined_.append(text.substr(0, text.size() - 1)).push_back(' ');
+    if (trimmed(text).ends_with('\\')) {
+      std::string_view rest = text;
+      const bool is_name = takes_a_name(take_word(rest));
+      joined_.assign(text);
+      for (text = trimmed(joined_); text.ends_with('\\'); text = trimmed(joined_)) {
         line = physical_line();
-        text = line.value_or(std::string_view());
+        // A name may end with a backslash; the next statement is then no part of it.
+        if (is_name && line && begins_statement(*line)) {
+          held_ = std::string(*line);
+          break;
+        }
+        joined_.assign(text.substr(0, text.size() - 1)).push_back(' ');
+        joined_.append(line.value_or(std::string_view()));
       }
-      joined_.append(text);
       text = joined_;
     }
     text = trimmed(without_comment(text));
@@ -142,8 +160,17 @@ double Lines::number(std::string_view word, const char* what) const {
   return is_tiny ? 0 : value;
 }
 
+bool is_not_finite(std::string_view word) {
+  if (word.starts_with('+') || word.starts_with('-')) word.remove_prefix(1);
+  const std::string lower = lower_case(word);
+  return lower.starts_with("nan") || lower.starts_with("inf") || lower.starts_with("1.#");
+}
+
 double Lines::within(std::string_view word, const char* what, double lower, double upper) const {
   const double value = number(word, what);
+  // What rounding left beside the range.
+  constexpr double rounding = 1e-5;
+  if (value > upper && value <= upper * (1 + rounding)) return upper;
   if (!(value >= lower && value <= upper)) {
     char range[64];
     std::snprintf(range, sizeof range, upper < 1e30 ? "a number from %g to %g" : "a number of at least %g", lower,

@@ -19,7 +19,9 @@ inline bool is_space(char c) { return c == ' ' || c == '\t' || c == '\v' || c ==
 std::string_view trimmed(std::string_view text);
 // Takes the next word off the front of `text`; empty at its end.
 std::string_view take_word(std::string_view& text);
-std::string lower_case(std::string_view text);
+
+// Whether a word is how programs write NaN or an infinity.
+bool is_not_finite(std::string_view word);
 
 // Lines end with LF, CR or both; a byte order mark is no part of the first. Continuation lines are joined. Comments are
 // cut off, but not from statements whose rest is a name: '#' may be part of one. Makes errors that name the line.
@@ -41,6 +43,7 @@ class Lines {
 
  private:
   std::optional<std::string_view> physical_line();
+  std::optional<std::string_view> held_or_next_line();
   bool fill();
 
   std::string file_;
@@ -49,6 +52,8 @@ class Lines {
   std::size_t begin_ = 0, end_ = 0;  // of what is buffered and not yet read
   bool at_end_ = false;
   std::string joined_;
+  std::optional<std::string> held_;  // a line that was read and not taken
+  std::string given_;                // the held line that was given out
   std::size_t number_ = 0;
 };
 

@@ -1,0 +1,222 @@
+// Workers that lie, or whose memory does. A share of the accepted batches, and each worker's first one of every kind of
+// stage, is computed again by another worker of the same kind, which makes the same bytes. Where the two differ a third
+// one decides. Who is outvoted gets no more work, and what it made is computed again: a frame that rests on it begins
+// anew, with the ranges that others made and that rest on no other stage's records.
+//
+// A worker that lies in n of its batches is found with a probability of 1 - (1 - share)^n, and surely where it lies in
+// the first one.
+
+#include <algorithm>
+#include <random>
+#include <tuple>
+#include <utility>
+
+#include "coordinator/blobs/sha256.h"
+#include "coordinator/jobs/engine.h"
+#include "coordinator/journal/journal_writer.h"
+#include "scene/model/error.h"
+
+namespace gleaner::coordinator {
+
+namespace {
+
+std::string words_of(const Recheck& recheck) {
+  return "stage " + recheck.stage + ", items " + std::to_string(recheck.items.first) + " to " +
+         std::to_string(recheck.items.first + recheck.items.count - 1);
+}
+
+}  // namespace
+
+std::string device_kind(const DeviceDescription& device) {
+  std::string kind;
+  for (const std::string* word : {&device.name, &device.platform, &device.driver, &device.version, &device.tracer})
+    kind += *word + "\n";
+  return kind;
+}
+
+std::string digest_of(const Bytes& bytes) {
+  Sha256 hash;
+  hash.update(bytes);
+  return hash.raw();
+}
+
+bool Farm::Impl::wants_recheck(const RunningStage& stage, Worker& worker) {
+  if (!(settings.recheck_share > 0) || stage.retained()) return false;
+  // A solo stage is the whole of its work: it is done twice by chance alone.
+  const bool first = !stage.spec.solo && !worker.rechecked_kinds.contains(stage.spec.kind);
+  if (!first && std::uniform_real_distribution<double>(0, 1)(random) >= settings.recheck_share) return false;
+  if (std::none_of(workers.begin(), workers.end(), [&](const auto& entry) {
+        return entry.first != worker.id && !entry.second.draining && entry.second.kind == worker.kind;
+      }))
+    return false;
+  if (first) worker.rechecked_kinds.insert(stage.spec.kind);
+  return true;
+}
+
+std::set<WorkerId> Farm::Impl::witnesses(const Recheck& recheck) const {
+  std::set<WorkerId> found;
+  for (const auto& [id, worker] : workers)
+    if (!worker.draining && worker.kind == recheck.device_kind &&
+        std::none_of(recheck.answers.begin(), recheck.answers.end(),
+                     [&, number = id](const auto& answer) { return answer.worker == number; }))
+      found.insert(id);
+  return found;
+}
+
+void Farm::Impl::recheck(const std::shared_ptr<RunningStage>& stage, WorkerId maker, const Lease& lease,
+                         std::string digest) {
+  const auto worker = workers.find(maker);
+  if (worker == workers.end() || worker->second.draining) return;
+  auto what = std::make_unique<Recheck>();
+  what->stage = stage->spec.name;
+  what->items = {lease.first, lease.count};
+  what->device_kind = worker->second.kind;
+  what->answers.push_back({maker, worker->second.name, std::move(digest)});
+  ask_another(*stage->job, *stage, std::move(what));
+}
+
+bool Farm::Impl::ask_another(Job& job, const RunningStage& like, std::unique_ptr<Recheck> what) {
+  const std::set<WorkerId> asked = witnesses(*what);
+  if (asked.empty()) return false;
+  auto stage = std::make_shared<RunningStage>();
+  stage->job = job.shared_from_this();
+  stage->spec = like.spec;
+  stage->spec.name += " (compared)";
+  stage->work = like.work;
+  stage->artifact = like.artifact;
+  stage->reads = like.reads;
+  stage->recheck = std::move(what);
+  for (const auto& [id, worker] : workers)
+    if (!asked.contains(id)) stage->avoid.push_back(id);
+  const ItemRange& items = stage->recheck->items;
+  ScheduledStage scheduled{.kind = stage->spec.kind,
+                           .items = stage->spec.items,
+                           .tile = static_cast<std::uint32_t>(items.count),  // in one piece
+                           .solo = stage->spec.solo,
+                           .at_once = true,
+                           .priority = stage->spec.priority + 1,
+                           .preferred = {},
+                           .only = {{items.first, items.count}},
+                           .avoid = stage->avoid,
+                           .near = {}};
+  stage->id = scheduler.add_stage(scheduled, now());
+  active_stages[stage->id] = stage;
+  job.rechecks.push_back(stage);
+  offer_to_unserved_soon();
+  return true;
+}
+
+void Farm::Impl::end_recheck(const std::shared_ptr<RunningStage>& stage) {
+  stage->delivered = true;
+  revoke(scheduler.remove_stage(stage->id));
+  active_stages.erase(stage->id);
+  std::erase(stage->job->rechecks, stage);
+  stage->job->events.notify_all();
+}
+
+void Farm::Impl::take_recheck(const std::shared_ptr<RunningStage>& stage, const Worker& worker, std::string digest) {
+  if (stage->delivered) return;
+  Job& job = *stage->job;
+  auto recheck = std::make_unique<Recheck>(*stage->recheck);
+  end_recheck(stage);
+  if (!witnesses(*recheck).contains(worker.id)) return;  // it says nothing about the others
+  ++totals.batches_rechecked;
+  const auto agreed = std::find_if(recheck->answers.begin(), recheck->answers.end(),
+                                   [&](const auto& answer) { return answer.digest == digest; });
+  if (agreed != recheck->answers.end()) {
+    for (const auto& answer : recheck->answers)
+      if (answer.digest != digest) distrust(answer.worker, words_of(*recheck) + ": made other records than two others");
+    return;
+  }
+  recheck->answers.push_back({worker.id, worker.name, std::move(digest)});
+  settings.log("job " + job.id + ": " + words_of(*recheck) + ": workers " + recheck->answers[0].name + " and " +
+               worker.name + " made different records");
+  const Recheck open = *recheck;
+  if (recheck->answers.size() > 2 || !ask_another(job, *stage, std::move(recheck))) disagree(job, open);
+}
+
+void Farm::Impl::disagree(Job& job, const Recheck& recheck) {
+  if (!job.failure.empty()) return;
+  std::string names;
+  for (const auto& answer : recheck.answers) names += (names.empty() ? "" : ", ") + answer.name;
+  job.failure = words_of(recheck) + ": workers " + names + " made different records, and " +
+                (recheck.answers.size() > 2 ? "no two of them agree" : "there is no third one of their kind to decide");
+  job.events.notify_all();
+}
+
+void Farm::Impl::drop_hopeless_rechecks() {
+  std::vector<std::shared_ptr<RunningStage>> hopeless;
+  for (const auto& [id, stage] : active_stages)
+    if (stage->recheck && witnesses(*stage->recheck).empty()) hopeless.push_back(stage);
+  for (const auto& stage : hopeless) {
+    end_recheck(stage);
+    if (stage->recheck->answers.size() > 1) disagree(*stage->job, *stage->recheck);
+  }
+}
+
+void Farm::Impl::distrust(WorkerId liar, const std::string& why) {
+  ++totals.liars_found;
+  const std::string name = name_of(liar);
+  quarantine(liar, why);
+  // What others made of its records may be among these.
+  kept.clear();
+  std::vector<ArtifactId> held;
+  std::set<Job*> readers;
+  for (auto& [id, artifact] : retained) {
+    artifact.untrusted = true;
+    held.push_back(id);
+    readers.insert(artifact.frames.begin(), artifact.frames.end());
+  }
+  for (const ArtifactId& id : held) release_if_unused(id);
+  for (const auto& [id, job] : jobs) {
+    if (ended(job->state)) continue;
+    if (const auto before = job->frames_with.find(liar); before != job->frames_with.end()) {
+      const std::string words = std::to_string(before->second) +
+                                " of the frames before were written with the help of " + name +
+                                ", which was found to make wrong records";
+      settings.log("job " + id + ": " + words);
+      job->warnings.push_back(words);
+    }
+    if (!job->makers.contains(liar) && !readers.contains(job.get())) continue;
+    job->distrusted = true;
+    job->events.notify_all();
+  }
+}
+
+void Farm::Impl::await_rechecks(Job& job) {
+  std::unique_lock lock(mutex);
+  job.events.wait(
+      lock, [&] { return job.cancel || stopping || !job.failure.empty() || job.distrusted || job.rechecks.empty(); });
+  if (job.cancel || stopping) throw Cancelled{};
+  if (!job.failure.empty()) throw Error::failed(job.failure);
+  if (job.distrusted) throw Distrusted{};
+}
+
+void Farm::Impl::start_over(Job& job) {
+  JobRemains remains;  // destroyed last
+  std::lock_guard lock(mutex);
+  remains = withdraw(job);
+  job.distrusted = false;
+  job.held.clear();
+  job.reused.clear();
+  std::erase_if(job.remembered, [&](const auto& entry) { return liars.contains(entry.second); });
+  std::sort(job.remembered.begin(), job.remembered.end(), [](const auto& a, const auto& b) {
+    return std::tie(a.first.artifact, a.first.first) < std::tie(b.first.artifact, b.first.first);
+  });
+  job.makers.clear();
+  if (settings.journal) settings.journal->frame_over(job.id, [] {});
+  std::uint64_t items = 0;
+  for (const auto& [range, maker] : job.remembered) {
+    job.makers.insert(maker);
+    settings.journal->accepted(range);
+    job.held[range.artifact].push_back(range);
+    items += range.count;
+  }
+  settings.log("job " + job.id + ": the frame begins again; " + std::to_string(items) +
+               " items that other workers made are taken over");
+  job.work_asked = job.work_done = job.work_to_come = 0;
+  job.progress = FrameProgress(now());
+  changed(job);
+}
+
+}  // namespace gleaner::coordinator
