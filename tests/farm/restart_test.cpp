@@ -94,21 +94,24 @@ TEST_P(RestartOf, SameBitsWhereverTheCoordinatorIsKilled) {
 }
 
 TEST_P(RestartOf, WhatWasAcceptedIsNotComputedAgain) {
-  const std::string job = farm_->submit(words_);
-  // In the middle of the stage that has most items, after all of those before it.
-  std::uint64_t most = 0, all = 0;
-  for (const json& stage : whole_["stages"]) {
-    const std::uint64_t items = stage["items"];
-    most = std::max(most, items);
-    all += items;
-  }
-  ASSERT_TRUE(eventually([&] { return farm_->items_done(job) > all - most / 2 || farm_->ended(job); }, 120));
+  // Long enough to be killed half-way.
+  const std::vector<std::string> words = frame(GetParam().method, 2048);
+  const json whole = farm_->finish(farm_->submit(words));
+  std::uint64_t all = 0, done = 0;
+  for (const json& stage : whole["stages"]) all += stage["items"].get<std::uint64_t>();
+  const std::string job = farm_->submit(words);
+  const auto quarter_is_done = [&] {
+    done = farm_->items_done(job);
+    return done > all / 4 || farm_->ended(job);
+  };
+  ASSERT_TRUE(eventually(quarter_is_done, 120));
   std::this_thread::sleep_for(std::chrono::milliseconds(400));  // until the journal knows
   ASSERT_FALSE(farm_->ended(job)) << "too late to kill";
   farm_->restart();
   const json report = farm_->finish(job);
-  EXPECT_EQ(report["pixels_sha256"], whole_["pixels_sha256"]);
-  EXPECT_GT(items_taken_over(report), most / 4);
+  EXPECT_EQ(report["pixels_sha256"], whole["pixels_sha256"]);
+  // On a busy machine the journal may not know of the last ones.
+  EXPECT_GT(items_taken_over(report), done / 4);
 }
 
 TEST_F(Restart, WhatWasSubmittedIsRenderedOnce) {

@@ -11,7 +11,7 @@ namespace gleaner::test {
 namespace {
 
 constexpr double kFamily = 1e-3;
-constexpr unsigned kSeeds = 10;
+constexpr unsigned kSeeds = 30;
 
 class InstancedMethods : public testing::TestWithParam<worker::TraceKind> {
  protected:

@@ -53,6 +53,18 @@ TEST(Methods, NamesAreUniqueAndSaid) {
 }
 
 // Each setting of the table takes the ends of its range, and nothing beyond them.
+// Importers ask the table; whoever makes a scene otherwise is told.
+TEST(Methods, InstancesAreTakenOrRefusedAsTheTableSays) {
+  SceneSummary scene;
+  scene.needs.instances = true;
+  for (const Method& method : methods())
+    if (method.takes_instances)
+      EXPECT_NO_THROW(make_plan(frame({}, std::string(method.name)), scene)) << method.name;
+    else
+      EXPECT_THROW(make_plan(frame({}, std::string(method.name)), scene), Error) << method.name;
+  EXPECT_FALSE(method_of("links").takes_instances);
+}
+
 TEST(Methods, RangesHold) {
   const auto with = [](const Setting& setting, const std::string& value) {
     return refused(frame({{std::string(setting.name), value}}));

@@ -1,11 +1,8 @@
 #include "scene/import/gltf/mend.h"
 
-#include <algorithm>
 #include <functional>
-#include <optional>
 #include <set>
 #include <string>
-#include <vector>
 
 namespace gleaner::scene::gltf {
 namespace {
@@ -122,8 +119,9 @@ class Mender {
     json* roots = member(scene, "nodes");
     if (!roots || !roots->is_array()) return;
     json once = json::array();
+    std::set<json> seen;
     for (const json& root : *roots) {
-      const bool is_new = std::find(once.begin(), once.end(), root) == once.end();
+      const bool is_new = seen.insert(root).second;
       if (is_new) once.push_back(root);
       if (!is_new) warnings_.add(name + ".nodes", "a node that is listed twice is taken once");
     }
