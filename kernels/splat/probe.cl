@@ -28,7 +28,7 @@ kernel WIDE void splat_probe_rays(global const float* restrict places, uint rays
   // A bent normal's hemisphere reaches below the surface.
   vi asks = ((vu)first_lane + lane_index() < count) & (dot3(direction, words3(place, SPLAT_GEOMETRIC)) > zero_f()) &
             finite3(direction) & finite3(origin);
-  set_ray(hits, RAY_HIT_ROWS, block, origin, direction, pick((vf)-1.0f, (vf)INFINITY, asks), (vu)GLEANER_NONE);
+  set_ray(hits, RAY_HIT_ROWS, block, origin, direction, pick((vf)-1.0f, (vf)INFINITY, asks), (vu)GLEANER_NONE, (vu)0u);
   set_row_u(hits, RAY_HIT_ROWS, block, ROW_GEOMETRY, (vu)GLEANER_NONE);
 }
 
