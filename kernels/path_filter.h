@@ -23,7 +23,8 @@
 // scattered by them. Their lobes it goes on with: a rough lobe sends it all light, a sharp one all but CAUSTIC. A layer
 // nearer than `spacing` is a first surface of its own, since the density of photons says little there: it is lit, it
 // scatters, and the map is read for its CAUSTIC light alone.
-// Radiance links between vertices take another class, by itself: RADIOSITY (kernels/radiosity_filter.h).
+// Radiance links between vertices take another class, by itself: RADIOSITY (kernels/radiosity_filter.h). So does an
+// irradiance cache: IRRADIANCE (kernels/irradiance_filter.h).
 //
 // The path tracer calls, in this order: load_filter(); shows_emission() where its ray finds light; filter_vertex() at a
 // surface; filter_reflectance() and filter_sharp() of a light sample; filter_scattering() and filter_passing() for the
@@ -37,6 +38,8 @@
 
 #if defined(PATH_FILTER) && PATH_FILTER == PATH_CLASS_RADIOSITY
 #include "kernels/radiosity_filter.h"
+#elif defined(PATH_FILTER) && PATH_FILTER == PATH_CLASS_IRRADIANCE
+#include "kernels/irradiance_filter.h"
 #elif defined(PATH_FILTER)
 
 // States. Above 0: the ray left the first surface's broad part, at this cosine (times the gain of a rough lobe); what

@@ -5,6 +5,7 @@
 #include <array>
 #include <functional>
 #include <memory>
+#include <string>
 
 #include "kernels/path_layout.h"
 #include "kernels/path_records.h"
@@ -27,6 +28,9 @@ struct SamplePart {
   bool listed = false;
   std::uint64_t first_item = 0;
   std::uint32_t item_count = 0, paths = 0;
+  // The kernel that makes paths `first_path` to `first_path + count` at `base` of `paths`; empty: camera_generate. A
+  // thread sets what other parameters it has.
+  std::string generator{};
   std::uint32_t slot_count() const { return (paths + RAY_BLOCK - 1) / RAY_BLOCK * RAY_BLOCK; }
 };
 
@@ -54,14 +58,16 @@ class SampleThread : public HostThread {
   const SamplePart& part_;
   PathWave wave_;
   cl::Buffer shadows_;
+  Kernel generate_;
 
  private:
+  void set_camera_arguments();
   std::uint32_t generate();
   void pass(std::uint32_t rays);
 
   unsigned shadow_rows_;
   bool transparent_;
-  Kernel generate_, connect_;
+  Kernel connect_;
 };
 
 // Makes the state of a host thread.

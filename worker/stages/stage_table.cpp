@@ -8,6 +8,7 @@
 #include "worker/stages/links/stages.h"
 #include "worker/stages/path_stage.h"
 #include "worker/stages/photon/stages.h"
+#include "worker/stages/splat/stages.h"
 #include "worker/stages/vpl/host_stages.h"
 #include "worker/stages/vpl/stages.h"
 #include "worker/wavefront/counters.h"
@@ -103,6 +104,20 @@ const std::vector<StageKind>& stage_table() {
        run_links_shade_stage,
        {"kernels/vpl/points.cl", "kernels/links/shade.cl"},
        {{.name = "mesh"}, {.name = "irradiance"}}},
+      {"splat_points",
+       run_splat_points_stage,
+       {"kernels/splat/points.cl"},
+       {},
+       {{.file = "kernels/splat/probe.cl"},
+        {.file = "kernels/splat/gather.cl"},
+        {.file = "kernels/path.cl", .options = " -D PATH_FILTER=32"},
+        {.file = "kernels/splat/shade.cl"}}},
+      {"splat_select", run_splat_select_stage, {"kernels/splat/probe.cl"}, {{.name = "points"}}},
+      {"splat_gather", run_splat_gather_stage, {"kernels/splat/gather.cl"}, {{.name = "places"}}},
+      {"splat_shade",
+       run_splat_shade_stage,
+       {"kernels/splat/shade.cl"},
+       {{.name = "points", .own_items = true}, {.name = "cache"}}},
       {"vpl_resample", on_host<resample_lights>, {}, {{.name = "paths"}}},
       {"vpl_order", on_host<order_lights>, {}, {{.name = "lights"}, {.name = "clusters", .required = false}}},
       {"vpl_sample_points", on_host<sample_points>, {}, {{.name = "points"}}},
