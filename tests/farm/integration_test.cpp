@@ -80,7 +80,7 @@ class AnyMethod : public Farm, public testing::WithParamInterface<const char*> {
   void SetUp() override { method_ = GetParam(); }
   void TearDown() override { method_ = "path"; }
 };
-INSTANTIATE_TEST_SUITE_P(Farm, AnyMethod, testing::Values("path", "vpl", "photon"),
+INSTANTIATE_TEST_SUITE_P(Farm, AnyMethod, testing::Values("path", "vpl", "photon", "splat"),
                          [](const auto& test) { return std::string(test.param); });
 
 TEST_P(AnyMethod, SameBitsForAnyWorkersAndAnyBatches) {
