@@ -16,6 +16,7 @@
 #include "scene/model/error.h"
 #include "scene/model/instances.h"
 #include "scene/model/limits.h"
+#include "scene/model/tree.h"
 
 namespace gleaner::scene {
 namespace {
@@ -25,22 +26,6 @@ namespace {
 constexpr unsigned kEmbreeMaxDepth = 48;
 constexpr std::uint32_t kSahLevels = kEmbreeMaxDepth - 8 - 1;
 static_assert(kSahLevels + std::bit_width((1u << 27) / kMaxLeafTriangles - 1) == kMaxBvhDepth);
-
-struct Box {
-  std::array<float, 3> lower{FLT_MAX, FLT_MAX, FLT_MAX};
-  std::array<float, 3> upper{-FLT_MAX, -FLT_MAX, -FLT_MAX};
-
-  void extend(const float* point) {
-    for (int k = 0; k < 3; ++k) {
-      lower[k] = std::min(lower[k], point[k]);
-      upper[k] = std::max(upper[k], point[k]);
-    }
-  }
-  void extend(const Box& other) {
-    extend(other.lower.data());
-    extend(other.upper.data());
-  }
-};
 
 // What Embree's callbacks leave behind. A leaf is a range of the primitive array, which Embree sorts in place.
 struct BuildNode {
@@ -64,8 +49,8 @@ bool can_be_hit(const Scene& scene, std::uint32_t triangle) {
   return false;
 }
 
-Box box_of(const Scene& scene, std::uint32_t triangle) {
-  Box box;
+TreeBox box_of(const Scene& scene, std::uint32_t triangle) {
+  TreeBox box;
   for (int corner = 0; corner < 3; ++corner)
     box.extend(&scene.positions[3 * std::size_t{scene.indices[3 * std::size_t{triangle} + corner]}]);
   return box;
@@ -75,7 +60,7 @@ std::vector<RTCBuildPrimitive> primitives_of(const Scene& scene, const std::vect
   std::vector<RTCBuildPrimitive> primitives;
   const auto add = [&](std::uint32_t triangle) {
     if (!can_be_hit(scene, triangle)) return;
-    const Box box = box_of(scene, triangle);
+    const TreeBox box = box_of(scene, triangle);
     RTCBuildPrimitive primitive{};
     primitive.lower_x = box.lower[0];
     primitive.lower_y = box.lower[1];
@@ -110,7 +95,7 @@ class Flattener {
       // No inner node to stand at the root: it gets one leaf, or none, and empty ones.
       bvh_.nodes.push_back(empty_node());
       bvh_.max_depth = std::max(bvh_.max_depth, 1u);
-      if (root != nullptr) add_child(part.first_node, 0, leaf(triangles_of(*root), 1));
+      if (root != nullptr) set_child(bvh_.nodes[part.first_node], 0, leaf(triangles_of(*root), 1));
     }
     part.nodes = static_cast<std::uint32_t>(bvh_.nodes.size()) - part.first_node;
     part.slots = static_cast<std::uint32_t>(bvh_.triangles.size()) - part.first_slot;
@@ -118,34 +103,13 @@ class Flattener {
   }
 
  private:
-  struct Child {
-    std::uint32_t reference;
-    Box box;
-  };
-
-  static BvhNode empty_node() {
-    BvhNode node{};
-    const Box nothing;
-    std::copy(nothing.lower.begin(), nothing.lower.end(), node.lower0);
-    std::copy(nothing.upper.begin(), nothing.upper.end(), node.upper0);
-    std::copy(nothing.lower.begin(), nothing.lower.end(), node.lower1);
-    std::copy(nothing.upper.begin(), nothing.upper.end(), node.upper1);
-    node.child[0] = node.child[1] = GLEANER_BVH_LEAF;
-    return node;
-  }
+  using Child = TreeChild;
 
   // In the order of their numbers, in which Embree leaves them.
   static std::vector<std::uint32_t> triangles_of(const BuildNode& node) {
     std::vector<std::uint32_t> triangles(node.count);
     for (std::size_t i = 0; i < node.count; ++i) triangles[i] = node.primitives[i].primID;
     return triangles;
-  }
-
-  void add_child(std::uint32_t node, int side, const Child& child) {
-    BvhNode& record = bvh_.nodes[node];
-    record.child[side] = child.reference;
-    std::copy(child.box.lower.begin(), child.box.lower.end(), side == 0 ? record.lower0 : record.lower1);
-    std::copy(child.box.upper.begin(), child.box.upper.end(), side == 0 ? record.upper0 : record.upper1);
   }
 
   Child leaf(std::span<const std::uint32_t> triangles, std::uint32_t depth) {
@@ -168,7 +132,7 @@ class Flattener {
     Child here{index, {}};
     for (int side = 0; side < 2; ++side) {
       const Child child = add(*node.child[side], depth + 1);
-      add_child(index, side, child);
+      set_child(bvh_.nodes[index], side, child);
       here.box.extend(child.box);
     }
     return here;
@@ -181,9 +145,9 @@ class Flattener {
   // Splits at the median of the boxes' centres along their longest axis, into halves that differ by less than a leaf,
   // so that n triangles take ceil(log2(n / kMaxLeafTriangles)) levels.
   Child halve(std::vector<std::uint32_t> triangles, std::uint32_t depth) {
-    Box centres;
+    TreeBox centres;
     const auto centre = [&](std::uint32_t triangle, int k) {
-      const Box box = box_of(scene_, triangle);
+      const TreeBox box = box_of(scene_, triangle);
       return 0.5f * box.lower[k] + 0.5f * box.upper[k];
     };
     for (std::uint32_t triangle : triangles) {
@@ -211,7 +175,7 @@ class Flattener {
     int side = 0;
     for (std::vector<std::uint32_t>* half : {&triangles, &upper}) {
       const Child child = add_triangles(std::move(*half), depth + 1);
-      add_child(index, side++, child);
+      set_child(bvh_.nodes[index], side++, child);
       here.box.extend(child.box);
     }
     return here;

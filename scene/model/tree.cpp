@@ -26,42 +26,24 @@ class Builder {
     tree_.depth = 1;
     if (count == 0) return std::move(tree_);
     if (count == 1) {
-      add_child(0, 0, subtree(0, 1, 1));
+      const Child all = subtree(0, 1, 1);
+      set_child(tree_.nodes[0], 0, all);
       return std::move(tree_);
     }
     const std::size_t middle = split(0, count, 0);
-    add_child(0, 0, subtree(0, middle, 1));
-    add_child(0, 1, subtree(middle, count, 1));
+    // Subtrees add nodes, so that the root's place is taken after them.
+    const Child lower = subtree(0, middle, 1), upper = subtree(middle, count, 1);
+    set_child(tree_.nodes[0], 0, lower);
+    set_child(tree_.nodes[0], 1, upper);
     return std::move(tree_);
   }
 
  private:
-  struct Child {
-    std::uint32_t reference;
-    TreeBox box;
-  };
+  using Child = TreeChild;
   struct Bin {
     TreeBox box;
     std::size_t count = 0;
   };
-
-  static BvhNode empty_node() {
-    BvhNode node{};
-    const TreeBox nothing;
-    std::copy(nothing.lower.begin(), nothing.lower.end(), node.lower0);
-    std::copy(nothing.upper.begin(), nothing.upper.end(), node.upper0);
-    std::copy(nothing.lower.begin(), nothing.lower.end(), node.lower1);
-    std::copy(nothing.upper.begin(), nothing.upper.end(), node.upper1);
-    node.child[0] = node.child[1] = GLEANER_BVH_LEAF;
-    return node;
-  }
-
-  void add_child(std::size_t node, int side, const Child& child) {
-    BvhNode& record = tree_.nodes[node];
-    record.child[side] = child.reference;
-    std::copy(child.box.lower.begin(), child.box.lower.end(), side == 0 ? record.lower0 : record.lower1);
-    std::copy(child.box.upper.begin(), child.box.upper.end(), side == 0 ? record.upper0 : record.upper1);
-  }
 
   // Of slots [first, end), `depth` edges below the root.
   Child subtree(std::size_t first, std::size_t end, std::uint32_t depth) {
@@ -72,7 +54,7 @@ class Builder {
     Child here{static_cast<std::uint32_t>(index), {}};
     int side = 0;
     for (const Child& child : {subtree(first, middle, depth + 1), subtree(middle, end, depth + 1)}) {
-      add_child(index, side++, child);
+      set_child(tree_.nodes[index], side++, child);
       here.box.extend(child.box);
     }
     return here;
@@ -173,16 +155,17 @@ class Builder {
 
 }  // namespace
 
-void TreeBox::extend(const float* point) {
-  for (int c = 0; c < 3; ++c) {
-    lower[c] = std::min(lower[c], point[c]);
-    upper[c] = std::max(upper[c], point[c]);
-  }
+BvhNode empty_node() {
+  BvhNode node{};
+  const TreeBox nothing;
+  for (int side = 0; side < 2; ++side) set_child(node, side, {GLEANER_BVH_LEAF, nothing});
+  return node;
 }
 
-void TreeBox::extend(const TreeBox& other) {
-  extend(other.lower.data());
-  extend(other.upper.data());
+void set_child(BvhNode& parent, int side, const TreeChild& child) {
+  parent.child[side] = child.reference;
+  std::copy(child.box.lower.begin(), child.box.lower.end(), side == 0 ? parent.lower0 : parent.lower1);
+  std::copy(child.box.upper.begin(), child.box.upper.end(), side == 0 ? parent.upper0 : parent.upper1);
 }
 
 double TreeBox::half_area() const {

@@ -18,10 +18,28 @@ struct TreeBox {
   std::array<float, 3> lower{FLT_MAX, FLT_MAX, FLT_MAX};
   std::array<float, 3> upper{-FLT_MAX, -FLT_MAX, -FLT_MAX};
 
-  void extend(const float* point);
-  void extend(const TreeBox& other);
+  void extend(const float* point) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      lower[k] = std::min(lower[k], point[k]);
+      upper[k] = std::max(upper[k], point[k]);
+    }
+  }
+  void extend(const TreeBox& other) {
+    extend(other.lower.data());
+    extend(other.upper.data());
+  }
   double half_area() const;  // 0 where empty
 };
+
+// A node or a leaf as its parent's record names it (BvhNode::child), and the box about it.
+struct TreeChild {
+  std::uint32_t reference;
+  TreeBox box;
+};
+
+// A record whose two children are empty leaves.
+BvhNode empty_node();
+void set_child(BvhNode& parent, int side, const TreeChild& child);
 
 struct Tree {
   std::vector<BvhNode> nodes;        // the root first, each before its children

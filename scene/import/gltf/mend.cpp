@@ -4,16 +4,12 @@
 #include <set>
 #include <string>
 
+#include "scene/import/gltf/element.h"
+
 namespace gleaner::scene::gltf {
 namespace {
 
 using nlohmann::json;
-
-std::string child_name(const std::string& name, const std::string& key) {
-  return name.empty() ? key : name + "." + key;
-}
-
-std::string item_name(const std::string& name, std::size_t index) { return name + "[" + std::to_string(index) + "]"; }
 
 // The member of an object; null where `object` is none or lacks it.
 json* member(json& object, const char* key) {
@@ -55,7 +51,7 @@ class Mender {
     }
     if (!value.is_object()) return;
     for (auto it = value.begin(); it != value.end();) {
-      const std::string child = child_name(name, it.key());
+      const std::string child = member_name(name, it.key());
       if (it.key() == "extras") {
         ++it;
       } else if (it->is_null()) {
@@ -76,12 +72,12 @@ class Mender {
     if (!value.is_object()) return;
     for (const auto& [key, child] : value.items()) {
       if (key == "extras") continue;
-      if (child.is_object()) round_factors(child, child_name(name, key));
+      if (child.is_object()) round_factors(child, member_name(name, key));
       if (!key.ends_with("Factor")) continue;
       const bool is_array = child.is_array();
       for (std::size_t i = 0; i < (is_array ? child.size() : 1); ++i) {
         json& number = is_array ? child[i] : child;
-        const std::string where = is_array ? item_name(child_name(name, key), i) : child_name(name, key);
+        const std::string where = is_array ? item_name(member_name(name, key), i) : member_name(name, key);
         if (number.is_number_float()) round(number, where);
       }
     }
@@ -103,7 +99,7 @@ class Mender {
     const json* value = member(object, key);
     if (!value || !value->is_number() || *value != 0) return;
     object.erase(key);
-    warnings_.add(child_name(name, key), warning);
+    warnings_.add(member_name(name, key), warning);
   }
 
   void drop_ranges() {
