@@ -59,25 +59,11 @@ FN vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v
 #ifdef SPLAT_GATHER
   return pick((vf)FILTER_KEEP, f->state, specular);
 #else
-  vi by_layer = none(specular | glass), through = glass;
-#ifdef NEED_LOBE
-  const Surface* m = &v->surface;
-  vf u_part, u_spare, gain;
-  v3 factor;
-  sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 4u, &u_part, &u_spare);
-  vi opaque = by_layer;
-  by_layer = choose_part(scene, m, v->frame.view, direction, opaque, no_lanes(), u_part, &gain, &factor);
-  *throughput = pick3(*throughput, mul3(*throughput, factor), opaque);
-  // As step_to_surface_point() has it.
-  through = through | ((m->lobe_share >= one_f()) & none(has_rough_lobe(m)));
-#endif
+  LayerChoice c = choose_layer(scene, v, direction, specular, glass, pair_key, sample, throughput);
   *throughput = pick3(*throughput, splat3(zero_f()), f->layered & none(specular));
   vi first = f->state == (vf)FILTER_NO_SURFACE;
-  vf state = pick((vf)FILTER_KEEP, f->state, (first & through) | (f->layered & specular));
-  vi begins = first & none(through) & by_layer;
-#ifdef NEED_MEDIA
-  begins = begins & (filling(v->media) == 0u);
-#endif
+  vf state = pick((vf)FILTER_KEEP, f->state, (first & c.through) | (f->layered & specular));
+  vi begins = begins_by_layer(v, &c, first);
   return pick(state, (vf)FILTER_LAYER, begins);
 #endif
 }

@@ -36,6 +36,9 @@
 #include "kernels/transport/parts.h"
 #include "kernels/transport/scattering.h"
 
+// For two of the branches below: each file is included once, and within an #if that would be in the first branch alone.
+#include "kernels/layer_filter.h"
+
 #if defined(PATH_FILTER) && PATH_FILTER == PATH_CLASS_RADIOSITY
 #include "kernels/radiosity_filter.h"
 #elif defined(PATH_FILTER) && PATH_FILTER == PATH_CLASS_IRRADIANCE
