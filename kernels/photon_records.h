@@ -2,7 +2,7 @@
 #ifndef GLEANER_KERNELS_PHOTON_RECORDS_H
 #define GLEANER_KERNELS_PHOTON_RECORDS_H
 
-#include "kernels/path_records.h"
+#include "kernels/splat_records.h"
 
 #ifndef __OPENCL_VERSION__
 namespace gleaner::kernels {
@@ -81,6 +81,16 @@ typedef struct {
 } PhotonGatherParameters;
 GLEANER_SIZE(PhotonGatherParameters, 144);
 
+// Stage kind "photon_cluster_gather" (inputs "places", "map"): items and records are those of stage kind
+// "splat_gather".
+typedef struct {
+  // The filter is all that PATH_CLASS_LAYER may take, and CAUSTIC; the clamp is the map's spacing, m.
+  SplatGatherParameters records;
+  PhotonEstimate estimate;
+  gl_uint reserved[2];
+} PhotonClusterGatherParameters;
+GLEANER_SIZE(PhotonClusterGatherParameters, 160);
+
 // A place where a map is read: rows of 16 words.
 #define READ_WORDS 16u
 #define READ_POSITION 0u
@@ -117,6 +127,23 @@ struct PhotonMapParameters {
   std::uint32_t reserved[2] = {};
 };
 static_assert(sizeof(PhotonMapParameters) == 16);
+
+// Stage kind "photon_cluster" (input "points"); solo. One item: the places of the clusters' sample points, 0 or more.
+struct PhotonClusterParameters {
+  std::uint32_t width = 0, height = 0, samples = 0;  // as SplatPointParameters
+  std::uint32_t clusters = 0;                        // from as many as there are points on each is its own cluster
+  std::uint32_t iterations = 0;                      // of k-means
+  std::uint32_t seed_low = 0, seed_high = 0;
+  std::uint32_t reserved = 0;
+};
+static_assert(sizeof(PhotonClusterParameters) == 32);
+
+struct PhotonClusterFacts {
+  std::uint64_t points = 0;  // that pixels show
+  std::uint64_t places = 0;  // sample points in all
+  std::uint64_t strays = 0;  // of these: of points that are too unlike the rest of their cluster
+  double reach = 0;          // m: the median
+};
 
 struct PhotonMapFacts {
   std::uint64_t photons = 0, nodes = 0;
