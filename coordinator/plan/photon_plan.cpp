@@ -28,7 +28,9 @@ constexpr double kShrinkage = 2.0 / 3;
 // The guide's photons are those of a pass that is none.
 constexpr std::uint32_t kGlobalPass = 0, kGuidePass = 1, kFirstPass = 2;
 // Rays of a shading cluster's sample, and turns of k-means.
-constexpr std::uint32_t kUsualClusters = 0, kUsualRays = 384, kIterations = 6;
+constexpr std::uint32_t kUsualRays = 384, kIterations = 6;
+// Pixels of a cluster, where the number of clusters is not set, and bounds of that number.
+constexpr std::uint64_t kClusterPixels = 16, kFewestClusters = 64, kMostClusters = 4096;
 // Maps wait for each other, paths that read none for nothing: these fill what the others leave free.
 constexpr int kFirst = 1;
 
@@ -51,7 +53,10 @@ PhotonSettings read_settings(const FrameSettings& settings) {
   p.count = whole("photon.count", 200'000);
   p.caustics = whole("photon.caustics", 200'000);
   p.passes = whole("photon.passes", std::clamp<std::uint32_t>(settings.spp / 8, 1, 64));
-  p.clusters = whole("photon.clusters", kUsualClusters);
+  p.clusters =
+      whole("photon.clusters",
+            static_cast<std::uint32_t>(std::clamp(std::uint64_t{settings.width} * settings.height / kClusterPixels,
+                                                  kFewestClusters, kMostClusters)));
   p.rays = whole("photon.gather_rays", kUsualRays);
   p.radius = real_setting(settings, "photon.radius").value_or(0);
   // As many places of caustics in a pixel as samples, but a few of each pass.
@@ -447,7 +452,7 @@ Method photon_method() {
            "light paths of each pass of caustics; 0: paths find the caustics"},
           {"photon.passes", whole, 1, 4096, "`--spp` / 8, 1 to 64",
            "independent passes of caustics, each of a smaller radius; their mean is the picture"},
-          {"photon.clusters", whole, 0, 1u << 20, "0",
+          {"photon.clusters", whole, 0, 1u << 20, "a pixel in 16, 64 to 4096",
            "clusters of the points that pixels show, at whose sample points indirect light on diffuse layers is "
            "gathered "
            "and between which it is interpolated; 0: each sample of a pixel gathers by itself"},
