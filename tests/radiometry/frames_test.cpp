@@ -6,6 +6,7 @@
 
 #include "scene/library/builder.h"
 #include "scene/library/library.h"
+#include "scene/model/error.h"
 #include "scene/model/frame_state.h"
 #include "tests/radiometry/shot.h"
 #include "worker/trace/tracer.h"
@@ -56,7 +57,7 @@ void add_targets(Scene& scene, scene::PosedMesh& posed) {
       const float* at = &scene.rig.positions[3 * (posed.first_rest + v)];
       const double x = at[0], z = at[2];
       for (int c = 0; c < 3; ++c) {
-        const double wave = c == 1 ? 0.15 * std::sin(5 * x) * std::cos(4 * z) : 0;
+        const double wave = c == 1 ? 0.07 * std::sin(5 * x) * std::cos(4 * z) : 0;
         const double torn = 0.7 * std::sin(1000 * (x + 3 * z) + c);
         scene.rig.deltas.push_back(static_cast<float>(target == 0 ? wave : torn));
       }
@@ -84,7 +85,7 @@ std::shared_ptr<const Scene> moving_room() {
   b.mesh("cloth");
   b.grid(24, 24,
          [](std::uint32_t i, std::uint32_t j) {
-           return Vec{0.08 * i - 1, 1.4, 0.08 * j - 1};
+           return Vec{0.08 * i - 1, 1.4 + 0.04 * std::sin(i), 0.08 * j - 1};
          },
          grey, {.smooth = true});
   b.point_light({-1, 1.8, 1}, {2, 2, 3});

@@ -154,12 +154,13 @@ MotionReport Executor::load_frame(const std::string& id, const std::string& base
   std::optional<std::list<Impl::HeldScene>::iterator> place;
   try {
     const double start = seconds_now();
+    const std::size_t held = impl_->scenes.size();
     place = impl_->place_of_frame(*base, id);
     const double placed = seconds_now();
     const scene::PosedScene::Changes changes = (*place)->posed->show(state, "scene " + id, host_threads(impl_->device));
     const double posed = seconds_now();
     MotionReport report = (*place)->on_device->show((*place)->posed->scene(), changes.meshes);
-    report.load_seconds = placed - start;
+    report.load_seconds = impl_->scenes.size() > held ? placed - start : 0;
     report.pose_seconds = posed - placed;
     (*place)->id = id;
     impl_->drop_beyond_bounds();
