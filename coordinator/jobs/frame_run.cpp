@@ -188,6 +188,10 @@ Film Farm::Impl::render(const std::shared_ptr<Job>& job, std::uint32_t frame) {
   Step step = next_step(nullptr);
   while (!step.done) {
     post(job, step, to_come);
+    if (step.again) {
+      step = next_step(nullptr);
+      continue;
+    }
     std::optional<FinishedStage> finished = await_stage(*job);
     if (!finished) break;  // the time limit; the plan has made do with what there is
     // What the threads that received the stage's results have freed, glibc keeps in their arenas.

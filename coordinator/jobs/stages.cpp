@@ -44,6 +44,7 @@ void Farm::Impl::post(const std::shared_ptr<Job>& job, const Step& step, double 
   std::map<ArtifactId, std::string> names;
   for (const auto& [id, bytes] : step.artifacts) names[id] = is_sha256_hex(id) ? id : data_id(*bytes);
   std::vector<std::shared_ptr<const ArtifactData>> released;  // destroyed where the mutex is not held
+  std::vector<std::shared_ptr<const StageWork>> ended;        // likewise: they hold their inputs
   std::vector<std::shared_ptr<RunningStage>> posted, held;
   {
     std::lock_guard lock(mutex);
@@ -63,6 +64,8 @@ void Farm::Impl::post(const std::shared_ptr<Job>& job, const Step& step, double 
       job->outputs.erase(id);
       release_retained(*job, id);
     }
+    for (const auto& stage : job->stages)
+      if (stage->delivered) ended.push_back(std::move(stage->work));
     job->work_to_come = work_to_come;
     offer_to_all();
     timer_rearm = true;

@@ -189,6 +189,10 @@ void Graph::run_continuations() {
   }
 }
 
+void Graph::released() {
+  for (const Continuation& then : std::exchange(after_release_, {})) then();
+}
+
 Step Graph::take_step() {
   run_continuations();
   const auto ready = [](const std::shared_ptr<Node>& node) {
@@ -206,12 +210,15 @@ Step Graph::take_step() {
     const auto life = found == lives_.end() ? nullptr : found->second.lock();
     return life && life->handed_out;
   });
+  step.again = !after_release_.empty();
   return step;
 }
 
 Step GraphPlan::next(const FinishedStage* finished) {
   if (finished)
     graph_.finish(*finished);
+  else if (std::exchange(begun_, true))
+    graph_.released();
   else
     begin();
   Step step = graph_.take_step();

@@ -114,6 +114,8 @@ class Graph {
 
   // `then` runs once, when all of these have finished; at the latest before the next step is taken.
   void when(std::vector<Artifact> all, Continuation then);
+  // `then` runs once, when the memory of all that nobody reads any more is free: for what is large itself.
+  void when_released(Continuation then) { after_release_.push_back(std::move(then)); }
   // `call` gets every record of the stage once, before a continuation that waits for it: streamed ones as they arrive,
   // in item order; collected ones all at once.
   void on_records(const Artifact& stage, RecordCall call);
@@ -129,7 +131,9 @@ class Graph {
   // What was asked for, provided and released since the last call.
   Step take_step();
   // Nothing was asked for that has not finished.
-  bool idle() const { return running_.empty() && waiting_stages_.empty(); }
+  bool idle() const { return running_.empty() && waiting_stages_.empty() && after_release_.empty(); }
+  // What waits for the release of the step before.
+  void released();
 
  private:
   struct Life;
@@ -149,6 +153,7 @@ class Graph {
   std::map<std::string, std::shared_ptr<Node>> running_;
   std::vector<std::shared_ptr<Node>> waiting_stages_;  // for their inputs, in the order in which they were added
   std::vector<Waiting> waiting_;
+  std::vector<Continuation> after_release_;
 };
 
 // A plan that is a graph, and what its records add up to: the base of the methods' plans.
@@ -172,6 +177,7 @@ class GraphPlan : public Plan {
   // Asks for the first stages. The film is whole once nothing is left that was asked for.
   virtual void begin() = 0;
 
+  bool begun_ = false;
   Graph graph_;
   Accumulator film_;
   std::vector<Skip> skips_;
