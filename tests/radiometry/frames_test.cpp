@@ -127,7 +127,9 @@ const std::vector<Pose> kPoses = {{},
                                   {.lamp = -1.2, .wave = 1},
                                   {.lamp = -1.2, .wave = 1, .light = 9, .red = 0.1f},
                                   {.block = 0.4, .lamp = 0.5, .torn = 1},
-                                  {.wave = -0.7}};
+                                  {.wave = -0.7},
+                                  // On the other side of the lamp that stands.
+                                  {.lamp = 2.9, .wave = -0.7}};
 
 class Frames : public ::testing::TestWithParam<worker::TraceKind> {
  protected:
@@ -214,12 +216,13 @@ TEST_P(Frames, FollowWhatMovesAlone) {
   EXPECT_EQ(meshes(3), Names{});
   EXPECT_EQ(meshes(4), (Names{"block", "lamp", "cloth rebuilt"}));
   EXPECT_EQ(meshes(5), (Names{"block", "lamp", "cloth"}));
+  EXPECT_EQ(meshes(6), Names{"lamp"});
   EXPECT_GT(reports[0].load_seconds, 0);
   for (std::size_t pose = 1; pose < reports.size(); ++pose) EXPECT_EQ(reports[pose].load_seconds, 0) << pose;
   // A light and a colour: neither triangles nor textures.
   EXPECT_LT(reports[3].written_bytes, 16384u);
   EXPECT_GT(reports[3].written_bytes, 0u);
-  EXPECT_EQ(on->load_frame("5", "base", state_of(*base_, kPoses[5])).meshes.size(), 0u) << "held";
+  EXPECT_EQ(on->load_frame("6", "base", state_of(*base_, kPoses[6])).meshes.size(), 0u) << "held";
 }
 
 // Frames that run side by side take turns on a worker: each gets a place of its own.
