@@ -91,7 +91,7 @@ struct RunningStage : std::enable_shared_from_this<RunningStage> {
 
   // Predicted cost of an item, in samples of a path tracer.
   double work_per_item() const {
-    return spec.work > 0 && spec.items > 0 ? spec.work / static_cast<double>(spec.items) : 1;
+    return spec.items > 0 ? work_of(spec) / static_cast<double>(spec.items) : 1;
   }
   // Nothing that it reads was made by another stage.
   bool rests_on_no_stage() const {
