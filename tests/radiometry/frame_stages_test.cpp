@@ -21,7 +21,7 @@ class FrameStages : public testing::TestWithParam<Method> {
     plan_ = coordinator::make_plan(frame.settings, coordinator::summarize(*frame.scene));
     cli::run_frame(*plan_, on, id, [&](const coordinator::StageSpec& stage, const worker::StageTask&) {
       // The first stage has been asked for.
-      if (stages_.empty()) foreseen_ = plan_->predicted_work() + coordinator::work_of(stage);
+      if (stages_.empty()) predicted_ = plan_->predicted_work() + coordinator::work_of(stage);
       stages_.push_back(stage);
       return true;
     });
@@ -29,15 +29,15 @@ class FrameStages : public testing::TestWithParam<Method> {
 
   std::unique_ptr<coordinator::Plan> plan_;
   std::vector<coordinator::StageSpec> stages_;
-  double foreseen_ = 0;
+  double predicted_ = 0;
 };
 
 // Progress and the time left rest on it.
-TEST_P(FrameStages, WorkIsForeseenWithinAFactorOfTwo) {
+TEST_P(FrameStages, WorkIsPredictedWithinAFactorOfTwo) {
   double asked = 0;
   for (const coordinator::StageSpec& stage : stages_) asked += coordinator::work_of(stage);
-  EXPECT_GT(foreseen_, asked / 2);
-  EXPECT_LT(foreseen_, asked * 2);
+  EXPECT_GT(predicted_, asked / 2);
+  EXPECT_LT(predicted_, asked * 2);
   EXPECT_EQ(plan_->predicted_work(), 0) << "the frame is done";
 }
 
