@@ -28,7 +28,6 @@ constexpr std::uint32_t kAlbedoSamples = 16;
 // Bounces go on until all that are left would add less than this share of the light.
 constexpr double kLeastShare = 1e-3;
 constexpr std::uint32_t kMostBounces = 64, kUsualBounces = 8;
-constexpr double kUsualVertices = 4000;  // or twice the triangles
 constexpr std::uint32_t kMostShadeSamples = 16;
 // Rays that show where irradiance bends; the test lights' longest wave is about the scene's size.
 constexpr std::uint32_t kProbeDirections = 64;
@@ -180,7 +179,8 @@ void LinksPlan::begin() {
 // as closed surfaces of the scene's triangles.
 double LinksPlan::own_work() const {
   if (!indirect()) return 0;
-  const double wanted = links_.vertices == GLEANER_NONE ? std::max(kUsualVertices, 2 * triangles_) : links_.vertices;
+  const double wanted =
+      links_.vertices == GLEANER_NONE ? std::max<double>(LINKS_USUAL_VERTICES, 2 * triangles_) : links_.vertices;
   const double elements = linked_ ? elements_ : 2 * std::max(wanted, triangles_ / 2);
   const double bounces = std::min(most_bounces_, kUsualBounces);
   const double probes = kInsideDirections + (links_.refine ? kProbeDirections / 2.0 : 0);
