@@ -41,7 +41,7 @@ struct Executor::Impl {
   void compile_later(const StageKind& kind, const std::string& scene_id) {
     if (kind.later.empty()) return;
     const std::string& variant = scene(scene_id).kernel_options();
-    if (!foreseen.emplace(variant, kind.kind).second) return;
+    if (!asked_ahead.emplace(variant, kind.kind).second) return;
     for (const LaterProgram& one : kind.later)
       device.compile_ahead(std::string(one.file),
                            (one.plain ? plain_options(device) : variant) + std::string(one.options));
@@ -67,7 +67,7 @@ struct Executor::Impl {
   KeptTables tables;
   std::list<HeldScene> scenes;  // the latest used first
   std::list<Base> bases;        // alike
-  std::set<std::pair<std::string, std::string_view>> foreseen;
+  std::set<std::pair<std::string, std::string_view>> asked_ahead;
 };
 
 Executor::Executor(const DeviceChoice& choice) {
