@@ -80,7 +80,9 @@ class PhotonPlan final : public GraphPlan {
   PhotonPlan(const FrameSettings& settings, const SceneSummary& scene);
 
   bool conclude(const std::vector<CutStage>& cut) override;
-  double predicted_work() const override { return paths_.predicted_work(); }
+  double predicted_work() const override {
+    return paths_.predicted_work() + work_to_come(own_work(), paths_.asked_work());
+  }
   std::vector<std::string> warnings() const override { return paths_.warnings(); }
   std::string parameters_json() const override;
   std::vector<std::string> outline() const override;
@@ -88,7 +90,6 @@ class PhotonPlan final : public GraphPlan {
  private:
   struct Pass {
     Artifact map;
-    Artifact added;  // an event: the pass is in the film
     PhotonMapFacts facts;
   };
 
@@ -96,7 +97,9 @@ class PhotonPlan final : public GraphPlan {
   bool indirect() const { return settings_.depth != 1; }
   bool gathers() const { return indirect() && photon_.count > 0; }
   bool has_caustics() const { return indirect() && photon_.caustics > 0 && sharp_; }
-  bool has_clusters() const { return gathers() && photon_.clusters > 0 && photon_.rays > 0; }
+  bool has_clusters() const {
+    return gathers() && photon_.clusters > 0 && photon_.rays > 0 && PixelCache::holds(settings_);
+  }
   std::uint32_t classes() const {
     return (gathers() ? PATH_CLASS_DIFFUSE | PATH_CLASS_MIXED : 0) | (has_caustics() ? PATH_CLASS_CAUSTIC : 0) |
            (has_clusters() ? PATH_CLASS_LAYER : 0);
@@ -107,6 +110,13 @@ class PhotonPlan final : public GraphPlan {
   // Of the map, m, once it is known.
   double spacing() const { return photon_.radius > 0 ? photon_.radius : std::min(gathered_.radius, most_radius_); }
   float limit() const;
+  // Maps are traced and built, those of caustics read by every pixel; clusters' samples send rays.
+  double own_work() const {
+    return (gathers() ? 2.0 * photon_.count : 0.0) +
+           static_cast<double>(passes_.size()) *
+               (2.0 * photon_.caustics + static_cast<double>(pixels()) * photon_.samples) +
+           (has_clusters() ? cache_.work() + static_cast<double>(photon_.clusters) * strata_.count() : 0.0);
+  }
 
   void begin() override;
   Artifact ask_map(const std::string& suffix, std::uint32_t pass, std::uint32_t paths, std::uint32_t classes);
@@ -116,7 +126,6 @@ class PhotonPlan final : public GraphPlan {
   void show_clusters(std::vector<float> picture);
   void ask_caustics(std::uint32_t pass);
   void shade_caustics(std::uint32_t pass);
-  void add_to_film(std::uint32_t pass, const Artifact& shaded);
 
   FrameSettings settings_;
   PhotonSettings photon_;
@@ -127,8 +136,8 @@ class PhotonPlan final : public GraphPlan {
   PixelCache cache_;
   Strata strata_;
   PhotonClusterFacts clusters_;
-  Artifact clustered_;                 // an event: the clusters' light is known
-  std::vector<float> clusters_light_;  // RGB of every pixel; none of an empty picture
+  std::shared_ptr<Beside> beside_;  // the passes: the clusters' light
+  bool clusters_asked_ = false, caustics_asked_ = false;
   Artifact guide_;
   std::vector<Pass> passes_;
 };
@@ -152,8 +161,11 @@ PhotonPlan::PhotonPlan(const FrameSettings& settings, const SceneSummary& scene)
   if (indirect() && !photon_.count)
     skips_.push_back({"the photon map", "photon.count is 0: paths find all light but caustics", 1});
   if (gathers() && !has_clusters())
-    skips_.push_back(
-        {"shading clusters", "photon.clusters or photon.gather_rays is 0: each sample gathers by itself", 1});
+    skips_.push_back({"shading clusters",
+                      PixelCache::holds(settings_)
+                          ? "photon.clusters or photon.gather_rays is 0: each sample gathers by itself"
+                          : "the film is too large: each sample gathers by itself",
+                      1});
   if (indirect() && !photon_.caustics)
     skips_.push_back({"caustic photons", "photon.caustics is 0: paths find the caustics", 1});
   if (indirect() && photon_.caustics && !sharp_)
@@ -165,7 +177,7 @@ PhotonEstimate PhotonPlan::estimate(std::uint32_t neighbours) const {
 }
 
 void PhotonPlan::begin() {
-  if (has_clusters()) clustered_ = graph_.event();
+  if (has_clusters()) beside_ = std::make_shared<Beside>(graph_.event());
   if (has_caustics()) {
     guide_ = ask_map("guide", kGuidePass, photon_.caustics, PHOTON_CLASS_BIT(PHOTON_CAUSTIC));
     ask_caustics(0);
@@ -173,7 +185,7 @@ void PhotonPlan::begin() {
   if (gathers()) {
     const Artifact map = ask_map("global", kGlobalPass, photon_.count, PHOTON_ALL_CLASSES);
     graph_.when({map}, [this, map] {
-      gathered_ = map.facts<PhotonMapFacts>();
+      gathered_ = checked_facts(map);
       gather(map);
     });
     if (has_clusters()) ask_clusters(map);
@@ -224,6 +236,14 @@ Artifact PhotonPlan::ask_map(const std::string& suffix, std::uint32_t pass, std:
                     PhotonMapParameters{.classes = classes, .neighbours = kGatherNeighbours}, {{"photons", traced}});
 }
 
+PhotonMapFacts checked_facts(const Graph::Artifact& map) {
+  const auto facts = map.facts<PhotonMapFacts>();
+  map.check_facts(facts.radius >= 0 && std::isfinite(facts.radius) &&
+                      std::ranges::all_of(facts.power, [](double w) { return w >= 0 && std::isfinite(w); }),
+                  "a radius of " + std::to_string(facts.radius) + " m");
+  return facts;
+}
+
 // Nearer than an estimate is wide, its photons are those of the surface that the path comes from, and their mean over
 // it says little of this place.
 float PhotonPlan::limit() const { return std::max(static_cast<float>(spacing()), std::numeric_limits<float>::min()); }
@@ -264,8 +284,11 @@ void PhotonPlan::ask_clusters(const Artifact& map) {
                   .placement = Placement::retain}},
       p, {{"points", points}});
   graph_.when({places, map}, [this, map, points, places] {
-    gathered_ = map.facts<PhotonMapFacts>();
+    gathered_ = checked_facts(map);
     clusters_ = places.facts<PhotonClusterFacts>();
+    places.check_facts(
+        clusters_.places == places.record_count(),
+        std::to_string(clusters_.places) + " places, and " + std::to_string(places.record_count()) + " records");
     if (clusters_.places > 0)
       gather_clusters(map, points, places);
     else
@@ -302,10 +325,12 @@ void PhotonPlan::gather_clusters(const Artifact& map, const Artifact& points, co
 // The clusters' light is a part of every pass of caustics, and a pass of its own where there is none.
 void PhotonPlan::show_clusters(std::vector<float> picture) {
   if (has_caustics())
-    clusters_light_ = std::move(picture);
+    beside_->light = std::move(picture);
   else
     film_.add_pass(picture);
-  graph_.announce(clustered_);
+  graph_.announce(beside_->known);
+  clusters_asked_ = true;
+  own_stages_asked_ = caustics_asked_ || !has_caustics();
 }
 
 // --- Caustics ---
@@ -318,7 +343,7 @@ void PhotonPlan::ask_caustics(std::uint32_t pass) {
 
 void PhotonPlan::shade_caustics(std::uint32_t pass) {
   Pass& s = passes_[pass];
-  s.facts = s.map.facts<PhotonMapFacts>();
+  s.facts = checked_facts(s.map);
   PhotonCausticsParameters p{};
   p.camera = settings_.camera;
   p.width = settings_.width;
@@ -341,30 +366,14 @@ void PhotonPlan::shade_caustics(std::uint32_t pass) {
                                       .output = {.record_bytes = 12, .floats = true}},
                                      p, {{"guide", guide_}, {"map", s.map}});
   s.map = {};
-  graph_.on_preview(shaded, [this](auto first, auto count, const Bytes& records) {
-    film_.draw_pass(first, {reinterpret_cast<const float*>(records.data()), 3 * count});
-  });
-  add_to_film(pass, shaded);
-  if (pass + 1 < passes_.size())
-    ask_caustics(pass + 1);
-  else
+  preview_pass(shaded);
+  add_pass(shaded, beside_);
+  caustics_asked_ = pass + 1 == passes_.size();
+  own_stages_asked_ = caustics_asked_ && (clusters_asked_ || !has_clusters());
+  if (caustics_asked_)
     guide_ = {};
-}
-
-// Passes add up in their order, whichever ends first: sums of floats depend on it.
-void PhotonPlan::add_to_film(std::uint32_t pass, const Artifact& shaded) {
-  passes_[pass].added = graph_.event();
-  std::vector<Artifact> after = {shaded};
-  if (pass > 0) after.push_back(passes_[pass - 1].added);
-  if (clustered_) after.push_back(clustered_);
-  graph_.when(after, [this, pass, shaded] {
-    const Bytes& records = shaded.records();
-    std::vector<float> picture(records.size() / 4);
-    std::memcpy(picture.data(), records.data(), records.size());
-    for (std::size_t i = 0; i < clusters_light_.size(); ++i) picture[i] += clusters_light_[i];
-    film_.add_pass(picture);
-    graph_.announce(passes_[pass].added);
-  });
+  else
+    ask_caustics(pass + 1);
 }
 
 // --- The film and the report ---

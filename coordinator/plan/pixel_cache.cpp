@@ -13,6 +13,8 @@ using namespace kernels;
 
 // Points of a film, at most, and so many of each pixel as that allows.
 constexpr std::uint64_t kMostPoints = 1u << 22;
+// Work, in samples of paths: of a point that is found, and one that is shaded.
+constexpr double kPointWork = 0.2, kShadeWork = 0.1;
 
 std::uint32_t tiles_across(std::uint32_t pixels) { return (pixels + SPLAT_TILE - 1) / SPLAT_TILE; }
 
@@ -53,6 +55,12 @@ std::uint64_t PixelCache::tiles() const {
 
 std::uint64_t PixelCache::points() const { return tiles() * SPLAT_TILE_PIXELS * samples_; }
 
+double PixelCache::work() const { return (kPointWork + kShadeWork) * static_cast<double>(points()); }
+
+bool PixelCache::holds(const FrameSettings& settings) {
+  return std::uint64_t{settings.width} * settings.height <= most_pixels;
+}
+
 Graph::Artifact PixelCache::ask_points(Graph& graph, const std::string& method, int priority) const {
   SplatPointParameters p{};
   p.camera = settings_.camera;
@@ -66,7 +74,7 @@ Graph::Artifact PixelCache::ask_points(Graph& graph, const std::string& method, 
                     .kind = "splat_points",
                     .items = tiles(),
                     .priority = priority,
-                    .work = 0.2 * static_cast<double>(points()),
+                    .work = kPointWork * static_cast<double>(points()),
                     .output = {.record_bytes = SPLAT_TILE_PIXELS * samples_ * SPLAT_POINT_WORDS * 4,
                                .placement = Placement::retain}},
                    p);
@@ -81,8 +89,8 @@ Graph::Artifact PixelCache::ask_shading(Graph& graph, const std::string& method,
                     .kind = "splat_shade",
                     .items = tiles(),
                     .priority = priority,
-                    .work = 0.1 * static_cast<double>(this->points()),
-                    .output = {.record_bytes = SPLAT_TILE_PIXELS * 12}},
+                    .work = kShadeWork * static_cast<double>(this->points()),
+                    .output = {.record_bytes = SPLAT_TILE_PIXELS * 12, .floats = true}},
                    p, {{"points", points, Extent::own_items}, {"cache", cache}});
 }
 

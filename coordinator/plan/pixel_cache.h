@@ -26,6 +26,10 @@ class PixelCache {
   std::uint32_t samples() const { return samples_; }  // points of a pixel
   std::uint64_t tiles() const;
   std::uint64_t points() const;  // of whole tiles
+  double work() const;           // of both stages, as StageSpec::work
+  // Whether the stages take a film of this size.
+  static bool holds(const FrameSettings& settings);
+  static constexpr std::uint64_t most_pixels = 1u << 26;
 
   // Stages "METHOD.points" and "METHOD.shade", of these priorities.
   Graph::Artifact ask_points(Graph& graph, const std::string& method, int priority) const;

@@ -19,7 +19,6 @@ namespace {
 using namespace kernels;
 using Artifact = Graph::Artifact;
 
-constexpr std::uint64_t kMostPixels = 1u << 26;
 constexpr std::uint32_t kUsualRays = 1024;
 constexpr double kUsualAccuracy = 0.15;
 constexpr std::uint32_t kMostProbeRays = 256;
@@ -44,9 +43,9 @@ SplatSettings read_settings(const FrameSettings& settings) {
 }
 
 void check(const FrameSettings& settings) {
-  if (std::uint64_t{settings.width} * settings.height > kMostPixels)
-    throw Error::usage("--method splat: expected a film of at most " + std::to_string(kMostPixels) + " pixels, found " +
-                       std::to_string(settings.width) + "x" + std::to_string(settings.height));
+  if (!PixelCache::holds(settings))
+    throw Error::usage("--method splat: expected a film of at most " + std::to_string(PixelCache::most_pixels) +
+                       " pixels, found " + std::to_string(settings.width) + "x" + std::to_string(settings.height));
 }
 
 class SplatPlan final : public GraphPlan {
@@ -69,7 +68,9 @@ class SplatPlan final : public GraphPlan {
     // Less than the cache's light and the paths' first samples is no picture.
     return (!caches() || film_.passes() > 0) && paths_.conclude(cut, skips_);
   }
-  double predicted_work() const override { return paths_.predicted_work(); }
+  double predicted_work() const override {
+    return paths_.predicted_work() + work_to_come(own_work(), paths_.asked_work());
+  }
   std::vector<std::string> warnings() const override;
   std::string parameters_json() const override;
   std::vector<std::string> outline() const override;
@@ -82,6 +83,9 @@ class SplatPlan final : public GraphPlan {
     return most && settings_.depth ? std::min(most, settings_.depth) : std::max(most, settings_.depth);
   }
 
+  double gather_work(double records) const { return records * strata_.count(); }
+  double own_work() const;
+
   void begin() override;
   Artifact ask_places(const Artifact& points);
   void gather(const Artifact& points, const Artifact& places);
@@ -93,6 +97,7 @@ class SplatPlan final : public GraphPlan {
   PixelCache cache_;
   PathSampler paths_;
   SplatSelectFacts facts_{};
+  bool chosen_ = false;  // facts_ are known
 };
 
 void SplatPlan::begin() {
@@ -104,11 +109,31 @@ void SplatPlan::begin() {
   const Artifact points = cache_.ask_points(graph_, "splat", kFirst), places = ask_places(points);
   graph_.when({places}, [this, points, places] {
     facts_ = places.facts<SplatSelectFacts>();
+    chosen_ = true;
+    places.check_facts(
+        facts_.records == places.record_count() && facts_.accuracy >= 0 && std::isfinite(facts_.accuracy),
+        std::to_string(facts_.records) + " records at an accuracy of " + std::to_string(facts_.accuracy) + ", and " +
+            std::to_string(places.record_count()) + " places");
     if (facts_.records > 0)
       gather(points, places);
     else
       film_.add_pass({});
+    own_stages_asked_ = true;
   });
+}
+
+// Records before they are chosen, as two Cornell boxes of 48 to 256 pixels have them.
+double usual_records(double pixels, double accuracy) {
+  const double usual = 7.4 * std::pow(pixels, 0.674);
+  return accuracy > 0 ? std::min(pixels, usual * std::pow(kUsualAccuracy / accuracy, 2)) : pixels;
+}
+
+double SplatPlan::own_work() const {
+  if (!caches()) return 0;
+  const double records = chosen_
+                             ? static_cast<double>(facts_.records)
+                             : usual_records(static_cast<double>(cache_.points()) / cache_.samples(), splat_.accuracy);
+  return cache_.work() + gather_work(records);
 }
 
 Artifact SplatPlan::ask_places(const Artifact& points) {
@@ -149,7 +174,7 @@ void SplatPlan::gather(const Artifact& points, const Artifact& places) {
                                      .kind = "splat_gather",
                                      .items = facts_.records,
                                      .priority = kFirst,
-                                     .work = static_cast<double>(facts_.records) * strata_.polar * strata_.azimuthal,
+                                     .work = gather_work(static_cast<double>(facts_.records)),
                                      .output = {.record_bytes = CACHE_WORDS * 4, .placement = Placement::retain}},
                                     p, {{"places", places}});
   shade(points, cache);
