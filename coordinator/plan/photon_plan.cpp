@@ -29,6 +29,9 @@ constexpr double kShrinkage = 2.0 / 3;
 constexpr std::uint32_t kGlobalPass = 0, kGuidePass = 1, kFirstPass = 2;
 // Rays of a shading cluster's sample, and turns of k-means.
 constexpr std::uint32_t kUsualRays = 384, kIterations = 6;
+// Photons of the estimates at a cut's nodes, rounds of its refinement, and the ratio of section 3.3.
+constexpr std::uint32_t kUsualCut = 0, kCutNeighbours = 64, kCutRounds = 4;
+constexpr float kCutRatio = 1.2f;
 // Pixels of a cluster, where the number of clusters is not set, and bounds of that number.
 constexpr std::uint64_t kClusterPixels = 16, kFewestClusters = 64, kMostClusters = 4096;
 // Maps wait for each other, paths that read none for nothing: these fill what the others leave free.
@@ -41,7 +44,7 @@ std::string numbered(const char* name, std::uint64_t number) {
 }
 
 struct PhotonSettings {
-  std::uint32_t count, caustics, passes, samples, clusters, rays;
+  std::uint32_t count, caustics, passes, samples, clusters, rays, cut;
   double radius;  // m; 0: by the nearest photons
 };
 
@@ -57,6 +60,7 @@ PhotonSettings read_settings(const FrameSettings& settings) {
       whole("photon.clusters",
             static_cast<std::uint32_t>(std::clamp(std::uint64_t{settings.width} * settings.height / kClusterPixels,
                                                   kFewestClusters, kMostClusters)));
+  p.cut = whole("photon.cut", kUsualCut);
   p.rays = whole("photon.gather_rays", kUsualRays);
   p.radius = real_setting(settings, "photon.radius").value_or(0);
   // As many places of caustics in a pixel as samples, but a few of each pass.
@@ -120,6 +124,9 @@ class PhotonPlan final : public GraphPlan {
 
   void begin() override;
   Artifact ask_map(const std::string& suffix, std::uint32_t pass, std::uint32_t paths, std::uint32_t classes);
+  Artifact ask_cut(const Artifact& map);
+  std::uint32_t cut_depth() const;
+  std::vector<Graph::Input> light_of(const Artifact& map) const;
   void gather(const Artifact& map);
   void ask_clusters(const Artifact& map);
   void gather_clusters(const Artifact& map, const Artifact& points, const Artifact& places);
@@ -133,6 +140,8 @@ class PhotonPlan final : public GraphPlan {
   double most_radius_;
   PathSampler paths_;
   PhotonMapFacts gathered_;
+  Artifact cut_;  // none: there is no cut
+  PhotonCutFacts cut_facts_;
   PixelCache cache_;
   Strata strata_;
   PhotonClusterFacts clusters_;
@@ -184,8 +193,10 @@ void PhotonPlan::begin() {
   }
   if (gathers()) {
     const Artifact map = ask_map("global", kGlobalPass, photon_.count, PHOTON_ALL_CLASSES);
-    graph_.when({map}, [this, map] {
+    if (photon_.cut) cut_ = ask_cut(map);
+    graph_.when({cut_ ? cut_ : map}, [this, map] {
       gathered_ = checked_facts(map);
+      if (cut_) cut_facts_ = cut_.facts<PhotonCutFacts>();
       gather(map);
     });
     if (has_clusters()) ask_clusters(map);
@@ -248,15 +259,45 @@ PhotonMapFacts checked_facts(const Graph::Artifact& map) {
 // it says little of this place.
 float PhotonPlan::limit() const { return std::max(static_cast<float>(spacing()), std::numeric_limits<float>::min()); }
 
+Artifact PhotonPlan::ask_cut(const Artifact& map) {
+  PhotonCutParameters p{};
+  p.nodes = photon_.cut;
+  p.rounds = kCutRounds;
+  p.ratio = kCutRatio;
+  p.estimate = estimate(kCutNeighbours);
+  return graph_.add({.name = "photon.cut",
+                     .kind = "photon_cut",
+                     .items = 1,
+                     .solo = true,
+                     .priority = kFirst,
+                     .output = {.record_bytes = CUT_WORDS * 4,
+                                .counted = true,
+                                .most_records = 0xffffffffu,
+                                .placement = Placement::retain,
+                                .reusable = true}},
+                    p, {{"map", map}});
+}
+
+// Scatterings that the map's photons may have: as ask_map() has them.
+std::uint32_t PhotonPlan::cut_depth() const {
+  return settings_.depth ? std::min(settings_.depth - 2, PHOTON_MOST_DEPTH) : PHOTON_MOST_DEPTH;
+}
+
+std::vector<Graph::Input> PhotonPlan::light_of(const Artifact& map) const {
+  std::vector<Graph::Input> inputs = {{"map", map}};
+  if (cut_) inputs.push_back({"cut", cut_});
+  return inputs;
+}
+
 // Paths that read the map behind their first surface.
 void PhotonPlan::gather(const Artifact& map) {
   struct {
     PhotonEstimate estimate;
-    std::uint32_t reserved[2];
-  } program{.estimate = estimate(kGatherNeighbours), .reserved = {}};
+    std::uint32_t cut_depth, reserved;
+  } program{.estimate = estimate(kGatherNeighbours), .cut_depth = cut_depth(), .reserved = 0};
   static_assert(sizeof(PathParameters) + sizeof program == sizeof(PhotonGatherParameters));
   paths_.begin({.classes = classes(), .limit = limit()},
-               {.kind = "photon_gather", .method_parameters = bytes_of(program), .inputs = {{"map", map}}});
+               {.kind = "photon_gather", .method_parameters = bytes_of(program), .inputs = light_of(map)});
 }
 
 // --- Shading clusters ---
@@ -283,7 +324,7 @@ void PhotonPlan::ask_clusters(const Artifact& map) {
                   .most_records = static_cast<std::uint32_t>(std::min<std::uint64_t>(cache_.points(), 0xffffffffu)),
                   .placement = Placement::retain}},
       p, {{"points", points}});
-  graph_.when({places, map}, [this, map, points, places] {
+  graph_.when({places, cut_ ? cut_ : map}, [this, map, points, places] {
     gathered_ = checked_facts(map);
     clusters_ = places.facts<PhotonClusterFacts>();
     places.check_facts(
@@ -309,13 +350,16 @@ void PhotonPlan::gather_clusters(const Artifact& map, const Artifact& points, co
   p.records.polar = strata_.polar;
   p.records.azimuthal = strata_.azimuthal;
   p.estimate = estimate(kGatherNeighbours);
+  p.cut_depth = cut_depth();
+  std::vector<Graph::Input> inputs = light_of(map);
+  inputs.push_back({"places", places});
   const Artifact cache = graph_.add({.name = "photon.cluster_gather",
                                      .kind = "photon_cluster_gather",
                                      .items = clusters_.places,
                                      .priority = kFirst,
                                      .work = static_cast<double>(clusters_.places) * strata_.count(),
                                      .output = {.record_bytes = CACHE_WORDS * 4, .placement = Placement::retain}},
-                                    p, {{"places", places}, {"map", map}});
+                                    p, std::move(inputs));
   const Artifact shaded = cache_.ask_shading(graph_, "photon", kFirst, points, cache);
   graph_.on_preview(
       shaded, [this](auto first, auto count, const Bytes& records) { cache_.draw(film_, first, count, records); });
@@ -393,6 +437,12 @@ std::string PhotonPlan::parameters_json() const {
                      {"neighbours", estimate(kGatherNeighbours).neighbours},
                      {"radius", gathered_.radius},
                      {"spacing", spacing()}};
+  photon["cut"] = photon_.cut;
+  if (gathers() && photon_.cut) {
+    photon["cut_nodes"] = cut_facts_.nodes;
+    photon["cut_opened"] = cut_facts_.opened;
+    photon["cut_radius"] = cut_facts_.radius;
+  }
   photon["clusters"] = photon_.clusters;
   if (has_clusters()) {
     photon["gather_rays"] = strata_.count();
@@ -419,6 +469,7 @@ std::vector<std::string> PhotonPlan::outline() const {
   if (gathers()) {
     lines.push_back("photon.trace.global: " + std::to_string(photon_.count) + " light paths, split");
     lines.push_back("photon.map.global: the tree over their photons, solo");
+    if (photon_.cut) lines.push_back("photon.cut: " + std::to_string(photon_.cut) + " nodes that stand for them, solo");
   }
   if (has_clusters()) {
     lines.push_back("photon.points: " + std::to_string(cache_.samples()) + " surface points of each pixel, in " +
@@ -465,6 +516,9 @@ Method photon_method() {
            "clusters of the points that pixels show, at whose sample points indirect light on diffuse layers is "
            "gathered "
            "and between which it is interpolated; 0: each sample of a pixel gathers by itself"},
+          {"photon.cut", whole, 0, PHOTON_MOST_CUT, "0",
+           "nodes of the map's tree that are read in place of its photons, before they are refined; 0: photons are "
+           "read"},
           {"photon.gather_rays", whole, 0, SPLAT_MOST_RAYS / 2, "384",
            "rays of each cluster's sample point; 0: no clusters"},
           {"photon.radius", real, 0, 1e9, "0",

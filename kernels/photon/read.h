@@ -1,11 +1,13 @@
-// Reading a photon map where gather paths say (path_shade's `reads`).
+// Reading a photon map, or the cut of it, where gather paths say (path_shade's `reads`).
 #ifndef GLEANER_KERNELS_PHOTON_READ_H
 #define GLEANER_KERNELS_PHOTON_READ_H
 
+#include "kernels/photon/cut.h"
 #include "kernels/photon/layer.h"
 
 kernel void photon_read(global const float* restrict reads, uint count, SCENE_PARAMETERS,
-                        global const float* restrict map, uint map_nodes, uint neighbours, float most_radius,
+                        global const float* restrict map, uint map_nodes, global const float* restrict cut,
+                        uint cut_nodes, uint cut_depth, uint neighbours, float most_radius,
                         global float* restrict slots, uint slot_count) {
   uint i = (uint)get_global_id(0);
   if (i >= count) return;
@@ -13,8 +15,17 @@ kernel void photon_read(global const float* restrict reads, uint count, SCENE_PA
   global const float* read = reads + READ_WORDS * i;
   uint slot = ((global const uint*)read)[READ_SLOT];
   if (slot >= slot_count) return;
-  PhotonMap photons = photon_map(map, map_nodes);
   MapPlace place = map_place(read);
+  if (cut_nodes && !place.caustics && place.most_depth >= cut_depth &&
+      ((global const uint*)read)[READ_TABLE] == GLEANER_NONE) {
+    float e[3];
+    if (cut_irradiance(cut, cut_nodes, &place, e) > 0.0f) {
+      global float* to = slots + SLOT_WORDS * slot + SLOT_INDIRECT;
+      for (uint k = 0; k < 3u; ++k) to[k] += read[READ_FACTOR + k] * e[k];
+      return;
+    }
+  }
+  PhotonMap photons = photon_map(map, map_nodes);
   float radius2 = estimate_radius2(&photons, &place, neighbours, most_radius);
   v3 sum = splat3(zero_f());
   uint at = 0u;

@@ -1,6 +1,8 @@
 // Method `photon` against the path tracer, the balance of its photons' power, and the limits in which it is a path
 // tracer.
 
+#include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstdio>
 #include <functional>
@@ -13,6 +15,7 @@
 #include "scene/library/library.h"
 #include "scene/model/error.h"
 #include "tests/radiometry/rendered_frame.h"
+#include "worker/stages/photon/illumination_cut.h"
 #include "worker/stages/photon/seeding.h"
 
 namespace gleaner::test {
@@ -322,6 +325,71 @@ TEST(Photon, SeedsLieWhereGeometryVaries) {
   }
 }
 
+// --- The illumination cut ---
+
+std::vector<std::uint32_t> words_of(const scene::Bytes& bytes) {
+  std::vector<std::uint32_t> words(bytes.size() / 4);
+  std::memcpy(words.data(), bytes.data(), bytes.size());
+  return words;
+}
+
+// A cut has the nodes that were asked for, refinement opens those that are off, and the rows that are read hold the
+// cut's irradiance in the tree's order.
+TEST(Photon, CutIsRefinedWhereItIsOff) {
+  const Frame frame = frame_of(scene::make_scene("cornell-box", {}), 8, 1,
+                               {{"photon.count", "20000"}, {"photon.clusters", "0"}, {"photon.cut", "0"}});
+  const std::vector<std::uint32_t> map = words_of(render(frame).results.at("photon.map.global").records);
+  worker::IlluminationCut cut(map);
+  EXPECT_EQ(cut.size(), 1u);
+  cut.choose(100);
+  ASSERT_EQ(cut.size(), 100u);
+  const double radius = cut.median_radius();
+  // As bright as eq. 3 says but for the first node, which is ten times brighter.
+  std::vector<std::array<float, 3>> irradiance;
+  for (std::size_t i = 0; i < cut.size(); ++i)
+    irradiance.push_back({static_cast<float>(cut.rough_irradiance(i) * (i == 0 ? 10 : 1)), 0, 0});
+  EXPECT_EQ(cut.refine(irradiance, 1.2), 1u);
+  EXPECT_EQ(cut.size(), 101u);
+  cut.choose(map[MAP_NODES]);
+  EXPECT_EQ(cut.size(), map[MAP_BLOCKS]) << "all leaves";
+  EXPECT_LT(cut.median_radius(), radius);
+  irradiance.assign(cut.size(), {});
+  for (std::size_t i = 0; i < cut.size(); ++i) irradiance[i][1] = static_cast<float>(i);
+  const std::vector<std::uint32_t> rows = cut.rows(irradiance);
+  ASSERT_EQ(rows.size(), std::size_t{map[MAP_NODES]} * CUT_WORDS);
+  std::size_t leaves = 0;
+  for (std::size_t row = 0; row < rows.size() / CUT_WORDS; ++row) {
+    const auto real = [&](unsigned word) { return std::bit_cast<float>(rows[row * CUT_WORDS + word]); };
+    EXPECT_GT(rows[row * CUT_WORDS + NODE_SKIP], row);
+    if (real(CUT_NEARNESS) > 0) EXPECT_EQ(real(CUT_IRRADIANCE + 1), static_cast<float>(leaves++));
+  }
+  EXPECT_EQ(leaves, cut.size());
+}
+
+// The same photons and the same rays: what differs is the cut.
+TEST(Photon, CutStandsForTheMap) {
+  for (const char* name : {"cornell-box", "cornell-glossy"}) {
+    Settings set = {{"photon.count", "100000"}, {"photon.clusters", "200"}, {"photon.cut", "0"}};
+    const Film full = render(frame_of(scene::make_scene(name, {}), 32, 4, set)).film;
+    set["photon.cut"] = "4096";
+    const Rendered made = render(frame_of(scene::make_scene(name, {}), 32, 4, set));
+    const auto& expected = full.find("indirect.G")->values;
+    const auto& found = made.film.find("indirect.G")->values;
+    double squared = 0, mean = 0, sum = 0;
+    for (std::size_t i = 0; i < expected.size(); ++i) {
+      squared += std::pow(double{found[i]} - expected[i], 2);
+      mean += double{expected[i]};
+      sum += double{found[i]};
+    }
+    const double error = std::sqrt(squared * static_cast<double>(expected.size())) / mean;
+    std::printf("  %s: a cut of %s nodes is off by %.4f, %.4f in the mean\n", name,
+                made.parameters["photon"]["cut_nodes"].dump().c_str(), error, sum / mean - 1);
+    EXPECT_LT(error, 0.03) << name;
+    EXPECT_GT(error, 0) << name << ": the cut is not read";
+    EXPECT_NEAR(sum / mean, 1, 0.01) << name;
+  }
+}
+
 // --- Bits and malformed tasks ---
 
 TEST(Photon, RecordsDoNotDependOnBatches) {
@@ -331,11 +399,12 @@ TEST(Photon, RecordsDoNotDependOnBatches) {
                                 {"photon.caustics", "3000"},
                                 {"photon.passes", "1"},
                                 {"photon.clusters", "100"},
+                                {"photon.cut", "300"},
                                 {"photon.gather_rays", "64"}});
   const Rendered whole = render(frame);
   two.load_scene("two", frame.scene, nullptr);
-  for (const char* name : {"photon.trace.global", "photon.caustics.0", "photon_gather.0", "photon.clusters",
-                           "photon.cluster_gather", "photon.shade"}) {
+  for (const char* name : {"photon.trace.global", "photon.caustics.0", "photon_gather.0", "photon.cut",
+                           "photon.clusters", "photon.cluster_gather", "photon.shade"}) {
     const coordinator::StageSpec& spec = whole.specs.at(name);
     const worker::BatchResult& all = whole.results.at(name);
     worker::StageTask again = whole.tasks.at(name);
@@ -362,6 +431,7 @@ TEST(Photon, RefusesWhatIsOutOfRange) {
                                 {"photon.caustics", "500"},
                                 {"photon.passes", "1"},
                                 {"photon.clusters", "10"},
+                                {"photon.cut", "20"},
                                 {"photon.gather_rays", "64"}});
   const Rendered made = render(frame);
   worker::Executor& on = executor(worker::TraceKind::automatic);
@@ -388,6 +458,16 @@ TEST(Photon, RefusesWhatIsOutOfRange) {
   refused("photon.cluster_gather", set_word(offsetof(PhotonClusterGatherParameters, records.azimuthal), 8));
   refused("photon.cluster_gather", set_word(offsetof(PhotonClusterGatherParameters, records.samples.filter), 32));
   refused("photon.cluster_gather", set_word(offsetof(PhotonClusterGatherParameters, records.samples.clamp), 0));
+  refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, nodes), 0));
+  refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, ratio), 0xbf800000u));  // -1
+  refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, estimate), 1000));
+  // A cut whose walk would not end, or whose light is none.
+  for (const auto& [word, value] : {std::pair{NODE_SKIP, 0u}, {NODE_SKIP, 1u << 30}, {CUT_IRRADIANCE, 0xbf800000u}})
+    refused("photon.cluster_gather", [word = word, value = value](worker::StageTask& task) {
+      scene::Bytes cut = *task.inputs.at("cut").load();
+      std::memcpy(cut.data() + word * 4, &value, 4);
+      task.inputs["cut"] = std::make_shared<const scene::Bytes>(std::move(cut));
+    });
   // A place without a reach, or that is nowhere.
   for (const unsigned word : {SPLAT_RADIUS, SPLAT_ACCURACY, SPLAT_POSITION})
     refused("photon.cluster_gather", [&](worker::StageTask& task) {

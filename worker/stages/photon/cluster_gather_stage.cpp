@@ -37,12 +37,13 @@ BatchResult run_photon_cluster_gather_stage(const StageRun& run) {
   check_photon_gather(run, p.records.samples);
   check_photon_estimate(run, p.estimate);
   const auto map = photon_map_table(run, "map");
+  const PhotonCutTable cut = photon_cut_table(run, p.cut_depth);
   const std::string filter = " -D PATH_FILTER=" + std::to_string(p.records.samples.filter);
   return gather_records(
       run, p.records, run.build("cluster_gather.cl", filter),
       [&](const PlaceTable& places, const SamplePart& part, WorkQueue& work, unsigned index) {
         return std::make_unique<RecordThread<PhotonGatherThread>>(places, part, run.workspace, work, index, p.estimate,
-                                                                  *map);
+                                                                  *map, cut);
       },
       cluster_record);
 }

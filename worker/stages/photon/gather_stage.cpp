@@ -34,9 +34,11 @@ void check_photon_gather(const StageRun& run, const kernels::PathParameters& p) 
 BatchResult run_photon_gather_stage(const StageRun& run) {
   const PhotonGatherParameters p = read_parameters(run);
   const auto map = photon_map_table(run, "map");
+  const PhotonCutTable cut = photon_cut_table(run, p.cut_depth);
   return run_samples(run, p.samples, run.build("gather.cl", " -D PATH_FILTER=" + std::to_string(p.samples.filter)),
                      [&](const SamplePart& part, WorkQueue& work, unsigned index) {
-                       return std::make_unique<PhotonGatherThread>(part, run.workspace, work, index, p.estimate, *map);
+                       return std::make_unique<PhotonGatherThread>(part, run.workspace, work, index, p.estimate, *map,
+                                                                   cut);
                      });
 }
 

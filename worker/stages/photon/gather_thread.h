@@ -13,13 +13,14 @@ void check_photon_gather(const StageRun& run, const kernels::PathParameters& par
 class PhotonGatherThread : public PathThread {
  public:
   PhotonGatherThread(const SamplePart& part, Workspace& workspace, WorkQueue& work, unsigned index,
-                     const kernels::PhotonEstimate& estimate, const PhotonMapTable& map)
+                     const kernels::PhotonEstimate& estimate, const PhotonMapTable& map, const PhotonCutTable& cut)
       : PathThread(part, workspace, work, index),
         reads_(take("reads", std::size_t{wave_.capacity()} * READ_WORDS * 4)),
         read_(part.device, part.program, "photon_read") {
     shade_.set("reads", reads_);
     part.scene.set_arguments(read_);
     map.set_arguments(read_, "map");
+    cut.set_arguments(read_);
     read_.set("reads", reads_)
         .set("neighbours", estimate.neighbours)
         .set("most_radius", estimate.most_radius)
