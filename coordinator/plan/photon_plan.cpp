@@ -79,6 +79,14 @@ bool has_sharp_parts(const scene::SceneNeeds& n) {
   return n.specular || n.glossy || n.metallic || n.transmissive || n.clearcoat || n.sheen || n.iridescence;
 }
 
+PhotonMapFacts checked_facts(const Graph::Artifact& map) {
+  const auto facts = map.facts<PhotonMapFacts>();
+  map.check_facts(facts.radius >= 0 && std::isfinite(facts.radius) &&
+                      std::ranges::all_of(facts.power, [](double w) { return w >= 0 && std::isfinite(w); }),
+                  "a radius of " + std::to_string(facts.radius) + " m");
+  return facts;
+}
+
 class PhotonPlan final : public GraphPlan {
  public:
   PhotonPlan(const FrameSettings& settings, const SceneSummary& scene);
@@ -245,14 +253,6 @@ Artifact PhotonPlan::ask_map(const std::string& suffix, std::uint32_t pass, std:
                                 .placement = Placement::retain,
                                 .reusable = true}},
                     PhotonMapParameters{.classes = classes, .neighbours = kGatherNeighbours}, {{"photons", traced}});
-}
-
-PhotonMapFacts checked_facts(const Graph::Artifact& map) {
-  const auto facts = map.facts<PhotonMapFacts>();
-  map.check_facts(facts.radius >= 0 && std::isfinite(facts.radius) &&
-                      std::ranges::all_of(facts.power, [](double w) { return w >= 0 && std::isfinite(w); }),
-                  "a radius of " + std::to_string(facts.radius) + " m");
-  return facts;
 }
 
 // Nearer than an estimate is wide, its photons are those of the surface that the path comes from, and their mean over
