@@ -361,7 +361,9 @@ TEST(Photon, CutIsRefinedWhereItIsOff) {
   for (std::size_t row = 0; row < rows.size() / CUT_WORDS; ++row) {
     const auto real = [&](unsigned word) { return std::bit_cast<float>(rows[row * CUT_WORDS + word]); };
     EXPECT_GT(rows[row * CUT_WORDS + NODE_SKIP], row);
-    if (real(CUT_NEARNESS) > 0) EXPECT_EQ(real(CUT_IRRADIANCE + 1), static_cast<float>(leaves++));
+    if (real(CUT_NEARNESS) > 0) {
+      EXPECT_EQ(real(CUT_IRRADIANCE + 1), static_cast<float>(leaves++));
+    }
   }
   EXPECT_EQ(leaves, cut.size());
 }

@@ -54,10 +54,13 @@ class Estimates {
       : queue_(run.device.make_queue()),
         reads_(run.workspace.take("cut.reads", std::size_t{kPlaces} * READ_WORDS * 4)),
         slots_(run.workspace.take("cut.slots", (std::size_t{kPlaces} + 1) * kSlotWords * 4)),
-        read_(run.device, run.build("cluster_gather.cl"), "photon_read") {
+        read_(run.device, run.build("cluster_gather.cl", " -D PATH_FILTER=7"), "photon_read") {
     run.scene.set_arguments(read_);
     map.set_arguments(read_, "map");
     no_cut().set_arguments(read_);
+    // Of k - 1 photons that count, one lies at the place itself: the others tell the density.
+    const std::uint32_t k = p.estimate.neighbours;
+    if (k > 2) factor_ = static_cast<float>(k - 2) / static_cast<float>(k - 1);
     read_.set("reads", reads_)
         .set("neighbours", p.estimate.neighbours)
         .set("most_radius", p.estimate.most_radius)
@@ -89,13 +92,13 @@ class Estimates {
   }
 
  private:
-  static void append(const CutPlace& place, std::uint32_t slot, std::vector<float>& reads) {
+  void append(const CutPlace& place, std::uint32_t slot, std::vector<float>& reads) const {
     float row[READ_WORDS] = {};
     const std::uint32_t table = GLEANER_NONE, limits = PHOTON_MOST_DEPTH;
     for (unsigned k = 0; k < 3; ++k) {
       row[READ_POSITION + k] = place.position[k];
       row[READ_GEOMETRIC + k] = row[READ_NORMAL + k] = place.normal[k];
-      row[READ_FACTOR + k] = 1;
+      row[READ_FACTOR + k] = factor_;
     }
     std::memcpy(row + READ_TABLE, &table, 4);
     std::memcpy(row + READ_SLOT, &slot, 4);
@@ -108,6 +111,7 @@ class Estimates {
   cl::CommandQueue queue_;
   cl::Buffer reads_, slots_;
   Kernel read_;
+  float factor_ = 1;
 };
 
 }  // namespace
