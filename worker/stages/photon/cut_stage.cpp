@@ -58,9 +58,6 @@ class Estimates {
     run.scene.set_arguments(read_);
     map.set_arguments(read_, "map");
     no_cut().set_arguments(read_);
-    // Of k - 1 photons that count, one lies at the place itself: the others tell the density.
-    const std::uint32_t k = p.estimate.neighbours;
-    if (k > 2) factor_ = static_cast<float>(k - 2) / static_cast<float>(k - 1);
     read_.set("reads", reads_)
         .set("neighbours", p.estimate.neighbours)
         .set("most_radius", p.estimate.most_radius)
@@ -92,13 +89,13 @@ class Estimates {
   }
 
  private:
-  void append(const CutPlace& place, std::uint32_t slot, std::vector<float>& reads) const {
+  static void append(const CutPlace& place, std::uint32_t slot, std::vector<float>& reads) {
     float row[READ_WORDS] = {};
     const std::uint32_t table = GLEANER_NONE, limits = PHOTON_MOST_DEPTH;
     for (unsigned k = 0; k < 3; ++k) {
       row[READ_POSITION + k] = place.position[k];
       row[READ_GEOMETRIC + k] = row[READ_NORMAL + k] = place.normal[k];
-      row[READ_FACTOR + k] = factor_;
+      row[READ_FACTOR + k] = 1;
     }
     std::memcpy(row + READ_TABLE, &table, 4);
     std::memcpy(row + READ_SLOT, &slot, 4);
@@ -111,7 +108,6 @@ class Estimates {
   cl::CommandQueue queue_;
   cl::Buffer reads_, slots_;
   Kernel read_;
-  float factor_ = 1;
 };
 
 }  // namespace
