@@ -45,6 +45,7 @@ struct CoordinatorOptions {
   std::string check;  // HOST:PORT; empty: be a coordinator
   std::string data;
   unsigned active_jobs = 2;
+  unsigned frames_at_once = coordinator::FarmSettings{}.frames_at_once;
   double upload_gib = 64;
   double memory_gib = 0;  // 0: three quarters of the machine's
   std::uint64_t batch_items = 0;
@@ -94,6 +95,7 @@ int coordinate(const CoordinatorOptions& options) {
   settings.records = data / "records";
   settings.recheck_share = options.recheck;
   settings.active_jobs = options.active_jobs;
+  settings.frames_at_once = options.frames_at_once;
   settings.ended_jobs = options.keep_jobs;
   settings.ended_seconds = options.keep_days * 24 * 3600;
   settings.memory_bytes =

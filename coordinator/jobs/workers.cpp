@@ -40,6 +40,7 @@ void Farm::Impl::offer(Worker& worker) {
     unserved.insert(worker.id);
   else
     unserved.erase(worker.id);
+  note_idle(worker);
 }
 
 void Farm::Impl::offer_to_all() {
@@ -69,8 +70,10 @@ void Farm::Impl::revoke(const std::vector<Lease>& revoked) {
   for (const Lease& lease : revoked) {
     if (auto worker = workers.find(lease.worker); worker != workers.end()) worker->second.session->revoke(lease);
     forget_lease(lease.epoch);
-    if (auto worker = workers.find(lease.worker); worker != workers.end() && !worker->second.draining)
+    if (auto worker = workers.find(lease.worker); worker != workers.end() && !worker->second.draining) {
       unserved.insert(lease.worker);
+      note_idle(worker->second);
+    }
   }
   if (!revoked.empty()) offer_to_unserved_soon();
 }
@@ -114,6 +117,9 @@ void Farm::Impl::watch_clock() {
     if (auto next = scheduler.next_expiry())
       due = std::min(due, Clock::now() + std::chrono::duration_cast<Clock::duration>(
                                              std::chrono::duration<double>(std::clamp(*next - now(), 0.001, 1.0))));
+    if (auto next = next_frame_due())
+      due = std::min(due, Clock::now() + std::chrono::duration_cast<Clock::duration>(
+                                             std::chrono::duration<double>(std::clamp(*next - now(), 0.001, 1.0))));
     timer_wakes.wait_until(lock, due, woken);
     if (stopping || Clock::now() < due) continue;
     tick();
@@ -131,6 +137,7 @@ void Farm::Impl::tick() {
     if (time - worker.heard > settings.silence && worker.waits == 0) silent.push_back(id);
   for (WorkerId id : silent) lose(id, "not heard of for " + std::to_string(static_cast<int>(settings.silence)) + " s");
   offer_to_unserved();
+  begin_another_frame();
 }
 
 Farm::Joined Farm::join(const WorkerHello& hello, std::shared_ptr<WorkerSession> session) {

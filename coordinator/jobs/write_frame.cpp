@@ -13,14 +13,15 @@ namespace gleaner::coordinator {
 
 namespace fs = std::filesystem;
 
-void Farm::Impl::write(Job& job, std::uint32_t frame, const Film& film, Seconds begun) {
+void Farm::Impl::write(Frame& frame, const Film& film, Seconds begun) {
+  const Job& job = *frame.job;
   FrameReport report;
   {
     std::lock_guard lock(mutex);
     if (job.cancel) throw Cancelled{};
-    report = job.report;
+    report = frame.report;
   }
-  FramePaths paths = settings.paths(job.id, frame);
+  FramePaths paths = settings.paths(job.id, report.frame);
   for (const fs::path& path : {paths.exr, paths.png, paths.report}) {
     if (path.empty() || path.parent_path().empty()) continue;
     std::error_code code;
@@ -54,7 +55,7 @@ void Farm::Impl::write(Job& job, std::uint32_t frame, const Film& film, Seconds 
     write_atomically(paths.report.string(), std::as_bytes(std::span(text)));
   }
   std::lock_guard lock(mutex);
-  job.report = std::move(report);
+  frame.report = std::move(report);
 }
 
 }  // namespace gleaner::coordinator
