@@ -154,6 +154,10 @@ int main(int argc, char** argv) {
   app.add_option("--active-jobs", options.active_jobs, "jobs that run at the same time")
       ->capture_default_str()
       ->check(CLI::Range(1u, 64u));
+  app.add_option("--frames-at-once", options.frames_at_once,
+                 "frames of a job that run side by side, where workers idle that fewer cannot feed")
+      ->capture_default_str()
+      ->check(CLI::Range(1u, 1024u));
   app.add_option("--upload-limit", options.upload_gib, "largest blob, in GiB")
       ->capture_default_str()
       ->check(CLI::PositiveNumber);

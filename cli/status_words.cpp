@@ -78,6 +78,16 @@ std::string job_line(const JobStatus& status) {
   return line;
 }
 
+std::string written_frames(const JobStatus& status) {
+  std::string words;
+  for (const auto& [first, last] : status.written) {
+    words += (words.empty() ? "" : ", ") + std::to_string(first);
+    if (last != first) words += "-" + std::to_string(last);
+  }
+  if (status.frame_step > 1 && !words.empty()) words += fmt::format(" (every {}th)", status.frame_step);
+  return words;
+}
+
 void require_done(const JobStatus& status) {
   if (status.state == JobState::failed) throw Error::failed("job " + status.id + " failed: " + status.message);
   if (status.state == JobState::cancelled) throw Error::failed("job " + status.id + " was cancelled");

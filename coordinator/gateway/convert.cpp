@@ -193,8 +193,8 @@ JobStatus from_proto(const pb::Job& job) {
   for (const pb::FrameRange& range : job.written()) out.written.emplace_back(range.first(), range.last());
   out.running.assign(job.running().begin(), job.running().end());
   for (const pb::StageProgress& stage : job.stages())
-    out.stages.push_back({stage.name(), stage.kind(), stage.frame(), stage.items(), stage.items_done(), stage.items_per_second(),
-                          stage.seconds_left()});
+    out.stages.push_back({stage.name(), stage.kind(), stage.frame(), stage.items(), stage.items_done(),
+                          stage.items_per_second(), stage.seconds_left()});
   out.seconds = job.seconds();
   out.message = job.message();
   out.preview_available = job.preview_available();

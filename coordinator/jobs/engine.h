@@ -139,7 +139,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   std::optional<JournalRange> store(RunningStage& stage, const Lease& lease, const Bytes& image, const Bytes& facts,
                                     const std::string& digest);
   void remember(RunningStage& stage, WorkerId maker, JournalRange range);  // mutex held
-  void forget_records(const Frame& frame, const std::string& failure);  // the frame at its place is over
+  void forget_records(const Frame& frame, const std::string& failure);     // the frame at its place is over
   void forget_records(const Job& job);
   void join_ended_threads();
 
@@ -171,7 +171,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   // Whatever the frame still has with scheduler and workers is taken back; its figures move into the report.
   void end_frame(Frame& frame);
   JobRemains withdraw(Frame& frame);  // mutex held; as end_frame()
-  void write(Frame& frame, const Film& film, Seconds begun);
+  void write(Frame& frame, const Film& film);
 
   // Stages (stages.cpp).
   // Hands a step's stages to the scheduler. The memory for their results is taken while the first batches run.
@@ -202,7 +202,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void deliver_if_complete(const std::shared_ptr<RunningStage>& shared);
 
   // Retained outputs (retained.cpp; mutex held).
-  bool retain_output(RunningStage& stage);                  // true: it exists already
+  bool retain_output(RunningStage& stage);                    // true: it exists already
   void release_retained(Frame& frame, const ArtifactId& id);  // the frame reads it no more
   void release_all_retained(Frame& frame);
   void release_if_unused(const ArtifactId& id);

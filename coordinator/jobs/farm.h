@@ -39,10 +39,10 @@ struct FarmSettings {
   std::function<FramePaths(const std::string& job, std::uint32_t frame)> paths;  // folders are made
   std::function<void(const std::string&)> log;                                   // one line each; empty: silence
   unsigned active_jobs = 2;  // jobs that run at the same time: the second fills the first one's tail
-  // Frames of a job that run side by side, where workers idle that fewer cannot feed: at most, and never more than there
-  // are workers.
+  // Frames of a job that run side by side, where workers idle that fewer cannot feed: at most, and never more than
+  // there are workers.
   unsigned frames_at_once = 8;
-  bool preview = true;       // accepted batches are drawn as they come
+  bool preview = true;                                     // accepted batches are drawn as they come
   std::uint64_t artifact_bytes = std::uint64_t{32} << 30;  // largest result of a stage
   std::uint64_t kept_bytes = std::uint64_t{512} << 20;     // of stages' records that later frames may use again
   std::uint64_t retained_bytes = std::uint64_t{8} << 30;  // the same of those that workers retain, all workers together

@@ -1,5 +1,5 @@
-// Frames side by side may ask for the same artifact at the same time. The stage that asked first runs; the others follow
-// it: they get what it made, and where it ends without having made it, the first of them runs in its place.
+// Frames side by side may ask for the same artifact at the same time. The stage that asked first runs; the others
+// follow it: they get what it made, and where it ends without having made it, the first of them runs in its place.
 
 #include <utility>
 

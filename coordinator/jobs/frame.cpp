@@ -16,8 +16,7 @@ void remember_progress(RunningStage& stage, Seconds now) {
 }
 
 StageStatus status_of(const RunningStage& stage, Seconds now) {
-  StageStatus status{
-      .name = stage.spec.name,
+  StageStatus status{.name = stage.spec.name,
                      .kind = stage.spec.kind,
                      .frame = frame_at(stage.frame->job->request, stage.frame->place),
                      .items = stage.items,

@@ -81,8 +81,8 @@ struct RunningStage : std::enable_shared_from_this<RunningStage> {
   std::shared_ptr<RecordFile> file;  // of accepted records, for the next coordinator; null: they are not kept
   std::vector<JournalRange> held;    // the last coordinator accepted them, and they are being read back
   std::vector<ItemRange> missing;    // with them: the other items
-  // Another frame's stage makes the same artifact at this moment: this one, which the scheduler does not know then, gets
-  // it from there.
+  // Another frame's stage makes the same artifact at this moment: this one, which the scheduler does not know then,
+  // gets it from there.
   std::shared_ptr<RunningStage> follows;
   std::vector<std::shared_ptr<RunningStage>> followers;
   std::unique_ptr<Recheck> recheck;  // then this stage is one batch of another one, once more
@@ -123,9 +123,10 @@ struct Frame : std::enable_shared_from_this<Frame> {
   std::uint64_t place = 0;  // among the job's frames, of the next one to be written
   std::uint64_t left = 1;   // so many are still to be written, from `place` on
   FrameScene scene{};
-  FrameSettings settings;  // with the camera that sees this frame
-  Seconds begun = 0;       // when the one at `place` was begun
-  bool posted = false;     // its first stages are with the scheduler
+  FrameSettings settings;    // with the camera that sees this frame
+  Seconds begun = 0;         // when the one at `place` was begun
+  Seconds waited_from = 0;   // from when on its report counts seconds
+  bool posted = false;       // its first stages are with the scheduler
   std::uint64_t memory = 0;  // predicted bytes of its plan
 
   // The plan's calls may take long: `plan_mutex`, taken before the farm's mutex where both are held, guards them. Who

@@ -56,13 +56,13 @@ void Farm::Impl::render_and_write(const std::shared_ptr<Frame>& frame) {
   if (job.restored) recall(*frame);
   const std::uint32_t rendered = frame_at(job.request, frame->place);
   const Film film = render_trusted(frame);
-  write(*frame, film, frame->begun);
+  write(*frame, film);
   std::unique_lock lock(mutex);
   while (frame_over(*frame, "")) {
     lock.unlock();
     // Neither scene nor camera moves: what was made for the one frame holds for the other.
     reuse(*frame, rendered);
-    write(*frame, film, frame->begun);
+    write(*frame, film);
     lock.lock();
   }
 }
@@ -102,8 +102,7 @@ SceneSummary Farm::Impl::summary_of(const Frame& frame) {
     }
     base = job.base;
   }
-  const std::string origin =
-      job.request.scene_name + ", frame " + std::to_string(frame_at(job.request, frame.place));
+  const std::string origin = job.request.scene_name + ", frame " + std::to_string(frame_at(job.request, frame.place));
   SceneSummary summary =
       summarize(scene::posed(*base, scene::parse_frame_state(*fetch(shown.state_blob), origin), origin));
   summary.blob = lineage_of(shown);
@@ -262,7 +261,8 @@ void Farm::Impl::take_what_arrived(Frame& frame, std::unique_lock<std::mutex>& l
   std::vector<std::pair<std::shared_ptr<RunningStage>, std::uint64_t>> ends;
   for (const auto& stage : frame.stages) ends.emplace_back(stage, stage->arrived.ready_end());
   for (const auto& [stage, end] : ends)
-    while (!stage->delivered && !frame.job->cancel && !stopping && stage->arrived.given() < end) take_next(frame, stage, lock);
+    while (!stage->delivered && !frame.job->cancel && !stopping && stage->arrived.given() < end)
+      take_next(frame, stage, lock);
 }
 
 bool Farm::Impl::draw(Frame& frame, std::unique_lock<std::mutex>& lock) {

@@ -35,7 +35,8 @@ FrameSettings settings_of(const JobRequest& request, std::uint64_t place) {
 unsigned rank_of(const Frame& frame) {
   const auto& frames = frame.job->frames;
   return static_cast<unsigned>(std::distance(
-      frames.begin(), std::find_if(frames.begin(), frames.end(), [&](const auto& f) { return f.second.get() == &frame; })));
+      frames.begin(),
+      std::find_if(frames.begin(), frames.end(), [&](const auto& f) { return f.second.get() == &frame; })));
 }
 
 bool Farm::Impl::begin_frame(const std::shared_ptr<Job>& job) {
@@ -57,7 +58,8 @@ bool Farm::Impl::begin_frame(const std::shared_ptr<Job>& job) {
   last_frame_begun = now();
   // The wait in the queue counts for the first one.
   const bool first = job->frames.empty() && job->frames_over() == 0;
-  frame->begun = first ? job->accepted : last_frame_begun;
+  frame->begun = last_frame_begun;
+  frame->waited_from = first ? job->accepted : frame->begun;
   frame->progress = FrameProgress(last_frame_begun);
   job->frames[frame->place] = frame;
   threads.emplace(frame.get(), std::thread(&Impl::run, shared_from_this(), frame));
@@ -136,7 +138,7 @@ bool Farm::Impl::frame_over(Frame& frame, const std::string& failure) {
   frame.held.clear();
   frame.remembered.clear();
   for (const WorkerId maker : std::exchange(frame.makers, {})) ++job.frames_with[maker];
-  frame.begun = now();
+  frame.begun = frame.waited_from = now();
   --frame.left;
   if (frame.left > 0) ++frame.place;
   update_progress(job, frame.begun);
@@ -211,7 +213,8 @@ JobRemains Farm::Impl::frame_ended(const std::shared_ptr<Frame>& frame, const st
   std::erase_if(job->frames, [&](const auto& entry) { return entry.second == frame; });
   rank_frames(*job);
   const bool others = !job->frames.empty();
-  const bool goes_on = !job->cancel && !stopping && (others ? may_begin_another(*job) && begin_frame(job) : begin_frame(job));
+  const bool goes_on =
+      !job->cancel && !stopping && (others ? may_begin_another(*job) && begin_frame(job) : begin_frame(job));
   if (!goes_on && !others) {
     JobState state = JobState::done;
     std::string message;

@@ -139,8 +139,9 @@ void Farm::Impl::disagree(Frame& frame, const Recheck& recheck) {
   if (!frame.failure.empty()) return;
   std::string names;
   for (const auto& answer : recheck.answers) names += (names.empty() ? "" : ", ") + answer.name;
-  frame.failure = words_of(recheck) + ": workers " + names + " made different records, and " +
-                (recheck.answers.size() > 2 ? "no two of them agree" : "there is no third one of their kind to decide");
+  frame.failure =
+      words_of(recheck) + ": workers " + names + " made different records, and " +
+      (recheck.answers.size() > 2 ? "no two of them agree" : "there is no third one of their kind to decide");
   frame.events.notify_all();
 }
 

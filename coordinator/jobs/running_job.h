@@ -29,9 +29,9 @@ struct Job : std::enable_shared_from_this<Job> {
   bool cancel = false;
   bool restored = false;  // from the journal
 
-  std::map<std::uint64_t, std::shared_ptr<Frame>> frames;  // that run, by the place at which they began
-  FrameSet written, failed;                                // that are over
-  std::uint64_t next = 0;                                  // frames before this place run or are over
+  std::map<std::uint64_t, std::shared_ptr<Frame>> frames;       // that run, by the place at which they began
+  FrameSet written, failed;                                     // that are over
+  std::uint64_t next = 0;                                       // frames before this place run or are over
   std::vector<std::pair<std::uint64_t, std::string>> failures;  // the first few of `failed`, and why
 
   // The base that the frames' states were last applied to, and its id.
@@ -39,8 +39,8 @@ struct Job : std::enable_shared_from_this<Job> {
   std::shared_ptr<const scene::Scene> base;
   std::string base_blob;
 
-  FrameProgress progress;             // in frames
-  std::vector<std::string> warnings;  // of the frames so far
+  FrameProgress progress;                         // in frames
+  std::vector<std::string> warnings;              // of the frames so far
   std::map<WorkerId, std::uint32_t> frames_with;  // frames written with a worker's help
   std::vector<StageStatus> last_stages;           // of the frame that ended last
 

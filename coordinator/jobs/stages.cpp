@@ -86,7 +86,8 @@ void Farm::Impl::prepare(RunningStage& stage) {
   deliver_if_complete(stage.shared_from_this());  // one of no items, or of which all was there
 }
 
-void Farm::Impl::provide(Frame& frame, const ArtifactId& id, const std::string& blob, std::shared_ptr<const Bytes> bytes) {
+void Farm::Impl::provide(Frame& frame, const ArtifactId& id, const std::string& blob,
+                         std::shared_ptr<const Bytes> bytes) {
   auto data = std::make_shared<ArtifactData>();
   if (auto output = frame.outputs.find(id); output != frame.outputs.end()) *data = output->second;
   data->blob = blob;
@@ -164,8 +165,8 @@ std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Frame>&
 void Farm::Impl::hand_over(const std::shared_ptr<RunningStage>& stage, const std::string& why) {
   Frame& frame = *stage->frame;
   stage->delivered = true;
-  stage->record_count = stage->records ? stage->records->size() / stage->spec.output.record_bytes
-                                       : registry.records(stage->artifact);
+  stage->record_count =
+      stage->records ? stage->records->size() / stage->spec.output.record_bytes : registry.records(stage->artifact);
   frame.reused.push_back({"stage " + stage->spec.name, why + ": artifact " + stage->artifact, stage->spec.items});
   frame.finished.push_back(stage);
   frame.events.notify_all();
@@ -184,11 +185,11 @@ bool Farm::Impl::find_kept(RunningStage& stage) {
 
 void Farm::Impl::remember_output(const RunningStage& stage) {
   stage.frame->outputs[stage.artifact] = {.blob = {},
-                                        .records = nullptr,
-                                        .index = stage.index,
-                                        .items = stage.spec.items,
-                                        .record_bytes = stage.spec.output.record_bytes,
-                                        .facts = stage.facts};
+                                          .records = nullptr,
+                                          .index = stage.index,
+                                          .items = stage.spec.items,
+                                          .record_bytes = stage.spec.output.record_bytes,
+                                          .facts = stage.facts};
 }
 
 void Farm::Impl::start(const std::shared_ptr<RunningStage>& stage) {

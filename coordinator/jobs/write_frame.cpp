@@ -13,7 +13,7 @@ namespace gleaner::coordinator {
 
 namespace fs = std::filesystem;
 
-void Farm::Impl::write(Frame& frame, const Film& film, Seconds begun) {
+void Farm::Impl::write(Frame& frame, const Film& film) {
   const Job& job = *frame.job;
   FrameReport report;
   {
@@ -34,7 +34,7 @@ void Farm::Impl::write(Frame& frame, const Film& film, Seconds begun) {
   if (!paths.png.empty())
     png = std::async(std::launch::async, [&] { write_png(film, paths.png.string(), job.request.exposure_stops); });
   report.pixels_sha256 = pixels_sha256(film);
-  report.seconds = now() - begun;
+  report.seconds = now() - frame.waited_from;
   report.write_seconds = now() - begun_writing;
   try {
     if (!paths.exr.empty()) write_exr(film, report_metadata(report), paths.exr.string());
@@ -48,7 +48,7 @@ void Farm::Impl::write(Frame& frame, const Film& film, Seconds begun) {
     throw;
   }
   if (png.valid()) png.get();
-  report.seconds = now() - begun;
+  report.seconds = now() - frame.waited_from;
   report.write_seconds = now() - begun_writing;
   if (!paths.report.empty()) {
     std::string text = report_json(report);

@@ -20,7 +20,7 @@ struct JournalJob {
   std::string state;                // a word of the farm's; "queued" until the job has ended
   std::string message;              // bytes of any kind
   double submitted = 0, ended = 0;  // Unix seconds; ended: 0 = it has not
-  Bytes request;  // what lists show of it, as the farm encodes it
+  Bytes request;                    // what lists show of it, as the farm encodes it
 };
 
 // A frame of a job that is over.

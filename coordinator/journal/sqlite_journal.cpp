@@ -223,9 +223,9 @@ class SqliteJournal final : public Journal {
 
   void write(const JournalChanges& changes) override {
     transaction([&] {
-      write_jobs(changes);
       write_frames(changes);
       write_ranges(changes);
+      write_jobs(changes);  // takes out what was forgotten
     });
   }
 

@@ -974,7 +974,7 @@ std::string Scheduler::why_waiting(StageId id, Seconds now) const {
     if (other == id) break;
     if (m.stages.at(other).pool.items() == 0 || m.stages.at(other).paused) continue;
     return "stage " + std::to_string(other) + " goes first: " +
-           (rank < stage.spec.rank                ? "it is of an earlier frame"
+           (rank < stage.spec.rank            ? "it is of an earlier frame"
             : -priority > stage.spec.priority ? "its priority is higher"
                                               : "it is older");
   }
