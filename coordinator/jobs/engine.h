@@ -112,6 +112,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   bool begin_frame(const std::shared_ptr<Job>& job);
   bool may_begin_another(const Job& job) const;  // beside those that run
   std::shared_ptr<Job> job_for_another_frame() const;
+  bool further_frame_comes() const;  // one that was begun has no stage yet, or one may be begun
   // When workers will have been idle for so long that a further frame is begun; none: no frame may be.
   std::optional<Seconds> next_frame_due() const;
   void begin_another_frame();  // where it is due

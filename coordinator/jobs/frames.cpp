@@ -87,6 +87,14 @@ std::shared_ptr<Job> Farm::Impl::job_for_another_frame() const {
   return best;
 }
 
+bool Farm::Impl::further_frame_comes() const {
+  for (const auto& job : running) {
+    if (job->frames.size() > 1 && !job->frames.rbegin()->second->posted) return true;
+    if (may_begin_another(*job)) return true;
+  }
+  return false;
+}
+
 void Farm::Impl::note_idle(Worker& worker) {
   if (worker.draining || !worker.leases.empty()) {
     worker.idle_since = -1;
@@ -213,8 +221,9 @@ JobRemains Farm::Impl::frame_ended(const std::shared_ptr<Frame>& frame, const st
   std::erase_if(job->frames, [&](const auto& entry) { return entry.second == frame; });
   rank_frames(*job);
   const bool others = !job->frames.empty();
-  const bool goes_on =
-      !job->cancel && !stopping && (others ? may_begin_another(*job) && begin_frame(job) : begin_frame(job));
+  if (others) start_queued();  // a job that waited for this memory comes before a further frame
+  const bool stops = job->cancel || stopping || (others && !may_begin_another(*job));
+  const bool goes_on = !stops && begin_frame(job);
   if (!goes_on && !others) {
     JobState state = JobState::done;
     std::string message;

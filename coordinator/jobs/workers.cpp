@@ -22,8 +22,10 @@ constexpr std::size_t most_names_of_gone = 4096;
 }  // namespace
 
 void Farm::Impl::offer(Worker& worker) {
+  // A further frame serves an idle worker better than a second copy of what others do.
+  const bool duplicates = !further_frame_comes();
   while (!active_stages.empty()) {
-    auto lease = scheduler.next_lease(worker.id, now());
+    auto lease = scheduler.next_lease(worker.id, now(), duplicates);
     if (!lease) break;
     auto found = active_stages.find(lease->stage);
     if (found == active_stages.end()) continue;
@@ -114,12 +116,10 @@ void Farm::Impl::watch_clock() {
     // Not woken by every lease: what is due next is never nearer than `idle_look` unless next_expiry() said so. However
     // many offers are made, the clock is looked at in time.
     Clock::time_point due = ticked + (active_stages.empty() ? calm_look : idle_look);
-    if (auto next = scheduler.next_expiry())
-      due = std::min(due, Clock::now() + std::chrono::duration_cast<Clock::duration>(
-                                             std::chrono::duration<double>(std::clamp(*next - now(), 0.001, 1.0))));
-    if (auto next = next_frame_due())
-      due = std::min(due, Clock::now() + std::chrono::duration_cast<Clock::duration>(
-                                             std::chrono::duration<double>(std::clamp(*next - now(), 0.001, 1.0))));
+    for (const auto& next : {scheduler.next_expiry(), next_frame_due()})
+      if (next)
+        due = std::min(due, Clock::now() + std::chrono::duration_cast<Clock::duration>(
+                                               std::chrono::duration<double>(std::clamp(*next - now(), 0.001, 1.0))));
     timer_wakes.wait_until(lock, due, woken);
     if (stopping || Clock::now() < due) continue;
     tick();

@@ -741,7 +741,7 @@ void Scheduler::worker_draining(WorkerId id) {
   impl_->enter_sums(at->second);
 }
 
-std::optional<Lease> Scheduler::next_lease(WorkerId id, Seconds now) {
+std::optional<Lease> Scheduler::next_lease(WorkerId id, Seconds now, bool duplicates) {
   Impl& m = *impl_;
   now = m.clock(now);
   const auto at = m.workers.find(id);
@@ -760,7 +760,7 @@ std::optional<Lease> Scheduler::next_lease(WorkerId id, Seconds now) {
     if (offer.why_not <= Refusal::full) return std::nullopt;  // whatever the stage
   }
   if (!m.usable(worker)) return std::nullopt;
-  if (!worker.in_flight.empty()) return std::nullopt;
+  if (!worker.in_flight.empty() || !duplicates) return std::nullopt;
   for (const auto& [rank, priority, stage_id] : m.order) {
     ++m.steps;
     Stage& stage = m.stages.at(stage_id);

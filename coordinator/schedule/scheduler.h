@@ -123,7 +123,8 @@ class Scheduler {
   // The next lease for the worker, or none: it holds enough, drains, is unknown, or nothing waits. Ask for the
   // worker of an event until none is given, and again for those that got none while they had room: soon after each
   // event (result, failure, loss, new stage, expire()), on large farms gathered, e.g. every 2 ms.
-  std::optional<Lease> next_lease(WorkerId worker, Seconds now);
+  // `duplicates`: where no items wait, a copy of a slow lease.
+  std::optional<Lease> next_lease(WorkerId worker, Seconds now, bool duplicates = true);
   // A batch's result. `seconds` is the worker's own measure of the batch.
   ResultOutcome result(WorkerId worker, LeaseId lease, Epoch epoch, Seconds seconds, Seconds now);
   // The worker could not do it: the items go back, preferably to another worker. `blameless`: for no fault of the items
