@@ -168,6 +168,7 @@ std::string Farm::Impl::failures_of(const Job& job) const {
 }
 
 void Farm::Impl::run(std::shared_ptr<Impl> self, std::shared_ptr<Frame> frame) {
+  self->join_ended_threads();  // of the frames before: until then their stacks stay
   std::string failure;
   try {
     self->render_and_write(frame);
