@@ -159,6 +159,10 @@ Film Farm::Impl::render(const std::shared_ptr<Frame>& frame) {
   Step step = next_step(nullptr);
   while (!step.done) {
     post(frame, step, to_come);
+    if (step.again) {
+      step = next_step(nullptr);
+      continue;
+    }
     std::optional<FinishedStage> finished = await_stage(*frame);
     if (!finished) break;  // the time limit; the plan has made do with what there is
     // What the threads that received the stage's results have freed, glibc keeps in their arenas.

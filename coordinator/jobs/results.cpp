@@ -16,7 +16,7 @@ constexpr std::size_t most_nonfinite_items = 16;  // in a report
 constexpr std::size_t most_facts_bytes = std::size_t{64} << 10;
 constexpr std::uint64_t count_bytes = 4;
 constexpr Seconds unavailable_for = 60;  // that inputs may lack, beyond the time in which a lost worker is noticed
-constexpr std::uint64_t most_arrived = std::uint64_t{64} << 20;  // bytes of a stage that wait for its plan
+constexpr std::uint64_t most_arrived = std::uint64_t{32} << 20;  // bytes of a stage that wait for its plan
 
 // Sums of a film's samples must stay finite: a record beyond is no light.
 constexpr int most_exponent = 108;
@@ -257,6 +257,7 @@ void Farm::Impl::account(RunningStage& stage, const Worker& worker, const Lease&
   report.uploaded_bytes += cost.fetched_bytes;
   report.peer_bytes += cost.peer_bytes;
   report.downloaded_bytes += bytes;
+  if (cost.shown) report.motion.emplace_back(worker.name, *cost.shown);
   report.nonfinite += cost.nonfinite;
   for (std::uint64_t item : cost.nonfinite_items)
     if (report.nonfinite_items.size() < most_nonfinite_items)

@@ -44,6 +44,7 @@ void Farm::Impl::post(const std::shared_ptr<Frame>& frame, const Step& step, dou
   std::map<ArtifactId, std::string> names;
   for (const auto& [id, bytes] : step.artifacts) names[id] = is_sha256_hex(id) ? id : data_id(*bytes);
   std::vector<std::shared_ptr<const ArtifactData>> released;  // destroyed where the mutex is not held
+  std::vector<std::shared_ptr<const StageWork>> ended;        // likewise: they hold their inputs
   std::vector<std::shared_ptr<RunningStage>> started;
   {
     std::lock_guard lock(mutex);
@@ -56,6 +57,8 @@ void Farm::Impl::post(const std::shared_ptr<Frame>& frame, const Step& step, dou
       frame->outputs.erase(id);
       release_retained(*frame, id);
     }
+    for (const auto& stage : frame->stages)
+      if (stage->delivered) ended.push_back(std::move(stage->work));
     frame->work_to_come = work_to_come;
     frame->posted = true;
     offer_to_all();

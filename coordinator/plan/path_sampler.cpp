@@ -196,7 +196,7 @@ std::uint64_t PathSampler::wanted_for_target() {
 }
 
 void PathSampler::continue_or_end() {
-  // Lists are large, and needed no more.
+  // Lists are large: the next one is made when this one's memory is free.
   stages_.back().list.reset();
   const std::uint64_t left = budget() - spent_;
   if (settings_.target_error > 0) {
@@ -206,7 +206,7 @@ void PathSampler::continue_or_end() {
       warnings_.push_back("the target error was not reached with " + std::to_string(kMostSamplesForTarget) +
                           " samples a pixel, the most that are taken for one");
     if (done_) return program_.inputs.clear();
-    spend(std::min(wanted, left));
+    graph_.when_released([this, samples = std::min(wanted, left)] { spend(samples); });
     return;
   }
   done_ = left == 0;
@@ -214,7 +214,7 @@ void PathSampler::continue_or_end() {
   // A first look at two chunks is a noisy guide for a long way: half now, and the rest once more is known. Not for a
   // few chunks: each stage ends with workers waiting for the last.
   const bool halves = stages_.size() == 1 && left >= pixels() * chunk_samples_ * 2;
-  spend(halves ? left / 2 : left);
+  graph_.when_released([this, samples = halves ? left / 2 : left] { spend(samples); });
 }
 
 bool PathSampler::conclude(const std::vector<CutStage>& cut, std::vector<Skip>& skips) {

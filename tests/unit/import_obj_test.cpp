@@ -69,6 +69,13 @@ TEST_F(Obj, WhiteSpaceCommentsAndContinuations) {
   EXPECT_THAT(s.indices, ElementsAre(0, 1, 2));
 }
 
+// Lines are divided in one way where they hold nothing special, and in another where they hold '#' or a backslash.
+TEST_F(Obj, NumbersAsProgramsWriteThem) {
+  const Scene s = read("v 1E-400 -1e-400 +0\nv 1.50e+00 .5 5.\nv 2e0 1 0 # 3\nv -0 00012 1\\\n0\nf 1 2 3\nf 1 2 4\n");
+  EXPECT_THAT(s.positions, ElementsAre(0, 0, 0, 1.5f, .5f, 5, 2, 1, 0, 0, 12, 1));
+  EXPECT_THAT(s.indices, ElementsAre(0, 1, 2, 0, 1, 3));
+}
+
 TEST_F(Obj, GroupsAreMeshes) {
   const Scene s = read(kSquare + "f 1 2 3\no box top\nf 1 2 3\nf 1 3 4\ng empty\ng side\nf 1 2 4\n");
   ASSERT_EQ(s.meshes.size(), 3u);
