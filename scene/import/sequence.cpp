@@ -90,6 +90,11 @@ void Sequence::make_rig(Scene& base, const Scene& first, const std::function<Sce
   mesh.matrix_count = 1;
   rig.meshes = {mesh};
   base.rig = std::move(rig);
+  // Groups of a file share vertices, posed meshes do not: all of it is one.
+  base.meshes = {{.name = fs::path(pattern_).stem().string(),
+                  .first_triangle = 0,
+                  .triangle_count = static_cast<std::uint32_t>(first.triangle_count())}};
+  mark_deforming(base);
   rigged_ = true;
 }
 

@@ -28,6 +28,7 @@ std::string strip(double frame, int quads = 4, double east = 0) {
   }
   for (int i = 0; i < quads; ++i) {
     const auto corner = [](int c) { return std::to_string(c) + "//" + std::to_string(c); };
+    if (i == quads / 2) text += "g second half, of the same vertices\n";
     text += "f " + corner(2 * i + 1) + " " + corner(2 * i + 2) + " " + corner(2 * i + 4) + "\nf " + corner(2 * i + 1) +
             " " + corner(2 * i + 4) + " " + corner(2 * i + 3) + "\n";
   }
