@@ -112,7 +112,8 @@ struct UndrawnItems {
 struct Job : std::enable_shared_from_this<Job> {
   std::string id;
   JobRequest request;
-  FrameScene scene{};  // of the frame that runs
+  FrameScene scene{};    // of the frame that runs
+  SceneLineage lineage;  // of that scene; the job's thread
   // The job's thread alone: the base that the frames' states were last applied to, and its id.
   std::shared_ptr<const scene::Scene> base;
   std::string base_blob;

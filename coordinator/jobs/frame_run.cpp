@@ -8,6 +8,7 @@
 #include <type_traits>
 #include <utility>
 
+#include "coordinator/artifacts/scene_lineage.h"
 #include "coordinator/film/exposure.h"
 #include "coordinator/jobs/engine.h"
 #include "scene/model/error.h"
@@ -111,7 +112,7 @@ Film Farm::Impl::render_trusted(const std::shared_ptr<Job>& job, std::uint32_t f
 }
 
 bool Farm::Impl::same_picture(const Job& job, std::uint32_t a, std::uint32_t b) {
-  if (lineage_of(scene_of(job.request, a)) != lineage_of(scene_of(job.request, b))) return false;
+  if (blobs_of(scene_of(job.request, a)) != blobs_of(scene_of(job.request, b))) return false;
   const scene::Camera first = settings_of(job.request, a).camera, second = settings_of(job.request, b).camera;
   return std::memcmp(&first, &second, sizeof first) == 0;
 }
@@ -131,9 +132,9 @@ SceneSummary Farm::Impl::summary_of(Job& job, std::uint32_t frame) {
     job.base_blob = shown.scene_blob;
   }
   const std::string origin = job.request.scene_name + ", frame " + std::to_string(frame);
-  SceneSummary summary =
-      summarize(scene::posed(*job.base, scene::parse_frame_state(*fetch(shown.state_blob), origin), origin));
-  summary.blob = lineage_of(shown);
+  const scene::FrameState state = scene::parse_frame_state(*fetch(shown.state_blob), origin);
+  SceneSummary summary = summarize(scene::posed(*job.base, state, origin));
+  summary.lineage = lineage_of(shown.scene_blob, *job.base, state);
   return summary;
 }
 
@@ -141,7 +142,9 @@ void Farm::Impl::aim(Job& job, std::uint32_t frame) {
   const FrameSettings frame_settings = settings_of(job.request, frame);
   compute(job, [&] {
     job.plan.reset();  // before the next one takes its memory
-    job.plan = settings.plan(frame_settings, summary_of(job, frame));
+    const SceneSummary summary = summary_of(job, frame);
+    job.lineage = summary.lineage;
+    job.plan = settings.plan(frame_settings, summary);
     job.drawn = false;
   });
   std::lock_guard lock(mutex);
