@@ -121,6 +121,7 @@ struct Frame : std::enable_shared_from_this<Frame> {
   std::uint64_t place = 0;  // among the job's frames, of the next one to be written
   std::uint64_t left = 1;   // so many are still to be written, from `place` on
   FrameScene scene{};
+  SceneLineage lineage;      // of that scene; the frame's thread
   FrameSettings settings;    // with the camera that sees this frame
   Seconds begun = 0;         // when the one at `place` was begun
   Seconds waited_from = 0;   // from when on its report counts seconds

@@ -8,6 +8,7 @@
 #include <type_traits>
 #include <utility>
 
+#include "coordinator/artifacts/scene_lineage.h"
 #include "coordinator/film/exposure.h"
 #include "coordinator/jobs/engine.h"
 #include "scene/model/error.h"
@@ -103,16 +104,18 @@ SceneSummary Farm::Impl::summary_of(const Frame& frame) {
     base = job.base;
   }
   const std::string origin = job.request.scene_name + ", frame " + std::to_string(frame_at(job.request, frame.place));
-  SceneSummary summary =
-      summarize(scene::posed(*base, scene::parse_frame_state(*fetch(shown.state_blob), origin), origin));
-  summary.blob = lineage_of(shown);
+  const scene::FrameState state = scene::parse_frame_state(*fetch(shown.state_blob), origin);
+  SceneSummary summary = summarize(scene::posed(*base, state, origin));
+  summary.lineage = lineage_of(shown.scene_blob, *base, state);
   return summary;
 }
 
 void Farm::Impl::aim(Frame& frame) {
   compute(frame, [&] {
     frame.plan.reset();  // before the next one takes its memory
-    frame.plan = settings.plan(frame.settings, summary_of(frame));
+    const SceneSummary summary = summary_of(frame);
+    frame.lineage = summary.lineage;
+    frame.plan = settings.plan(frame.settings, summary);
     frame.drawn = false;
   });
   std::lock_guard lock(mutex);

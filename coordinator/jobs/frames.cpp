@@ -20,7 +20,7 @@ namespace {
 constexpr Seconds idle_before_frame = 0.02;
 
 bool same_picture(const JobRequest& request, std::uint64_t a, std::uint64_t b) {
-  if (request.scenes.size() > 1 && lineage_of(request.scenes[a]) != lineage_of(request.scenes[b])) return false;
+  if (request.scenes.size() > 1 && blobs_of(request.scenes[a]) != blobs_of(request.scenes[b])) return false;
   return request.cameras.empty() || std::memcmp(&request.cameras[a], &request.cameras[b], sizeof(scene::Camera)) == 0;
 }
 

@@ -17,8 +17,8 @@ struct FrameScene {
   SceneSummary summary;    // of the scene; of a base at rest where there is a state
   std::string state_blob;  // id of the state that shows the scene as a base; empty: the scene as it is
 };
-// Names what is made of it (artifact_id).
-inline std::string lineage_of(const FrameScene& scene) {
+// Equal for frames of one scene.
+inline std::string blobs_of(const FrameScene& scene) {
   return scene.state_blob.empty() ? scene.scene_blob : scene.scene_blob + "+" + scene.state_blob;
 }
 

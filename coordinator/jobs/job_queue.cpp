@@ -54,9 +54,9 @@ std::shared_ptr<Job> Farm::Impl::accept(const JobRequest& request) {
   auto job = std::make_shared<Job>();
   job->request = request;
   std::vector<FrameScene>& scenes = job->request.scenes;
-  for (FrameScene& scene : scenes) scene.summary.blob = lineage_of(scene);
+  for (FrameScene& scene : scenes) scene.summary.lineage = scene.scene_blob;
   if (std::all_of(scenes.begin(), scenes.end(),
-                  [&](const FrameScene& scene) { return lineage_of(scene) == lineage_of(scenes.front()); }))
+                  [&](const FrameScene& scene) { return blobs_of(scene) == blobs_of(scenes.front()); }))
     scenes.resize(1);
   // What a trajectory's frames share is made for one scene.
   if (!request.cameras.empty() && scenes.size() == 1) job->request.settings.trajectory = trajectory_of(request.cameras);

@@ -151,7 +151,7 @@ std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Frame>&
   for (const auto& input : spec.inputs) add_input(*frame, *stage, *work, input);
   // The plan may have given its data names of its own; what stages make is named by what the farm knows it as.
   for (std::size_t i = 0; i < spec.inputs.size(); ++i) stage->spec.inputs[i].artifact = work->inputs[i].blob;
-  stage->artifact = work->artifact = artifact_id(lineage_of(frame->scene), stage->spec);
+  stage->artifact = work->artifact = artifact_id(frame->lineage, stage->spec);
   stage->work = std::move(work);
   stage->report.name = spec.name;
   stage->report.kind = spec.kind;
