@@ -158,7 +158,7 @@ void measure_motion(const Device& device, int rounds) {
       float* p = &shown.positions[3 * std::size_t{shown.indices[i]}];
       p[1] = 2 + 0.05f * std::sin(3 * p[0] + static_cast<float>(round)) * std::cos(2 * p[2]);
     }
-    const auto report = held->move(shown, moved);
+    const auto report = held->show(std::make_shared<const Scene>(shown), moved);
     refit.push_back(report.meshes[0].seconds + report.top_level_seconds);
     growth.push_back(report.meshes[0].growth);
     rebuilt += report.meshes[0].rebuilt;
@@ -168,7 +168,7 @@ void measure_motion(const Device& device, int rounds) {
   shown = *rigid;
   for (int round = 0; round < rounds; ++round) {
     shown.instances[0].transform[3] = 0.01f * static_cast<float>(round + 1);
-    top.push_back(of_rigid->move(shown, {}).top_level_seconds);
+    top.push_back(of_rigid->show(std::make_shared<const Scene>(shown), {}).top_level_seconds);
   }
   std::printf("build of the scene of %zu triangles   %8.2f ms\n", still->triangle_count(), 1e3 * median(build));
   std::printf(

@@ -20,6 +20,7 @@
 #include "coordinator/blobs/store.h"
 #include "coordinator/gateway/address.h"
 #include "coordinator/gateway/http.h"
+#include "coordinator/gateway/listener.h"
 #include "coordinator/gateway/server.h"
 #include "coordinator/jobs/farm.h"
 #include "coordinator/journal/journal_writer.h"
@@ -137,6 +138,7 @@ int coordinate(const CoordinatorOptions& options) {
 int main(int argc, char** argv) {
   using namespace gleaner::cli;
   give_back_large_memory();
+  gleaner::gateway::raise_descriptor_limit();
   silence_grpc();
   CLI::App app{"Takes jobs, splits their frames among workers, writes the pictures", "gleaner-coordinator"};
   app.set_version_flag("--version", std::string("gleaner-coordinator ") + gleaner::version);

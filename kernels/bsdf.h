@@ -215,7 +215,7 @@ FN v3 rough_lobe(v3 f0, vf f90, vf alpha, v3 n, v3 v, v3 l) {
   return scale3(schlick(f0, f90, dot3(v, h)), d / (gv * gl));
 }
 
-// What a lobe sends in the mean over the hemisphere, roughly: its share of a light's flux is reckoned by this.
+// What a lobe sends in the mean over the hemisphere, roughly: its share of a light's flux is estimated by this.
 FN v3 mean_lobe(v3 f0, vf f90, vf nv) { return scale3(schlick(f0, f90, nv), (vf)INV_PI); }
 
 // How many times as bright as a white diffuse surface a lobe may make a light: the geometry term's bound is on the

@@ -89,7 +89,7 @@ FN vf next_toward(vf x, vf sign) {
 }
 
 // A point of a triangle by the weights of its second and third corner, and by how much each component may be off the
-// triangle's plane. Reckoned along the edges from the first corner, so that only the last sum is rounded to the
+// triangle's plane. Computed along the edges from the first corner, so that only the last sum is rounded to the
 // coordinates' size; the edges' part of the bound has room for the roundings of a ray query that begins there, which
 // are relative to the same edges. (Corners weighted by themselves are off by units of the coordinates: 0.25 m at 10^5
 // m.)

@@ -264,6 +264,22 @@ WorkerHello from_proto(const pb::Hello& hello) {
           .token = {}};
 }
 
+ShownFrame from_proto(const pb::ShownFrame& shown) {
+  for (double seconds : {shown.load_seconds(), shown.pose_seconds(), shown.table_seconds(), shown.refit_seconds(),
+                         shown.rebuild_seconds(), shown.top_level_seconds(), shown.most_growth()})
+    require(seconds >= 0 && seconds < 1e9, "result.cost.shown", "seconds that are not negative");
+  return {.load_seconds = shown.load_seconds(),
+          .pose_seconds = shown.pose_seconds(),
+          .table_seconds = shown.table_seconds(),
+          .written_bytes = shown.written_bytes(),
+          .refit_seconds = shown.refit_seconds(),
+          .rebuild_seconds = shown.rebuild_seconds(),
+          .top_level_seconds = shown.top_level_seconds(),
+          .refitted = shown.refitted(),
+          .rebuilt = shown.rebuilt(),
+          .most_growth = shown.most_growth()};
+}
+
 BatchCost from_proto(const pb::BatchCost& cost) {
   for (double seconds : {cost.seconds(), cost.trace_seconds(), cost.kernel_seconds()})
     require(seconds >= 0 && seconds < 1e9, "result.cost", "seconds that are not negative");
@@ -278,6 +294,7 @@ BatchCost from_proto(const pb::BatchCost& cost) {
                 .nonfinite_items = {},
                 .fetched_bytes = cost.fetched_bytes(),
                 .peer_bytes = cost.peer_bytes()};
+  if (cost.has_shown()) out.shown = from_proto(cost.shown());
   out.nonfinite_items.assign(cost.nonfinite_items().begin(), cost.nonfinite_items().end());
   return out;
 }

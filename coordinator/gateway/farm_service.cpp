@@ -51,8 +51,13 @@ Status FarmService::MissingBlobs(grpc::ServerContext*, const pb::MissingBlobsReq
   return Status::OK;
 }
 
-Status FarmService::UploadBlob(grpc::ServerContext*, grpc::ServerReader<pb::UploadBlobRequest>* stream,
+Status FarmService::UploadBlob(grpc::ServerContext* context, grpc::ServerReader<pb::UploadBlobRequest>* stream,
                                pb::UploadBlobReply* reply) {
+  const Seat seat(uploads_);
+  if (seat.before >= settings_.most_uploads)
+    return {StatusCode::RESOURCE_EXHAUSTED, "this coordinator takes " + std::to_string(settings_.most_uploads) +
+                                                " uploads at the same time: try again"};
+  SilenceWatch::Call call(silence_, *context, std::chrono::duration<double>(settings_.silent_seconds));
   pb::UploadBlobRequest part;
   if (!stream->Read(&part) || !part.has_header())
     return {StatusCode::INVALID_ARGUMENT, "an upload begins with its header"};
@@ -61,10 +66,10 @@ Status FarmService::UploadBlob(grpc::ServerContext*, grpc::ServerReader<pb::Uplo
   if (!is_sha256_hex(id))
     return {StatusCode::INVALID_ARGUMENT,
             "blob id: expected 64 lower-case hexadecimal digits, found \"" + id.substr(0, 80) + "\""};
-  if (bytes > upload_bytes_)
+  if (bytes > settings_.upload_bytes)
     return {StatusCode::RESOURCE_EXHAUSTED, "blob " + id + ": " + std::to_string(bytes) +
                                                 " bytes are over this coordinator's limit of " +
-                                                std::to_string(upload_bytes_)};
+                                                std::to_string(settings_.upload_bytes)};
   if (blobs_.has(id)) {
     reply->set_held_before(true);
     return Status::OK;
@@ -76,6 +81,7 @@ Status FarmService::UploadBlob(grpc::ServerContext*, grpc::ServerReader<pb::Uplo
       return Status::OK;
     }
     while (stream->Read(&part)) {
+      call.heard();
       if (part.part_case() != pb::UploadBlobRequest::kData)
         return {StatusCode::INVALID_ARGUMENT, "blob " + id + ": a second header"};
       if (part.data().size() > piece_bytes)
@@ -187,6 +193,7 @@ Status FarmService::CancelJob(grpc::ServerContext*, const pb::CancelJobRequest* 
 Status FarmService::WatchJob(grpc::ServerContext* context, const pb::WatchJobRequest* request,
                              grpc::ServerWriter<pb::Job>* stream) {
   using namespace std::chrono_literals;
+  SilenceWatch::Call call(silence_, *context, std::chrono::duration<double>(settings_.silent_seconds));
   std::uint64_t seen = 0;
   while (!context->IsCancelled()) {
     // Silence of a second is broken, so that seconds and rates keep moving; a farm that goes away ends the wait.
@@ -194,6 +201,7 @@ Status FarmService::WatchJob(grpc::ServerContext* context, const pb::WatchJobReq
     if (!status) return no_job(request->job());
     seen = status->version;
     if (!stream->Write(to_proto(*status))) return Status::OK;
+    call.heard();
     if (ended(status->state)) return Status::OK;
     std::this_thread::sleep_for(100ms);
   }
@@ -252,7 +260,7 @@ Status FarmService::ListFiles(grpc::ServerContext*, const pb::ListFilesRequest* 
   return Status::OK;
 }
 
-Status FarmService::FetchFile(grpc::ServerContext*, const pb::FetchFileRequest* request,
+Status FarmService::FetchFile(grpc::ServerContext* context, const pb::FetchFileRequest* request,
                               grpc::ServerWriter<pb::FetchFileReply>* stream) {
   if (!farm_.status(request->job())) return no_job(request->job());
   // Only names that the job itself gave: nothing else of the disk can be asked for.
@@ -260,6 +268,7 @@ Status FarmService::FetchFile(grpc::ServerContext*, const pb::FetchFileRequest* 
     if (path.filename() != request->name()) continue;
     std::ifstream file(path, std::ios::binary | std::ios::ate);
     if (!file) return {StatusCode::INTERNAL, path.filename().string() + ": cannot open"};
+    SilenceWatch::Call call(silence_, *context, std::chrono::duration<double>(settings_.silent_seconds));
     pb::FetchFileReply piece;
     piece.set_total_bytes(static_cast<std::uint64_t>(file.tellg()));
     std::uint64_t left = piece.total_bytes();
@@ -270,6 +279,7 @@ Status FarmService::FetchFile(grpc::ServerContext*, const pb::FetchFileRequest* 
         return {StatusCode::INTERNAL, path.filename().string() + ": cannot read"};
       left -= piece.data().size();
       if (!stream->Write(piece)) return Status::OK;
+      call.heard();
     } while (left > 0);
     return Status::OK;
   }

@@ -1,11 +1,14 @@
 #pragma once
 // gleaner.v1.Farm: what people call.
 
+#include <atomic>
 #include <map>
 #include <mutex>
 #include <string>
 
 #include "coordinator/blobs/store.h"
+#include "coordinator/gateway/server.h"
+#include "coordinator/gateway/silence_watch.h"
 #include "coordinator/jobs/farm.h"
 #include "gleaner/v1/farm.grpc.pb.h"
 
@@ -15,8 +18,9 @@ namespace pb = gleaner::v1;
 
 class FarmService final : public pb::Farm::Service {
  public:
-  FarmService(coordinator::Farm& farm, coordinator::BlobStore& blobs, std::uint64_t upload_bytes)
-      : farm_(farm), blobs_(blobs), upload_bytes_(upload_bytes) {}
+  FarmService(coordinator::Farm& farm, coordinator::BlobStore& blobs, SilenceWatch& silence,
+              const ServerSettings& settings)
+      : farm_(farm), blobs_(blobs), silence_(silence), settings_(settings) {}
 
   grpc::Status MissingBlobs(grpc::ServerContext*, const pb::MissingBlobsRequest*, pb::MissingBlobsReply*) override;
   grpc::Status UploadBlob(grpc::ServerContext*, grpc::ServerReader<pb::UploadBlobRequest>*,
@@ -42,7 +46,9 @@ class FarmService final : public pb::Farm::Service {
 
   coordinator::Farm& farm_;
   coordinator::BlobStore& blobs_;
-  std::uint64_t upload_bytes_;  // largest blob
+  SilenceWatch& silence_;
+  const ServerSettings settings_;
+  std::atomic<unsigned> uploads_{0};
   std::mutex summaries_mutex_;
   std::map<std::string, coordinator::SceneSummary> summaries_;  // by scene blob
   std::mutex previews_mutex_;

@@ -280,16 +280,16 @@ class ResultAssembly {
 }  // namespace
 
 Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
-  struct Seat {
-    std::atomic<unsigned>& taken;
-    unsigned before = taken.fetch_add(1);
-    ~Seat() { taken.fetch_sub(1); }
-  } seat{workers_};
-  if (seat.before >= most_workers_)
-    return {StatusCode::RESOURCE_EXHAUSTED, "this coordinator takes " + std::to_string(most_workers_) + " workers"};
-
   pb::WorkerMessage message;
-  if (!stream->Read(&message)) return Status::OK;
+  {
+    // Who takes no seat yet holds a thread all the same.
+    const SilenceWatch::Call call(silence_, *context, std::chrono::duration<double>(settings_.hello_seconds));
+    if (!stream->Read(&message)) return Status::OK;
+  }
+  const Seat seat(workers_);
+  if (seat.before >= settings_.most_workers)
+    return {StatusCode::RESOURCE_EXHAUSTED,
+            "this coordinator takes " + std::to_string(settings_.most_workers) + " workers"};
   if (!message.has_hello()) return {StatusCode::INVALID_ARGUMENT, "a worker's first message must be Hello"};
   if (message.hello().protocol() != protocol_version)
     return {StatusCode::FAILED_PRECONDITION, "this coordinator speaks protocol " + std::to_string(protocol_version) +
@@ -308,7 +308,7 @@ Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
   hello.peer_address = reachable_address(hello.peer_address, hello.address);
   hello.token = new_token();
 
-  auto session = std::make_shared<StreamSession>(*context, *stream, heartbeat_seconds_, hello.token);
+  auto session = std::make_shared<StreamSession>(*context, *stream, settings_.heartbeat_seconds, hello.token);
   const WorkerId worker = farm_.join(hello, session).id;
   Status status = guarded([&]() -> Status {
     ResultAssembly assembly(farm_, worker);
@@ -346,7 +346,7 @@ Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
   return status;
 }
 
-Status WorkerHub::FetchBlob(grpc::ServerContext*, const pb::FetchBlobRequest* request,
+Status WorkerHub::FetchBlob(grpc::ServerContext* context, const pb::FetchBlobRequest* request,
                             grpc::ServerWriter<pb::BlobPiece>* stream) {
   return guarded([&]() -> Status {
     if (!is_sha256_hex(request->id()))
@@ -362,6 +362,7 @@ Status WorkerHub::FetchBlob(grpc::ServerContext*, const pb::FetchBlobRequest* re
     std::uint64_t left = request->length() > 0 ? request->length() : blob->bytes() - request->offset();
     std::uint64_t offset = request->offset();
     Bytes bytes;
+    SilenceWatch::Call call(silence_, *context, std::chrono::duration<double>(settings_.silent_seconds));
     pb::BlobPiece piece;
     piece.set_total_bytes(blob->bytes());
     do {
@@ -376,6 +377,7 @@ Status WorkerHub::FetchBlob(grpc::ServerContext*, const pb::FetchBlobRequest* re
       else
         piece.set_data(std::move(packed));
       if (!stream->Write(piece)) return Status::OK;
+      call.heard();
     } while (left > 0);
     return Status::OK;
   });

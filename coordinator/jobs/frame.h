@@ -90,9 +90,7 @@ struct RunningStage : std::enable_shared_from_this<RunningStage> {
   std::deque<std::pair<Seconds, std::uint64_t>> history;  // (when, items done) of the last few seconds
 
   // Predicted cost of an item, in samples of a path tracer.
-  double work_per_item() const {
-    return spec.work > 0 && spec.items > 0 ? spec.work / static_cast<double>(spec.items) : 1;
-  }
+  double work_per_item() const { return spec.items > 0 ? work_of(spec) / static_cast<double>(spec.items) : 1; }
   // Nothing that it reads was made by another stage.
   bool rests_on_no_stage() const {
     return std::all_of(reads.begin(), reads.end(), [](const auto& input) { return !input; }) && !reads_outputs;

@@ -256,6 +256,7 @@ void Farm::Impl::account(RunningStage& stage, const Worker& worker, const Lease&
   report.uploaded_bytes += cost.fetched_bytes;
   report.peer_bytes += cost.peer_bytes;
   report.downloaded_bytes += bytes;
+  if (cost.shown) report.motion.emplace_back(worker.name, *cost.shown);
   report.nonfinite += cost.nonfinite;
   for (std::uint64_t item : cost.nonfinite_items)
     if (report.nonfinite_items.size() < most_nonfinite_items)

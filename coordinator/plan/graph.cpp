@@ -81,6 +81,10 @@ void Graph::Artifact::read_facts(std::span<std::byte> to) const {
   std::memcpy(to.data(), facts.data(), to.size());
 }
 
+void Graph::Artifact::check_facts(bool sound, const std::string& what) const {
+  if (!sound) throw fault(stage(), "facts that cannot be: " + what);
+}
+
 Graph::Graph(std::string scene_blob)
     : scene_blob_(std::move(scene_blob)), released_(std::make_shared<std::vector<ArtifactId>>()) {}
 Graph::~Graph() = default;
@@ -110,6 +114,7 @@ void Graph::announce(const Artifact& event) {
 Graph::Artifact Graph::add_stage(StageSpec stage, std::vector<Input> inputs) {
   if (!names_.insert(stage.name).second) throw fault(stage.name, "was asked for twice");
   for (const Input& input : inputs) stage.inputs.push_back({input.name, input.artifact.id(), input.extent});
+  asked_work_ += work_of(stage);
   auto node = std::make_shared<Node>();
   node->life = life_of(artifact_id(scene_blob_, stage));
   node->spec = std::move(stage);
@@ -224,6 +229,31 @@ Step GraphPlan::next(const FinishedStage* finished) {
   Step step = graph_.take_step();
   step.done = graph_.idle();
   return step;
+}
+
+namespace {
+
+std::span<const float> floats_of(const Bytes& records) {
+  return {reinterpret_cast<const float*>(records.data()), records.size() / sizeof(float)};
+}
+
+}  // namespace
+
+void GraphPlan::add_pass(const Graph::Artifact& shaded) {
+  std::vector<Graph::Artifact> after;
+  if (shaded) after.push_back(shaded);
+  if (last_pass_) after.push_back(last_pass_);
+  const Graph::Artifact added = last_pass_ = graph_.event();
+  graph_.when(std::move(after), [this, shaded, added] {
+    film_.add_pass(shaded ? floats_of(shaded.records()) : std::span<const float>{});
+    graph_.announce(added);
+  });
+}
+
+void GraphPlan::preview_pass(const Graph::Artifact& shaded) {
+  graph_.on_preview(shaded, [this](auto first, auto count, const Bytes& records) {
+    film_.draw_pass(first, floats_of(records).first(3 * count));
+  });
 }
 
 const CutStage* find_cut(const std::vector<CutStage>& cut, const Graph::Artifact& artifact) {

@@ -7,6 +7,7 @@
 //   graph.when({order}, [=, this] { shade(order.facts<OrderFacts>().rows, order); });
 //   Step step = graph.take_step();  // to the farm; what comes back goes to finish()
 
+#include <algorithm>
 #include <cstddef>
 #include <cstring>
 #include <functional>
@@ -65,6 +66,9 @@ class Graph {
       read_facts(std::as_writable_bytes(std::span(&facts, 1)));
       return facts;
     }
+
+    // Throws Error::failed where a worker's facts are not what its stage can say.
+    void check_facts(bool sound, const std::string& what) const;
 
    private:
     friend class Graph;
@@ -130,6 +134,8 @@ class Graph {
   void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) const;
   // What was asked for, provided and released since the last call.
   Step take_step();
+  // Of all stages that were added, StageSpec::work.
+  double asked_work() const { return asked_work_; }
   // Nothing was asked for that has not finished.
   bool idle() const { return running_.empty() && waiting_stages_.empty() && after_release_.empty(); }
   // What waits for the release of the step before.
@@ -154,6 +160,7 @@ class Graph {
   std::vector<std::shared_ptr<Node>> waiting_stages_;  // for their inputs, in the order in which they were added
   std::vector<Waiting> waiting_;
   std::vector<Continuation> after_release_;
+  double asked_work_ = 0;
 };
 
 // A plan that is a graph, and what its records add up to: the base of the methods' plans.
@@ -176,11 +183,26 @@ class GraphPlan : public Plan {
       : graph_(scene.blob), film_(settings.width, settings.height) {}
   // Asks for the first stages. The film is whole once nothing is left that was asked for.
   virtual void begin() = 0;
+  // Adds a pass, RGB a pixel, to the film once it is there: after the passes that were added before, whichever ends
+  // first, for sums of floats depend on their order. No artifact: the pass is dark.
+  void add_pass(const Graph::Artifact& shaded);
+  // Of a method that predicts so much work for its own stages, what they will still ask for; `others` of what was asked
+  // for is not theirs.
+  double work_to_come(double predicted, double others) const {
+    return own_stages_asked_ ? 0 : std::max(0.0, predicted - (graph_.asked_work() - others));
+  }
+  // The live preview shows the pass while it is shaded.
+  void preview_pass(const Graph::Artifact& shaded);
 
-  bool begun_ = false;
   Graph graph_;
   Accumulator film_;
   std::vector<Skip> skips_;
+
+  bool own_stages_asked_ = false;  // the method asks for no more stages but paths
+
+ private:
+  bool begun_ = false;
+  Graph::Artifact last_pass_;  // an event: it is in the film
 };
 
 // The cut stage that makes `artifact`, or null.

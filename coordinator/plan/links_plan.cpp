@@ -27,7 +27,7 @@ constexpr Extent kOwnItems = Extent::own_items;
 constexpr std::uint32_t kAlbedoSamples = 16;
 // Bounces go on until all that are left would add less than this share of the light.
 constexpr double kLeastShare = 1e-3;
-constexpr std::uint32_t kMostBounces = 64;
+constexpr std::uint32_t kMostBounces = 64, kUsualBounces = 8;
 constexpr std::uint32_t kMostShadeSamples = 16;
 // Rays that show where irradiance bends; the test lights' longest wave is about the scene's size.
 constexpr std::uint32_t kProbeDirections = 64;
@@ -89,6 +89,13 @@ StageOutput reusable(StageOutput output) {
   return output;
 }
 
+// An element is a side of a vertex: their number has 32 bits.
+LinksMeshFacts checked_facts(const Artifact& mesh) {
+  const auto facts = mesh.facts<LinksMeshFacts>();
+  mesh.check_facts(facts.vertices <= 0x7fffffffu, std::to_string(facts.vertices) + " vertices");
+  return facts;
+}
+
 class LinksPlan final : public GraphPlan {
  public:
   LinksPlan(const FrameSettings& settings, const SceneSummary& scene)
@@ -101,6 +108,7 @@ class LinksPlan final : public GraphPlan {
           "--method links: expected a scene of copies, found one with instances, whose vertices are one for all "
           "places");
     skips_ = path_skips(scene.needs);
+    triangles_ = static_cast<double>(scene.triangles);
     double diagonal = 0;
     for (std::size_t k = 0; k < 3; ++k)
       diagonal = std::hypot(diagonal, double{scene.bounds.upper[k]} - scene.bounds.lower[k]);
@@ -114,7 +122,9 @@ class LinksPlan final : public GraphPlan {
     // Less than the links' light and the paths' first samples is no picture.
     return (!indirect() || film_.passes() > 0) && paths_.conclude(cut, skips_);
   }
-  double predicted_work() const override { return paths_.predicted_work(); }
+  double predicted_work() const override {
+    return paths_.predicted_work() + work_to_come(own_work(), paths_.asked_work());
+  }
   std::vector<std::string> warnings() const override { return paths_.warnings(); }
   std::string parameters_json() const override;
   std::vector<std::string> outline() const override;
@@ -122,6 +132,8 @@ class LinksPlan final : public GraphPlan {
  private:
   std::uint64_t pixels() const { return std::uint64_t{settings_.width} * settings_.height; }
   bool indirect() const { return most_bounces_ > 0; }
+
+  double own_work() const;
 
   void begin() override;
   Artifact ask_mesh(const std::string& name, std::uint32_t vertices, std::vector<Graph::Input> inputs);
@@ -139,7 +151,9 @@ class LinksPlan final : public GraphPlan {
   PathSampler paths_;
   std::uint32_t most_bounces_ = 0, bounces_ = 0, elements_ = 0;
   std::uint64_t link_words_ = 0;
-  float wave_ = 0;  // 1/m
+  double triangles_ = 0;  // of the scene
+  bool linked_ = false;   // the mesh is known
+  float wave_ = 0;        // 1/m
   LinksMeshFacts mesh_facts_{};
   Artifact mesh_, probe_, albedo_, made_, light_, sent_;
   double grown_ = 0, left_ = 0;  // by the last bounce, W; the share that bounces to come would add
@@ -153,12 +167,24 @@ void LinksPlan::begin() {
   paths_.begin({.classes = PATH_CLASS_RADIOSITY, .limit = std::numeric_limits<float>::infinity()});
   if (!links_.refine || links_.vertices == 0) {
     mesh_ = ask_mesh("links.mesh", links_.vertices, {});
-    graph_.when({mesh_}, [this] { link(mesh_.facts<LinksMeshFacts>()); });
+    graph_.when({mesh_}, [this] { link(checked_facts(mesh_)); });
     return;
   }
   // Half of the vertices lie evenly, and show where the others are needed.
   const Artifact coarse = ask_mesh("links.coarse_mesh", half_of(links_.vertices), {});
   graph_.when({coarse}, [this, coarse] { probe(coarse); });
+}
+
+// All that the links take. Before the mesh is known it is expected to have the vertices that were asked for, or as many
+// as closed surfaces of the scene's triangles.
+double LinksPlan::own_work() const {
+  if (!indirect()) return 0;
+  const double wanted =
+      links_.vertices == GLEANER_NONE ? std::max<double>(LINKS_USUAL_VERTICES, 2 * triangles_) : links_.vertices;
+  const double elements = linked_ ? elements_ : 2 * std::max(wanted, triangles_ / 2);
+  const double bounces = std::min(most_bounces_, kUsualBounces);
+  const double probes = kInsideDirections + (links_.refine ? kProbeDirections / 2.0 : 0);
+  return elements * (probes + links_.directions + links_.light_samples + 1 + bounces) + static_cast<double>(pixels());
 }
 
 Artifact LinksPlan::ask_mesh(const std::string& name, std::uint32_t vertices, std::vector<Graph::Input> inputs) {
@@ -172,7 +198,7 @@ Artifact LinksPlan::ask_mesh(const std::string& name, std::uint32_t vertices, st
 }
 
 void LinksPlan::probe(const Artifact& coarse) {
-  const auto facts = coarse.facts<LinksMeshFacts>();
+  const LinksMeshFacts facts = checked_facts(coarse);
   if (facts.divided == 0) {
     // Nothing is measured where no triangle is divided.
     mesh_ = coarse;
@@ -182,7 +208,7 @@ void LinksPlan::probe(const Artifact& coarse) {
   elements_ = 2 * facts.vertices;
   const Artifact probed = ask_probe("links.coarse_probe", coarse, kProbeDirections);
   mesh_ = ask_mesh("links.mesh", links_.vertices, {{"coarse", coarse}, {"probe", probed}});
-  graph_.when({mesh_}, [this] { link(mesh_.facts<LinksMeshFacts>()); });
+  graph_.when({mesh_}, [this] { link(checked_facts(mesh_)); });
 }
 
 Graph::Artifact LinksPlan::ask_probe(const std::string& name, const Artifact& mesh, std::uint32_t directions) {
@@ -216,8 +242,7 @@ StageSpec LinksPlan::elements(const std::string& name, const char* kind, const S
 
 void LinksPlan::link(const LinksMeshFacts& facts) {
   mesh_facts_ = facts;
-  if (facts.vertices > 0x7fffffffu)
-    throw Error::failed("stage links.mesh: " + std::to_string(facts.vertices) + " vertices");
+  linked_ = true;
   elements_ = 2 * facts.vertices;
   if (elements_ == 0) {
     skips_.push_back({"links", "the scene has no surface", 1});
@@ -320,13 +345,9 @@ void LinksPlan::shade(const Artifact& gathered) {
                  .output = {.record_bytes = 12, .floats = true}};
   const Artifact shaded = graph_.add(std::move(spec), p, {{"mesh", mesh_}, {"irradiance", irradiance}});
   mesh_ = probe_ = albedo_ = made_ = light_ = sent_ = {};
-  const auto floats = [](const Bytes& records) {
-    return std::span(reinterpret_cast<const float*>(records.data()), records.size() / 4);
-  };
-  graph_.on_preview(shaded, [this, floats](auto first, auto count, const Bytes& records) {
-    film_.draw_pass(first, floats(records).first(3 * count));
-  });
-  graph_.when({shaded}, [this, shaded, floats] { film_.add_pass(floats(shaded.records())); });
+  preview_pass(shaded);
+  add_pass(shaded);
+  own_stages_asked_ = true;
 }
 
 std::string LinksPlan::parameters_json() const {

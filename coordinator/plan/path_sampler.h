@@ -51,6 +51,7 @@ class PathSampler {
   std::vector<std::string> outline() const;
   std::vector<std::string> warnings() const { return warnings_; }
   double predicted_work() const;  // of what is still to be asked for, in samples
+  double asked_work() const { return static_cast<double>(spent_); }
 
  private:
   // A stage that was asked for: which pixel and chunk each of its items is.

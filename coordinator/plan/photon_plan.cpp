@@ -70,7 +70,9 @@ class PhotonPlan final : public GraphPlan {
   PhotonPlan(const FrameSettings& settings, const SceneSummary& scene);
 
   bool conclude(const std::vector<CutStage>& cut) override;
-  double predicted_work() const override { return paths_.predicted_work(); }
+  double predicted_work() const override {
+    return paths_.predicted_work() + work_to_come(own_work(), paths_.asked_work());
+  }
   std::vector<std::string> warnings() const override { return paths_.warnings(); }
   std::string parameters_json() const override;
   std::vector<std::string> outline() const override;
@@ -78,7 +80,6 @@ class PhotonPlan final : public GraphPlan {
  private:
   struct Pass {
     Artifact map;
-    Artifact added;  // an event: the pass is in the film
     PhotonMapFacts facts;
   };
 
@@ -90,13 +91,18 @@ class PhotonPlan final : public GraphPlan {
     return (gathers() ? PATH_CLASS_DIFFUSE | PATH_CLASS_MIXED : 0) | (has_caustics() ? PATH_CLASS_CAUSTIC : 0);
   }
   PhotonEstimate estimate(std::uint32_t neighbours) const;
+  // Maps are traced and built, those of caustics read by every pixel.
+  double own_work() const {
+    return (gathers() ? 2.0 * photon_.count : 0.0) +
+           static_cast<double>(passes_.size()) *
+               (2.0 * photon_.caustics + static_cast<double>(pixels()) * photon_.samples);
+  }
 
   void begin() override;
   Artifact ask_map(const std::string& suffix, std::uint32_t pass, std::uint32_t paths, std::uint32_t classes);
   void gather(const Artifact& map);
   void ask_caustics(std::uint32_t pass);
   void shade_caustics(std::uint32_t pass);
-  void add_to_film(std::uint32_t pass, const Artifact& shaded);
 
   FrameSettings settings_;
   PhotonSettings photon_;
@@ -190,9 +196,17 @@ Artifact PhotonPlan::ask_map(const std::string& suffix, std::uint32_t pass, std:
                     PhotonMapParameters{.classes = classes, .neighbours = kGatherNeighbours}, {{"photons", traced}});
 }
 
+PhotonMapFacts checked_facts(const Graph::Artifact& map) {
+  const auto facts = map.facts<PhotonMapFacts>();
+  map.check_facts(facts.radius >= 0 && std::isfinite(facts.radius) &&
+                      std::ranges::all_of(facts.power, [](double w) { return w >= 0 && std::isfinite(w); }),
+                  "a radius of " + std::to_string(facts.radius) + " m");
+  return facts;
+}
+
 // Paths that read the map behind their first surface.
 void PhotonPlan::gather(const Artifact& map) {
-  gathered_ = map.facts<PhotonMapFacts>();
+  gathered_ = checked_facts(map);
   // Nearer than an estimate is wide, its photons are those of the surface that the path comes from, and their mean
   // over it says little of this place.
   spacing_ = photon_.radius > 0 ? photon_.radius : std::min(gathered_.radius, most_radius_);
@@ -216,7 +230,7 @@ void PhotonPlan::ask_caustics(std::uint32_t pass) {
 
 void PhotonPlan::shade_caustics(std::uint32_t pass) {
   Pass& s = passes_[pass];
-  s.facts = s.map.facts<PhotonMapFacts>();
+  s.facts = checked_facts(s.map);
   PhotonCausticsParameters p{};
   p.camera = settings_.camera;
   p.width = settings_.width;
@@ -239,26 +253,13 @@ void PhotonPlan::shade_caustics(std::uint32_t pass) {
                                       .output = {.record_bytes = 12, .floats = true}},
                                      p, {{"guide", guide_}, {"map", s.map}});
   s.map = {};
-  graph_.on_preview(shaded, [this](auto first, auto count, const Bytes& records) {
-    film_.draw_pass(first, {reinterpret_cast<const float*>(records.data()), 3 * count});
-  });
-  add_to_film(pass, shaded);
-  if (pass + 1 < passes_.size())
-    ask_caustics(pass + 1);
-  else
+  preview_pass(shaded);
+  add_pass(shaded);
+  own_stages_asked_ = pass + 1 == passes_.size();
+  if (own_stages_asked_)
     guide_ = {};
-}
-
-// Passes add up in their order, whichever ends first: sums of floats depend on it.
-void PhotonPlan::add_to_film(std::uint32_t pass, const Artifact& shaded) {
-  passes_[pass].added = graph_.event();
-  std::vector<Artifact> after = {shaded};
-  if (pass > 0) after.push_back(passes_[pass - 1].added);
-  graph_.when(after, [this, pass, shaded] {
-    const Bytes& records = shaded.records();
-    film_.add_pass({reinterpret_cast<const float*>(records.data()), records.size() / 4});
-    graph_.announce(passes_[pass].added);
-  });
+  else
+    ask_caustics(pass + 1);
 }
 
 // --- The film and the report ---

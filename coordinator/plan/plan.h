@@ -89,7 +89,7 @@ class Plan {
   virtual std::vector<std::string> warnings() const { return {}; }
   // Parameters that the method settled on, as they stand in the report (JSON object text).
   virtual std::string parameters_json() const = 0;
-  // What people read in `gleaner explain`: one line a stage, foreseen.
+  // What people read in `gleaner explain`: one line a stage, as predicted.
   virtual std::vector<std::string> outline() const = 0;
 };
 

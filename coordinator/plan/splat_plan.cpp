@@ -26,6 +26,8 @@ constexpr std::uint32_t kMostProbeRays = 256;
 // Bounds of R_k, in pixels: with an accuracy of 0.15 a record reaches 1.5 pixels at least, and of a picture of 512
 // pixels 38 at most.
 constexpr float kLeastRadius = 10, kMostRadiusOfWidth = 0.5f;
+// Work, in samples of paths: of a point that is found, and one that is shaded.
+constexpr double kPointWork = 0.2, kShadeWork = 0.1;
 // The cache's stages wait for each other, paths for nothing: these fill what the others leave free.
 constexpr int kFirst = 1;
 
@@ -83,7 +85,9 @@ class SplatPlan final : public GraphPlan {
     // Less than the cache's light and the paths' first samples is no picture.
     return (!caches() || film_.passes() > 0) && paths_.conclude(cut, skips_);
   }
-  double predicted_work() const override { return paths_.predicted_work(); }
+  double predicted_work() const override {
+    return paths_.predicted_work() + work_to_come(own_work(), paths_.asked_work());
+  }
   std::vector<std::string> warnings() const override;
   std::string parameters_json() const override;
   std::vector<std::string> outline() const override;
@@ -98,6 +102,10 @@ class SplatPlan final : public GraphPlan {
     return most && settings_.depth ? std::min(most, settings_.depth) : std::max(most, settings_.depth);
   }
 
+  double gather_work(double records) const { return records * strata_.polar * strata_.azimuthal; }
+  double point_count() const { return static_cast<double>(tiles() * SPLAT_TILE_PIXELS) * splat_.samples; }
+  double own_work() const;
+
   void begin() override;
   Artifact ask_points();
   Artifact ask_places(const Artifact& points);
@@ -111,6 +119,7 @@ class SplatPlan final : public GraphPlan {
   Strata strata_;
   PathSampler paths_;
   SplatSelectFacts facts_{};
+  bool chosen_ = false;  // facts_ are known
 };
 
 void SplatPlan::begin() {
@@ -122,11 +131,30 @@ void SplatPlan::begin() {
   const Artifact points = ask_points(), places = ask_places(points);
   graph_.when({places}, [this, points, places] {
     facts_ = places.facts<SplatSelectFacts>();
+    chosen_ = true;
+    places.check_facts(
+        facts_.records == places.record_count() && facts_.accuracy >= 0 && std::isfinite(facts_.accuracy),
+        std::to_string(facts_.records) + " records at an accuracy of " + std::to_string(facts_.accuracy) + ", and " +
+            std::to_string(places.record_count()) + " places");
     if (facts_.records > 0)
       gather(points, places);
     else
       film_.add_pass({});
+    own_stages_asked_ = true;
   });
+}
+
+// Records before they are chosen, as two Cornell boxes of 48 to 256 pixels have them.
+double usual_records(double pixels, double accuracy) {
+  const double usual = 7.4 * std::pow(pixels, 0.674);
+  return accuracy > 0 ? std::min(pixels, usual * std::pow(kUsualAccuracy / accuracy, 2)) : pixels;
+}
+
+double SplatPlan::own_work() const {
+  if (!caches()) return 0;
+  const double records =
+      chosen_ ? static_cast<double>(facts_.records) : usual_records(point_count() / splat_.samples, splat_.accuracy);
+  return (kPointWork + kShadeWork) * point_count() + gather_work(records);
 }
 
 Artifact SplatPlan::ask_points() {
@@ -143,7 +171,7 @@ Artifact SplatPlan::ask_points() {
                      .kind = "splat_points",
                      .items = tiles(),
                      .priority = kFirst,
-                     .work = 0.2 * static_cast<double>(tiles() * tile_points),
+                     .work = kPointWork * point_count(),
                      .output = {.record_bytes = tile_points * SPLAT_POINT_WORDS * 4, .placement = Placement::retain}},
                     p);
 }
@@ -186,7 +214,7 @@ void SplatPlan::gather(const Artifact& points, const Artifact& places) {
                                      .kind = "splat_gather",
                                      .items = facts_.records,
                                      .priority = kFirst,
-                                     .work = static_cast<double>(facts_.records) * strata_.polar * strata_.azimuthal,
+                                     .work = gather_work(static_cast<double>(facts_.records)),
                                      .output = {.record_bytes = CACHE_WORDS * 4, .placement = Placement::retain}},
                                     p, {{"places", places}});
   shade(points, cache);
@@ -201,8 +229,8 @@ void SplatPlan::shade(const Artifact& points, const Artifact& cache) {
                                       .kind = "splat_shade",
                                       .items = tiles(),
                                       .priority = kFirst,
-                                      .work = 0.1 * static_cast<double>(tiles() * SPLAT_TILE_PIXELS * splat_.samples),
-                                      .output = {.record_bytes = SPLAT_TILE_PIXELS * 12}},
+                                      .work = kShadeWork * point_count(),
+                                      .output = {.record_bytes = SPLAT_TILE_PIXELS * 12, .floats = true}},
                                      p, {{"points", points, Extent::own_items}, {"cache", cache}});
   graph_.on_preview(shaded, [this](auto first, auto count, const Bytes& records) { draw(first, count, records); });
   graph_.when({shaded}, [this, shaded] { film_.add_pass(picture_of(shaded.records())); });

@@ -65,6 +65,9 @@ struct StageSpec {
   StageOutput output;
 };
 
+// Its predicted cost, in samples of a path tracer.
+inline double work_of(const StageSpec& stage) { return stage.work > 0 ? stage.work : static_cast<double>(stage.items); }
+
 struct FinishedStage {
   std::string name;
   // Collected: the records in item order (of a counted output without its counts). Retained and streamed: null.

@@ -93,6 +93,7 @@ MovingScene::MovingScene(const std::string& path, const ImportOptions& options)
     impl_->file = std::make_unique<gltf::File>(path, options, impl_->warnings);
     impl_->base = impl_->file->moves() ? impl_->file->read_base() : impl_->file->read_at(0);
     if (!impl_->file->moves()) impl_->file.reset();
+    mark_deforming(impl_->base);
   } else {
     impl_->base = read(path, options, impl_->warnings);
   }

@@ -1,7 +1,10 @@
 #include "scene/model/frame_state.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <thread>
+#include <utility>
 
 #include "scene/model/error.h"
 #include "scene/model/limits.h"
@@ -52,6 +55,32 @@ void replace(const std::vector<std::uint32_t>& indices, const std::vector<Record
                              std::to_string(indices[i]));
     in[indices[i]] = records[i];
   }
+}
+
+template <typename Value>
+bool same_bytes(const std::vector<Value>& a, const std::vector<Value>& b) {
+  return a.size() == b.size() && (a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(Value)) == 0);
+}
+
+// Whether both states say the same of a mesh. `before` may be empty: nothing was shown.
+bool is_same_pose(const PosedMesh& mesh, const FrameState& before, const FrameState& state) {
+  if (before.matrices.size() != state.matrices.size()) return false;
+  const auto same = [](const auto& a, const auto& b, std::size_t first, std::size_t count) {
+    return count == 0 || std::memcmp(&a[first], &b[first], count * sizeof a[first]) == 0;
+  };
+  return same(before.matrices, state.matrices, mesh.first_matrix, mesh.matrix_count) &&
+         same(before.morph_weights, state.morph_weights, mesh.first_weight, mesh.target_count);
+}
+
+// Calls `run(first, count)` for ranges that cover [0, count), in as many threads as are worth it.
+template <typename Run>
+void in_runs(std::size_t count, unsigned threads, const Run& run) {
+  constexpr std::size_t kLeast = 4096;
+  const std::size_t parts = std::clamp<std::size_t>(count / kLeast, 1, std::max(threads, 1u));
+  std::vector<std::jthread> others;
+  for (std::size_t i = 1; i < parts; ++i)
+    others.emplace_back([&, i] { run(count * i / parts, count * (i + 1) / parts - count * i / parts); });
+  run(0, count / parts);
 }
 
 void check_count(std::size_t found, std::size_t expected, const std::string& origin, const char* array) {
@@ -109,19 +138,58 @@ void check_counts(const FrameState& state, std::uint32_t matrices, std::uint32_t
 }
 
 Scene posed(const Scene& base, const FrameState& state, const std::string& origin) {
+  // A pointer to what the caller holds.
+  PosedScene shown(std::shared_ptr<const Scene>(std::shared_ptr<void>(), &base));
+  shown.show(state, origin);
+  return std::move(shown).take();
+}
+
+PosedScene::PosedScene(std::shared_ptr<const Scene> base) : base_(std::move(base)) {
+  mutable_ = std::make_shared<Scene>(*base_);
+  mutable_->rig = {};
+  shown_ = mutable_;
+}
+
+PosedScene::Changes PosedScene::show(const FrameState& state, const std::string& origin, unsigned threads) {
+  const Scene& base = *base_;
+  Scene& scene = *mutable_;
   check_counts(state, base.rig.matrices, base.rig.morph_weights, origin);
-  Scene scene = base;
-  scene.rig = {};
-  for (const PosedMesh& mesh : base.rig.meshes) {
-    const std::size_t first = 3 * std::size_t{mesh.first_vertex}, count = 3 * std::size_t{mesh.vertex_count};
-    pose_mesh(base.rig, mesh, state, std::span(scene.positions).subspan(first, count),
-              std::span(scene.normals).subspan(first, count));
+  const FrameState& before = state_ ? *state_ : state_.emplace();
+  Changes changes;
+  changes.meshes = pose(state, origin, threads);
+  changes.lights = before.light_indices != state.light_indices || !same_bytes(before.lights, state.lights);
+  if (changes.lights) {
+    scene.lights = base.lights;
+    replace(state.light_indices, state.lights, scene.lights, origin, "light_indices");
+    validate_lights(scene, origin);
   }
-  replace(state.light_indices, state.lights, scene.lights, origin, "light_indices");
-  replace(state.material_indices, state.materials, scene.materials, origin, "material_indices");
-  if (!state.albedo_tables.empty()) scene.albedo_tables = state.albedo_tables;
-  validate(scene, origin);
-  return scene;
+  changes.materials = before.material_indices != state.material_indices ||
+                      !same_bytes(before.materials, state.materials) ||
+                      !same_bytes(before.albedo_tables, state.albedo_tables);
+  if (changes.materials) {
+    scene.materials = base.materials;
+    replace(state.material_indices, state.materials, scene.materials, origin, "material_indices");
+    scene.albedo_tables = state.albedo_tables.empty() ? base.albedo_tables : state.albedo_tables;
+    validate_materials(scene, origin);
+  }
+  state_ = state;
+  return changes;
+}
+
+// A mesh's vertices follow from its matrices and weights: where these are what they were, it stands.
+std::vector<std::uint32_t> PosedScene::pose(const FrameState& state, const std::string& origin, unsigned threads) {
+  const Rig& rig = base_->rig;
+  std::vector<std::uint32_t> moved;
+  for (const PosedMesh& mesh : rig.meshes) {
+    if (is_same_pose(mesh, *state_, state)) continue;
+    if (mesh.triangle_count > 0 && (moved.empty() || moved.back() != mesh_of(*base_, mesh)))
+      moved.push_back(mesh_of(*base_, mesh));
+    in_runs(mesh.vertex_count, threads, [&](std::size_t first, std::size_t count) {
+      pose_vertices(rig, mesh, state, first, count, mutable_->positions, mutable_->normals);
+    });
+    validate_vertices(*mutable_, mesh.first_vertex, mesh.vertex_count, origin);
+  }
+  return moved;
 }
 
 FrameState changes(const Scene& base, const Scene& shown) {

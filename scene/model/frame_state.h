@@ -3,7 +3,10 @@
 // once. A base and a state are a scene.
 
 #include <array>
+#include <memory>
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "scene/model/blob.h"
@@ -42,6 +45,34 @@ void check_counts(const FrameState& state, std::uint32_t matrices, std::uint32_t
 // `origin`, where the state has other numbers of matrices or weights than the base's rig, names lights or materials
 // that the base lacks, or makes a scene that is not valid.
 Scene posed(const Scene& base, const FrameState& state, const std::string& origin);
+
+// A base as frames show it, one after the other: of a copy's arrays, a state rewrites what it has otherwise than the
+// state before. What is shown is that of posed(), whatever was shown before.
+class PosedScene {
+ public:
+  // Shows the base as its arrays have it, until the first state.
+  explicit PosedScene(std::shared_ptr<const Scene> base);
+
+  struct Changes {
+    std::vector<std::uint32_t> meshes;  // of the scene: vertices moved
+    bool lights = false;
+    bool materials = false;  // or albedo tables
+  };
+  // Posing is shared among so many threads. Throws as posed(); then the scene must not be used any more.
+  Changes show(const FrameState& state, const std::string& origin, unsigned threads = 1);
+
+  // Without a rig. Changed by show().
+  const std::shared_ptr<const Scene>& scene() const { return shown_; }
+  Scene take() && { return std::move(*mutable_); }
+
+ private:
+  std::vector<std::uint32_t> pose(const FrameState& state, const std::string& origin, unsigned threads);
+
+  std::shared_ptr<const Scene> base_;
+  std::shared_ptr<Scene> mutable_;
+  std::shared_ptr<const Scene> shown_;
+  std::optional<FrameState> state_;  // that is shown
+};
 
 // What `shown` has otherwise than the base, as a state; its matrices and weights are left empty. Only lights, materials
 // and albedo tables are compared: there are as many of the first two in both.

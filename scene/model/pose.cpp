@@ -58,20 +58,21 @@ Matrix placement_at(const Rig& rig, const PosedMesh& mesh, const FrameState& sta
   return mesh.influences > 0 ? blended(rig, mesh, state, vertex) : matrix_of(state.matrices[mesh.first_matrix]);
 }
 
-void pose_mesh(const Rig& rig, const PosedMesh& mesh, const FrameState& state, std::span<float> positions,
-               std::span<float> normals) {
+void pose_vertices(const Rig& rig, const PosedMesh& mesh, const FrameState& state, std::size_t first, std::size_t count,
+                   std::vector<float>& positions, std::vector<float>& normals) {
   Matrix m = matrix_of(state.matrices[mesh.first_matrix]);
   NormalTransform turn(m);
-  for (std::size_t v = 0; v < mesh.vertex_count; ++v) {
+  for (std::size_t v = first; v < first + count; ++v) {
     if (mesh.influences > 0) {
       m = blended(rig, mesh, state, v);
       turn = NormalTransform(m);
     }
     const Vector p = transformed(m, morphed(rig, mesh, state, rig.positions, &MorphTarget::positions, v));
     const Vector n = exact_unit(turn.turned(morphed(rig, mesh, state, rig.normals, &MorphTarget::normals, v)));
+    const std::size_t at = 3 * (mesh.first_vertex + v);
     for (std::size_t c = 0; c < 3; ++c) {
-      positions[3 * v + c] = static_cast<float>(p[c]);
-      normals[3 * v + c] = static_cast<float>(n[c]);
+      positions[at + c] = static_cast<float>(p[c]);
+      normals[at + c] = static_cast<float>(n[c]);
     }
   }
 }

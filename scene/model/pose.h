@@ -2,7 +2,8 @@
 // Where posed vertices stand. Everything is computed in double precision by additions, multiplications, divisions and
 // square roots alone, in a fixed order: all machines come to the same bits.
 
-#include <span>
+#include <cstddef>
+#include <vector>
 
 #include "scene/model/frame_state.h"
 #include "scene/model/rig.h"
@@ -10,9 +11,10 @@
 
 namespace gleaner::scene {
 
-// Writes the positions and normals (unit, or zero) of the mesh's vertices: three floats each.
-void pose_mesh(const Rig& rig, const PosedMesh& mesh, const FrameState& state, std::span<float> positions,
-               std::span<float> normals);
+// Writes the positions and normals (unit, or zero) of the mesh's vertices [first, first + count), three floats each, to
+// their places in the scene's arrays.
+void pose_vertices(const Rig& rig, const PosedMesh& mesh, const FrameState& state, std::size_t first, std::size_t count,
+                   std::vector<float>& positions, std::vector<float>& normals);
 
 // What places one of the mesh's vertices.
 Matrix placement_at(const Rig& rig, const PosedMesh& mesh, const FrameState& state, std::size_t vertex);

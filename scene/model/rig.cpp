@@ -77,6 +77,11 @@ class RigChecker {
     for (std::size_t i = m.first_influence; i < m.first_influence + influences; ++i)
       if (rig_.joints[i] >= m.matrix_count)
         fail(item("rig.joints", i), "a joint below " + std::to_string(m.matrix_count), std::to_string(rig_.joints[i]));
+    if (m.triangle_count > 0) {
+      const Mesh& holder = scene_.meshes[mesh_of(scene_, m)];
+      if (!holder.deforming || m.first_triangle + m.triangle_count > holder.first_triangle + holder.triangle_count)
+        fail(name + ".triangles", "triangles of one mesh that deforms", holder.deforming ? "two" : "one that does not");
+    }
     for (std::size_t t = m.first_target; t < m.first_target + m.target_count; ++t)
       for (const gl_uint first : {rig_.targets[t].positions, rig_.targets[t].normals})
         if (first != GLEANER_NONE)
@@ -116,6 +121,18 @@ class RigChecker {
 };
 
 }  // namespace
+
+std::uint32_t mesh_of(const Scene& scene, const PosedMesh& posed) {
+  const auto after = std::upper_bound(scene.meshes.begin(), scene.meshes.end(), posed.first_triangle,
+                                      [](std::uint32_t t, const Mesh& mesh) { return t < mesh.first_triangle; });
+  // Of meshes that begin at one triangle, all but the last are empty.
+  return after == scene.meshes.begin() ? 0 : static_cast<std::uint32_t>(after - scene.meshes.begin() - 1);
+}
+
+void mark_deforming(Scene& scene) {
+  for (const PosedMesh& posed : scene.rig.meshes)
+    if (posed.triangle_count > 0) scene.meshes[mesh_of(scene, posed)].deforming = true;
+}
 
 void validate_rig(const Scene& scene, const std::string& file) { RigChecker(scene, file).run(); }
 

@@ -28,14 +28,42 @@ class Checker {
     geometry();
     meshes();
     instances();
-    for (std::size_t i = 0; i < scene_.materials.size(); ++i) material(i);
+    materials();
     textures();
-    for (std::size_t i = 0; i < scene_.albedo_tables.size(); ++i)
-      within(scene_.albedo_tables[i], 0, 1, [&] { return item("albedo_tables", i); });
-    for (std::size_t i = 0; i < scene_.lights.size(); ++i) light(i);
+    lights();
     for (std::size_t i = 0; i < scene_.cameras.size(); ++i) camera(i);
     environment();
     validate_rig(scene_, file_);
+  }
+
+  void vertices(std::size_t first, std::size_t count) const {
+    const Scene& s = scene_;
+    for (std::size_t i = 3 * first; i < 3 * (first + count); ++i) {
+      if (!(std::abs(s.positions[i]) <= kMaxCoordinate))
+        fail(item("positions", i / 3), "finite coordinates of at most " + number(kMaxCoordinate) + " m",
+             number(s.positions[i]));
+    }
+    for (std::size_t i = 3 * first; i < 3 * (first + count); i += 3) {
+      const float* n = &s.normals[i];
+      if (n[0] == 0 && n[1] == 0 && n[2] == 0) continue;
+      unit(n, [&] { return item("normals", i / 3); });
+    }
+  }
+
+  void lights() const {
+    for (std::size_t i = 0; i < scene_.lights.size(); ++i) light(i);
+  }
+
+  void materials() const {
+    for (std::size_t i = 0; i < scene_.materials.size(); ++i) material(i);
+    for (std::size_t i = 0; i < scene_.albedo_tables.size(); ++i)
+      within(scene_.albedo_tables[i], 0, 1, [&] { return item("albedo_tables", i); });
+  }
+
+  // After meshes().
+  void instanced_meshes() const {
+    for (std::size_t m = 0; m < scene_.meshes.size(); ++m)
+      if (scene_.meshes[m].instanced) instanced_mesh(m);
   }
 
  private:
@@ -89,16 +117,7 @@ class Checker {
     if (!s.second_uvs.empty()) length("second_uvs", s.second_uvs.size(), 2 * vertices);
     if (!s.colors.empty()) length("colors", s.colors.size(), 4 * vertices);
     length("triangle_material", s.triangle_material.size(), triangles);
-    for (std::size_t i = 0; i < s.positions.size(); ++i) {
-      if (!(std::abs(s.positions[i]) <= kMaxCoordinate))
-        fail(item("positions", i / 3), "finite coordinates of at most " + number(kMaxCoordinate) + " m",
-             number(s.positions[i]));
-    }
-    for (std::size_t i = 0; i < s.normals.size(); i += 3) {
-      const float* n = &s.normals[i];
-      if (n[0] == 0 && n[1] == 0 && n[2] == 0) continue;
-      unit(n, [&] { return item("normals", i / 3); });
-    }
+    this->vertices(0, vertices);
     for (std::size_t i = 0; i < s.uvs.size(); ++i) finite(s.uvs[i], [&] { return item("uvs", i / 2); });
     for (std::size_t i = 0; i < s.second_uvs.size(); ++i)
       finite(s.second_uvs[i], [&] { return item("second_uvs", i / 2); });
@@ -134,10 +153,9 @@ class Checker {
       fail("instances", "at most " + std::to_string(kMaxInstances), std::to_string(s.instances.size()));
     std::vector<Bounds> boxes(s.meshes.size());
     std::vector<bool> placed(s.meshes.size());
-    for (std::size_t m = 0; m < s.meshes.size(); ++m) {
-      if (s.meshes[m].instanced) instanced_mesh(m);
+    instanced_meshes();
+    for (std::size_t m = 0; m < s.meshes.size(); ++m)
       if (s.meshes[m].instanced) boxes[m] = bounds_of(s, s.meshes[m]);
-    }
     for (std::size_t i = 0; i < s.instances.size(); ++i) {
       const Instance& instance = s.instances[i];
       if (instance.mesh >= s.meshes.size() || !s.meshes[instance.mesh].instanced)
@@ -344,5 +362,17 @@ class Checker {
 }  // namespace
 
 void validate(const Scene& scene, const std::string& file) { Checker(scene, file).run(); }
+
+void validate_vertices(const Scene& scene, std::size_t first, std::size_t count, const std::string& file) {
+  Checker(scene, file).vertices(first, count);
+}
+
+void validate_lights(const Scene& scene, const std::string& file) { Checker(scene, file).lights(); }
+
+void validate_materials(const Scene& scene, const std::string& file) {
+  const Checker checker(scene, file);
+  checker.materials();
+  checker.instanced_meshes();
+}
 
 }  // namespace gleaner::scene

@@ -146,7 +146,10 @@ class BlockRunner final : public worker::Runner {
                  std::shared_ptr<const scene::Bvh>) override {
     scenes_.insert(id);
   }
-  void load_frame(const std::string& id, const std::string&, const scene::FrameState&) override { scenes_.insert(id); }
+  worker::MotionReport load_frame(const std::string& id, const std::string&, const scene::FrameState&) override {
+    scenes_.insert(id);
+    return {};
+  }
 
   worker::BatchResult run(const worker::StageTask& task, std::uint64_t first, std::uint64_t count) override {
     worker::BatchResult result;

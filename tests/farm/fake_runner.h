@@ -67,7 +67,10 @@ class FakeRunner final : public worker::Runner {
                  std::shared_ptr<const scene::Bvh> bvh) override {
     load_scene(id, std::move(scene), std::move(bvh));
   }
-  void load_frame(const std::string& id, const std::string&, const scene::FrameState&) override { scenes_.insert(id); }
+  worker::MotionReport load_frame(const std::string& id, const std::string&, const scene::FrameState&) override {
+    scenes_.insert(id);
+    return {};
+  }
   worker::BatchResult run(const worker::StageTask& task, std::uint64_t first, std::uint64_t count) override {
     ++stage_.batches;
     stage_.pass(task.kind);

@@ -4,6 +4,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <set>
+
 #include "tests/farm/processes.h"
 
 namespace gleaner::test {
@@ -133,6 +135,45 @@ TEST_P(AnyMethod, AKilledWorkerCostsNoPixel) {
     EXPECT_TRUE(farm.wait_for_workers(2));
     return false;
   });
+}
+
+// Frames of a scene that moves: whoever renders them, and whoever dies between two of them.
+TEST_P(AnyMethod, AKilledWorkerCostsNoPixelOfTheFramesToCome) {
+  const std::string moving = (folder("cloth.glb")).string();
+  const Ran made = run({"scene", "waving-cloth", "-o", moving, "--set", "cells=12"});
+  ASSERT_EQ(made.status, 0) << made.err;
+  const std::vector<std::string> words = {moving,  "--frames", "1-6",    "--fps", "8",        "--size",  "80x60",
+                                          "--spp", "64",       "--seed", "7",     "--method", GetParam()};
+  std::vector<std::string> alone = words;
+  alone.insert(alone.begin(), "render");
+  for (const std::string& word : {"-o", "cloth.exr", "--report", "cloth.json", "--workers", "1"})
+    alone.push_back(word.find('.') == std::string::npos ? word : folder(word).string());
+  const Ran rendered = run(alone);
+  ASSERT_EQ(rendered.status, 0) << rendered.err;
+  const auto frame_name = [](const char* stem, int number) {
+    return std::string(stem) + "_000" + std::to_string(number) + ".json";
+  };
+
+  ProcessFarm farm(folder("farm"), programs, {"--batch-items", "256"});
+  farm.add_worker("survivor");
+  Process& victim = farm.add_worker("victim");
+  ASSERT_TRUE(farm.wait_for_workers(2));
+  const std::string job = farm.submit(words);
+  ASSERT_TRUE(eventually([&] { return farm.job(job).frames_done() >= 2 || farm.ended(job); }, 120));
+  victim.signal(SIGKILL);
+  EXPECT_EQ(victim.wait(), 128 + SIGKILL);
+  EXPECT_FALSE(farm.ended(job)) << "INCONCLUSIVE: all frames were done";
+  farm.finish(job);
+  std::set<std::string> different;
+  for (int number = 1; number <= 6; ++number) {
+    const json expected = json::parse(read_text(folder(frame_name("cloth", number))));
+    const json report = json::parse(read_text(farm.fetched(job) / frame_name("frame", number)));
+    EXPECT_EQ(report["pixels_sha256"], expected["pixels_sha256"]) << "frame " << number;
+    different.insert(report["pixels_sha256"]);
+    ASSERT_TRUE(expected.contains("motion")) << "frame " << number;
+    EXPECT_EQ(expected["motion"][0]["load_seconds"] > 0, number == 1);
+  }
+  EXPECT_EQ(different.size(), 6u) << "the cloth does not move";
 }
 
 // A second picture of a camera trajectory begins with the first one's lights, and says so.

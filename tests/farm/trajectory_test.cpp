@@ -162,6 +162,7 @@ scene::Scene moving_box() {
   if (!base.colors.empty()) base.colors.resize(4 * base.vertex_count(), 65535);
   base.rig.meshes = {posed};
   base.rig.matrices = 1;
+  mark_deforming(base);
   return base;
 }
 

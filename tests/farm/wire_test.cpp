@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <limits>
+#include <set>
 
 #include "coordinator/blobs/sha256.h"
 #include "proto/packing.h"
@@ -469,6 +470,49 @@ TEST_F(Wire, SeatsAreCounted) {
   for (auto& context : contexts) context->TryCancel();
   for (auto& stream : streams) stream->Finish();
   EXPECT_TRUE(eventually([&] { return work({hello()}).ok(); })) << "a seat is free again";
+}
+
+// Each holds a thread: without an end to them a few thousand hold all there are.
+TEST_F(Wire, SilentStreamsAreEnded) {
+  gateway::ServerSettings settings;
+  settings.listen = "127.0.0.1:0";
+  settings.hello_seconds = settings.silent_seconds = 2;
+  settings.most_uploads = 2;
+  gateway::Server impatient(farm_.farm(), farm_.blobs(), settings);
+  const auto channel = grpc::CreateChannel(impatient.address(), grpc::InsecureChannelCredentials());
+  const auto within = [](ClientContext& context) {
+    context.set_deadline(std::chrono::system_clock::now() + std::chrono::seconds(20));
+  };
+  {
+    auto stub = pb::WorkerHub::NewStub(channel);
+    ClientContext context;
+    within(context);
+    auto stream = stub->Work(&context);
+    pb::HubMessage heard;
+    EXPECT_FALSE(stream->Read(&heard));
+    EXPECT_EQ(stream->Finish().error_code(), StatusCode::CANCELLED);
+  }
+  auto stub = pb::Farm::NewStub(channel);
+  ClientContext contexts[3];
+  pb::UploadBlobReply replies[3];
+  std::unique_ptr<grpc::ClientWriter<pb::UploadBlobRequest>> uploads[3];
+  for (int i = 0; i < 3; ++i) {
+    within(contexts[i]);
+    uploads[i] = stub->UploadBlob(&contexts[i], &replies[i]);
+  }
+  std::multiset<StatusCode> codes;
+  for (auto& upload : uploads) codes.insert(upload->Finish().error_code());
+  EXPECT_EQ(codes,
+            (std::multiset<StatusCode>{StatusCode::CANCELLED, StatusCode::CANCELLED, StatusCode::RESOURCE_EXHAUSTED}));
+  const std::string bytes = "a blob";
+  ClientContext context;
+  within(context);
+  pb::UploadBlobReply reply;
+  auto good = stub->UploadBlob(&context, &reply);
+  good->Write(header(id_of(bytes), bytes.size()));
+  good->Write(data(bytes));
+  good->WritesDone();
+  EXPECT_TRUE(good->Finish().ok()) << "there is room again";
 }
 
 TEST_F(Wire, BlobsAreFetchedByTheirIdsAlone) {

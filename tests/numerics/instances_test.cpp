@@ -475,7 +475,7 @@ TEST_P(Instances, MotionIsFollowed) {
   const std::vector<Hit> at_rest = hits_of(traced, count);
   for (const bool torn : {false, true}) {
     const scene::Scene shown = moved(scene, 1.5f, torn);
-    const worker::MotionReport report = traced.on_device().move(shown, sheet);
+    const worker::MotionReport report = traced.on_device().show(std::make_shared<const scene::Scene>(shown), sheet);
     ASSERT_EQ(report.meshes.size(), 1u);
     EXPECT_EQ(report.meshes[0].mesh, 2u);
     EXPECT_EQ(report.meshes[0].rebuilt, torn) << report.meshes[0].growth;
@@ -490,7 +490,7 @@ TEST_P(Instances, MotionIsFollowed) {
     EXPECT_GT(differing(followed, at_rest), count / 100);
   }
   // What was shown before leaves no trace.
-  traced.on_device().move(scene, sheet);
+  traced.on_device().show(std::make_shared<const scene::Scene>(scene), sheet);
   EXPECT_EQ(differing(hits_of(traced, count), at_rest), 0u);
 }
 
@@ -498,14 +498,14 @@ TEST_P(Instances, MotionOfAnotherSceneIsRefused) {
   const scene::Scene scene = moving_scene();
   TracedScene traced(*device_, scene);
   const std::vector<std::uint32_t> floor{0}, beyond{9}, none;
-  EXPECT_THROW(traced.on_device().move(scene, floor), Error);
-  EXPECT_THROW(traced.on_device().move(scene, beyond), Error);
+  EXPECT_THROW(traced.on_device().show(std::make_shared<const scene::Scene>(scene), floor), Error);
+  EXPECT_THROW(traced.on_device().show(std::make_shared<const scene::Scene>(scene), beyond), Error);
   scene::Scene other = scene;
   other.instances.pop_back();
-  EXPECT_THROW(traced.on_device().move(other, none), Error);
+  EXPECT_THROW(traced.on_device().show(std::make_shared<const scene::Scene>(other), none), Error);
   other = scene;
   other.positions.resize(3);
-  EXPECT_THROW(traced.on_device().move(other, none), Error);
+  EXPECT_THROW(traced.on_device().show(std::make_shared<const scene::Scene>(other), none), Error);
 }
 
 using InstancedPictures = WithRenderer;

@@ -348,7 +348,7 @@ TEST(MakePlan, TellsTheStagesBeforehand) {
   const auto plan = make_plan(s, summarize(scene::make_scene("cornell-box")));
   const auto lines = plan->outline();
   ASSERT_EQ(lines.size(), 2u);
-  // The foreseen first stage is the one that comes.
+  // The predicted first stage is the one that comes.
   const Step step = plan->next(nullptr);
   EXPECT_THAT(lines[0],
               ::testing::HasSubstr(step.stages[0].name + ": " + std::to_string(step.stages[0].items) + " items"));

@@ -64,6 +64,7 @@ struct Outgoing {
   std::shared_ptr<const StoredPart> part;  // retained: what is kept
   std::uint64_t records = 0;               // how many
   std::uint64_t fetched_bytes = 0, peer_bytes = 0;
+  std::optional<MotionReport> shown;  // where a base was shown in another state for it
 };
 
 using Stream = grpc::ClientReaderWriter<pb::WorkerMessage, pb::HubMessage>;
@@ -92,6 +93,27 @@ std::uint64_t check_result(const pb::Lease& lease, const BatchResult& result) {
   return records;
 }
 
+pb::ShownFrame to_proto(const MotionReport& report) {
+  pb::ShownFrame shown;
+  shown.set_load_seconds(report.load_seconds);
+  shown.set_pose_seconds(report.pose_seconds);
+  shown.set_table_seconds(report.table_seconds);
+  shown.set_written_bytes(report.written_bytes);
+  shown.set_top_level_seconds(report.top_level_seconds);
+  for (const MotionReport::Mesh& mesh : report.meshes) {
+    if (mesh.rebuilt) {
+      shown.set_rebuilt(shown.rebuilt() + 1);
+      shown.set_rebuild_seconds(shown.rebuild_seconds() + mesh.seconds);
+    } else {
+      shown.set_refitted(shown.refitted() + 1);
+      shown.set_refit_seconds(shown.refit_seconds() + mesh.seconds);
+    }
+    // Of a tree without extent it may be anything.
+    if (mesh.growth < 1e6) shown.set_most_growth(std::max(shown.most_growth(), mesh.growth));
+  }
+  return shown;
+}
+
 pb::BatchCost cost_of(const Outgoing& out) {
   const BatchCounters& counters = out.result.counters;
   pb::BatchCost cost;
@@ -105,6 +127,7 @@ pb::BatchCost cost_of(const Outgoing& out) {
   for (std::uint64_t item : counters.nonfinite_items) cost.add_nonfinite_items(item);
   cost.set_fetched_bytes(out.fetched_bytes);
   cost.set_peer_bytes(out.peer_bytes);
+  if (out.shown) *cost.mutable_shown() = to_proto(*out.shown);
   return cost;
 }
 
@@ -326,7 +349,7 @@ struct Agent::Impl {
     std::string failure;
     bool unavailable = false;
     try {
-      out.result = run_stage(lease);
+      out.result = run_stage(lease, out.shown);
       out.records = check_result(lease, out.result);
       if (lease.retain())
         out.part = parts->put(owner, lease.artifact(), lease.first(), lease.count(), out.result.counts,
@@ -352,12 +375,12 @@ struct Agent::Impl {
     return out;
   }
 
-  BatchResult run_stage(const pb::Lease& lease) {
+  BatchResult run_stage(const pb::Lease& lease, std::optional<MotionReport>& shown) {
     StageTask task;
     task.kind = lease.kind();
     auto parameters = std::as_bytes(std::span(lease.parameters()));
     task.parameters.assign(parameters.begin(), parameters.end());
-    task.scene = prepare_scene(lease);
+    task.scene = prepare_scene(lease, shown);
     for (const pb::StageInput& input : lease.inputs()) task.inputs[input.name()] = inputs.load(input, lease);
     Clock::time_point begin = Clock::now();
     BatchResult result = runner->run(task, lease.first(), lease.count());
@@ -366,8 +389,9 @@ struct Agent::Impl {
     return result;
   }
 
-  // Returns the name under which the runner holds what the lease shows.
-  std::string prepare_scene(const pb::Lease& lease) {
+  // Returns the name under which the runner holds what the lease shows. `shown`: what that took, where it is a base in
+  // a state that the runner did not hold.
+  std::string prepare_scene(const pb::Lease& lease, std::optional<MotionReport>& shown) {
     const std::string& id = lease.scene_blob();
     if (lease.state_blob().empty()) {
       if (!runner->holds_scene(id)) {
@@ -382,8 +406,8 @@ struct Agent::Impl {
       auto [scene, bvh] = fetch_scene(lease);
       runner->load_base(id, std::move(scene), std::move(bvh));
     }
-    runner->load_frame(name, id,
-                       scene::parse_frame_state(*inputs.blob(lease.state_blob()), "state blob " + lease.state_blob()));
+    shown = runner->load_frame(
+        name, id, scene::parse_frame_state(*inputs.blob(lease.state_blob()), "state blob " + lease.state_blob()));
     return name;
   }
 

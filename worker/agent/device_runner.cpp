@@ -19,8 +19,8 @@ class DeviceRunner final : public Runner {
                  std::shared_ptr<const scene::Bvh> bvh) override {
     executor_.load_base(id, std::move(scene), std::move(bvh));
   }
-  void load_frame(const std::string& id, const std::string& base, const scene::FrameState& state) override {
-    executor_.load_frame(id, base, state);
+  MotionReport load_frame(const std::string& id, const std::string& base, const scene::FrameState& state) override {
+    return executor_.load_frame(id, base, state);
   }
   BatchResult run(const StageTask& task, std::uint64_t first, std::uint64_t count) override {
     return executor_.run(task, first, count);

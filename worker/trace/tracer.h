@@ -9,6 +9,7 @@
 
 #include "scene/model/blob.h"
 #include "worker/device/device.h"
+#include "worker/trace/motion.h"
 
 namespace gleaner::worker {
 
@@ -28,18 +29,6 @@ struct SceneMotion {
   std::span<const float> positions;         // of all vertices, as Scene::positions; of `deformed` meshes they are read
   std::span<const std::uint32_t> deformed;  // meshes marked Mesh::deforming
   std::span<const scene::Instance> instances;  // all of the scene's, in its order, of the same meshes; empty: unmoved
-};
-
-// What following a motion took.
-struct MotionReport {
-  struct Mesh {
-    std::uint32_t mesh = 0;
-    bool rebuilt = false;  // else refitted
-    double growth = 1;     // SAH cost of the refitted tree over that of the tree as it was built for the scene at rest
-    double seconds = 0;
-  };
-  std::vector<Mesh> meshes;
-  double top_level_seconds = 0;
 };
 
 // A mesh is refitted as long as its tree's SAH cost grows to no more than this, and else rebuilt. Refitting always
