@@ -440,6 +440,32 @@ TEST(Matter, SolidsAbsorbOverEveryMetre) {
     }
 }
 
+// Who leaves a solid that was never entered, since it is open, has been in it since the ray began.
+TEST(Matter, OpenSolidsAbsorbFromWhereTheRayBegan) {
+  for (const TraceKind trace : kTracers) {
+    SceneBuilder b("open");
+    b.mesh("back");
+    b.quad({1, -1, -4}, {-1, -1, -4}, {-1, 1, -4}, {1, 1, -4}, b.material("back", tinted(1, {0.7f, 0.7f, 0.7f})));
+    card(b, -6, 6);
+    EXPECT_NEAR(seen_along_z(b, {}, trace, 1), 6 * std::exp(-0.7 * 4), 1e-5);
+  }
+}
+
+// What of a solid lies within another of higher rank is not there: it tints nothing either.
+TEST(Matter, HiddenBoundariesDoNotTint) {
+  for (const TraceKind trace : kTracers) {
+    SceneBuilder b("hidden");
+    Material half = tinted(1, {0, 0, 0});
+    std::fill(half.base_color, half.base_color + 3, 0.5f);
+    b.mesh("wide");
+    b.box({0, 0, -2}, {2, 2, 1}, 0, b.material("wide", half));
+    b.mesh("narrow");
+    b.box({0, 0, -3}, {1, 1, 1}, 0, b.material("narrow", tinted(1, {0, 0, 0})));
+    card(b, -6, 6);
+    EXPECT_NEAR(seen_along_z(b, {}, trace, 1), 6 * 0.5, 1e-5);
+  }
+}
+
 // A solid of index 1 does not bend light: shadow rays go through it, weakened, from outside, from within and into it;
 // and a lamp's light is not counted twice.
 TEST(Matter, ShadowRaysPassWhatDoesNotBend) {
