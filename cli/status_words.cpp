@@ -81,8 +81,8 @@ std::string job_line(const JobStatus& status) {
 std::string written_frames(const JobStatus& status) {
   std::string words;
   for (const auto& [first, last] : status.written) {
-    words += (words.empty() ? "" : ", ") + std::to_string(first);
-    if (last != first) words += "-" + std::to_string(last);
+    if (!words.empty()) words += ", ";
+    words += last == first ? fmt::format("{}", first) : fmt::format("{}-{}", first, last);
   }
   if (status.frame_step > 1 && !words.empty()) words += fmt::format(" (every {}th)", status.frame_step);
   return words;
