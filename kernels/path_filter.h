@@ -23,6 +23,9 @@
 // scattered by them. Their lobes it goes on with: a rough lobe sends it all light, a sharp one all but CAUSTIC. A layer
 // nearer than `spacing` is a first surface of its own, since the density of photons says little there: it is lit, it
 // scatters, and the map is read for its CAUSTIC light alone.
+// With LAYER as well, records of shading clusters carry what leaves the first surface by its diffuse layer, but for
+// CAUSTIC light. Paths that left by the layer then find direct light and, where photons do not carry CAUSTIC, that;
+// those that left by a rough lobe gather as before.
 // Radiance links between vertices take another class, by itself: RADIOSITY (kernels/radiosity_filter.h). So does an
 // irradiance cache: IRRADIANCE (kernels/irradiance_filter.h).
 //
@@ -56,7 +59,20 @@
   -5.0f  // PHOTON_GATHER: then a layer that was not read or a rough lobe: no light is the
          // partner's but what layers are read for
 
+#define FILTER_LAYERED \
+  -6.0f  // PATH_CLASS_LAYER: left the first surface by its layer, and has met nothing but sharp parts since: all light
+         // but direct light and CAUSTIC is the records'
+
 #define FILTERS(classes) ((PATH_FILTER & (classes)) != 0)
+#if defined(PHOTON_GATHER) && PATH_FILTER & PATH_CLASS_LAYER
+#define FILTERS_LAYER
+#endif
+// Of a gather path that leaves a first surface of its own. Paths from records carry their spacing, m, in its place.
+#ifdef PHOTON_RECORDS
+#define GATHER_STATE(cosine) ((vf)1e-6f)
+#else
+#define GATHER_STATE(cosine) (max_f(cosine, (vf)1e-6f))
+#endif
 #define FILTERS_CHAINS FILTERS(PATH_CLASS_CAUSTIC | PATH_CLASS_MIXED)
 #if defined(PHOTON_GATHER) || PATH_FILTER & PATH_CLASS_CAUSTIC
 #define FILTERS_PASSING
@@ -73,6 +89,9 @@ typedef struct {
   vi gathers;         // lanes that left the first surface by its broad part
   vi reads;           // of these: lanes whose diffuse layer is read off the map here
   vi reads_caustics;  // the others, where caustics are the partner's: caustic photons alone are read
+#endif
+#ifdef FILTERS_LAYER
+  vi layered;         // lanes of FILTER_LAYERED that scatter here
 #endif
 } PathFilter;
 
@@ -97,6 +116,9 @@ FN PathFilter load_filter(global const float* paths, uint block) {
   f.reads = no_lanes();
   f.reads_caustics = no_lanes();
 #endif
+#ifdef FILTERS_LAYER
+  f.layered = no_lanes();
+#endif
   return f;
 }
 
@@ -116,10 +138,21 @@ FN void filter_vertex(PathFilter* f, float limit, v3 origin, v3 direction, Verte
   f->straight = v->active & none(v->passes) & (f->state > zero_f());
 #ifdef PHOTON_GATHER
   v3 segment = sub3(v->hit.p, origin);
+#ifdef PHOTON_RECORDS
+  vf least = max_f((vf)limit, f->state);
+  f->reads = v->active & none(v->passes) & f->gathers & (dot3(segment, segment) >= least * least);
+#else
   f->reads = v->active & none(v->passes) & f->gathers & (dot3(segment, segment) >= (vf)(limit * limit));
+#endif
   f->broad_share = pick(one_f(), zero_f(), f->reads);
 #if FILTERS(PATH_CLASS_CAUSTIC)
   f->reads_caustics = v->active & none(v->passes) & f->gathers & none(f->reads);
+#endif
+#ifdef FILTERS_LAYER
+  f->layered = v->active & none(v->passes) & (f->state == (vf)FILTER_LAYERED);
+#if FILTERS(PATH_CLASS_CAUSTIC) && !defined(NEED_TRANSMISSIVE)
+  v->active = v->active & none(f->layered);
+#endif
 #endif
 #else
 #if FILTERS(PATH_CLASS_DIFFUSE)
@@ -172,6 +205,13 @@ FN v3 filter_reflectance(const PathFilter* f, const Scene* scene, const Surface*
 #endif
   kept = pick3(kept, plain, f->straight | f->chained);
 #endif
+#ifdef FILTERS_LAYER
+  v3 sharp = splat3(zero_f());
+#if defined(NEED_LOBE) && !FILTERS(PATH_CLASS_CAUSTIC)
+  sharp = pick3(sub3(reflectance, broad), sharp, rough);
+#endif
+  kept = pick3(kept, sharp, f->layered);
+#endif
   return make3(max_f(kept.x, zero_f()), max_f(kept.y, zero_f()), max_f(kept.z, zero_f()));
 }
 
@@ -179,9 +219,33 @@ FN v3 filter_reflectance(const PathFilter* f, const Scene* scene, const Surface*
 FN v3 filter_sharp(const PathFilter* f, v3 glass) {
 #if FILTERS(PATH_CLASS_CAUSTIC)
   glass = pick3(glass, splat3(zero_f()), f->straight | f->chained);
+#ifdef FILTERS_LAYER
+  glass = pick3(glass, splat3(zero_f()), f->layered);
+#endif
 #endif
   return glass;
 }
+
+#ifdef FILTERS_LAYER
+// The end of filter_scattering(): the first surface's layer and its rough lobe part ways, and what is the records' ends
+// behind the layer. No record lies within a solid.
+FN vf layered_state(const PathFilter* f, const Vertex* v, vi leaves, vi by_layer, vi by_rough, vf cosine, vf state,
+                    v3* throughput) {
+#if FILTERS(PATH_CLASS_CAUSTIC)
+  vi kept = no_lanes();
+#else
+  vi kept = none(by_layer | by_rough);
+#endif
+  *throughput = pick3(*throughput, splat3(zero_f()), f->layered & none(kept));
+  state = pick(state, (vf)FILTER_LAYERED, f->layered);
+  vi carried = leaves & by_layer;
+#ifdef NEED_MEDIA
+  carried = carried & (filling(v->media) == 0u);
+#endif
+  state = pick(state, max_f(cosine, (vf)1e-6f), leaves & (by_layer | by_rough));
+  return pick(state, (vf)FILTER_LAYERED, carried);
+}
+#endif
 
 // A scattered ray, `direction` in the local frame: weighs its throughput and gives the path's next state. `glass`:
 // lanes in which glass sends it on.
@@ -199,7 +263,9 @@ FN vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v
   v3 factor;
   sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 4u, &u_part, &u_spare);
   vi opaque = by_broad, joined = rough;
-#ifdef PHOTON_GATHER
+#ifdef FILTERS_LAYER
+  joined = no_lanes();
+#elif defined(PHOTON_GATHER)
   joined = rough & none(f->gathers);
 #endif
   by_broad = choose_part(scene, m, v->frame.view, direction, opaque, joined, u_part, &gain, &factor);
@@ -221,7 +287,7 @@ FN vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v
   vi turns = by_broad | by_rough | (f->state == (vf)FILTER_GATHERS);
   vf state = pick(f->state, pick((vf)FILTER_SHARP_CHAIN, (vf)FILTER_GATHERS, turns), f->gathers);
 #if FILTERS(PATH_CLASS_CAUSTIC)
-  state = pick(state, max_f(direction.z, (vf)1e-6f), f->gathers & by_broad);
+  state = pick(state, GATHER_STATE(direction.z), f->gathers & by_broad);
 #endif
 #else
   *throughput = pick3(*throughput, scale3(*throughput, share), (f->straight | f->chained) & by_broad);
@@ -237,7 +303,11 @@ FN vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v
   state = pick(state, (vf)FILTER_GLOSSY, leaves & none(by_broad) & none(within));
 #endif
 #if FILTERS(PATH_CLASS_DIFFUSE) || FILTERS_CHAINS
+#ifdef FILTERS_LAYER
+  return layered_state(f, v, leaves, by_broad, by_rough, direction.z, state, throughput);
+#else
   state = pick(state, max_f(direction.z, (vf)1e-6f) * gain, leaves & by_broad);
+#endif
 #endif
   return state;
 }

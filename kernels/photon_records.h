@@ -2,7 +2,7 @@
 #ifndef GLEANER_KERNELS_PHOTON_RECORDS_H
 #define GLEANER_KERNELS_PHOTON_RECORDS_H
 
-#include "kernels/path_records.h"
+#include "kernels/splat_records.h"
 
 #ifndef __OPENCL_VERSION__
 namespace gleaner::kernels {
@@ -61,6 +61,15 @@ GLEANER_SIZE(PhotonTraceParameters, 32);
 #define NODE_BLOCK 6u  // uint: of a leaf; GLEANER_NONE: an inner node
 #define NODE_SKIP 7u   // uint: the first node behind all below this one
 
+// An illumination cut: rows of CUT_WORDS words, a tree in depth-first order as a map's nodes are. Of each its box; of
+// the cut's nodes the box that they reach, with their place in its middle.
+#define CUT_WORDS 16u
+#define CUT_NEARNESS 6u     // 1/m^2: one over r_p^2 of eq. 4; 0: a node above the cut
+#define CUT_NORMAL 8u       // of the surface there
+#define CUT_IRRADIANCE 11u  // W/m^2, RGB: E_p
+// Nodes that a coarse cut may have.
+#define PHOTON_MOST_CUT (1u << 22)
+
 // Photons that a density estimate asks for, at most.
 #define PHOTON_MOST_NEIGHBOURS 128u
 
@@ -71,15 +80,31 @@ typedef struct {
 } PhotonEstimate;
 GLEANER_SIZE(PhotonEstimate, 8);
 
-// Stage kind "photon_gather" (input "map"): items and records are those of stage kind "path". Where a path has left its
-// first surface, the light of the diffuse layers that it meets is read off the map.
+// Where there is an input "cut", places read it where one of its nodes is near, and no lobe lies above their layer.
+// Not where photons of fewer scatterings than the map's count alone: `cut_depth` are the most that one of them has, 31:
+// or more.
+
+// Stage kind "photon_gather" (inputs "map", "cut"): items and records are those of stage kind "path". Where a path has
+// left its first surface, the light of the diffuse layers that it meets is read off the map.
 typedef struct {
   PathParameters samples;  // the filter holds PATH_CLASS_DIFFUSE and PATH_CLASS_MIXED; in the place of the clamp stands
                            // the spacing, m: a surface nearer than this is not read off the map, the path goes on
   PhotonEstimate estimate;
-  gl_uint reserved[2];
+  gl_uint cut_depth;
+  gl_uint reserved;
 } PhotonGatherParameters;
 GLEANER_SIZE(PhotonGatherParameters, 144);
+
+// Stage kind "photon_cluster_gather" (inputs "places", "map", "cut"): items and records are those of stage kind
+// "splat_gather".
+typedef struct {
+  // The filter is all that PATH_CLASS_LAYER may take, and CAUSTIC; the clamp is the map's spacing, m.
+  SplatGatherParameters records;
+  PhotonEstimate estimate;
+  gl_uint cut_depth;
+  gl_uint reserved;
+} PhotonClusterGatherParameters;
+GLEANER_SIZE(PhotonClusterGatherParameters, 160);
 
 // A place where a map is read: rows of 16 words.
 #define READ_WORDS 16u
@@ -117,6 +142,40 @@ struct PhotonMapParameters {
   std::uint32_t reserved[2] = {};
 };
 static_assert(sizeof(PhotonMapParameters) == 16);
+
+// Stage kind "photon_cluster" (input "points"); solo. One item: the places of the clusters' sample points, 0 or more.
+struct PhotonClusterParameters {
+  std::uint32_t width = 0, height = 0, samples = 0;  // as SplatPointParameters
+  std::uint32_t clusters = 0;                        // from as many as there are points on each is its own cluster
+  std::uint32_t iterations = 0;                      // of k-means
+  std::uint32_t seed_low = 0, seed_high = 0;
+  std::uint32_t reserved = 0;
+};
+static_assert(sizeof(PhotonClusterParameters) == 32);
+
+struct PhotonClusterFacts {
+  std::uint64_t points = 0;  // that pixels show
+  std::uint64_t places = 0;  // sample points in all
+  std::uint64_t strays = 0;  // of these: of points that are too unlike the rest of their cluster
+  double reach = 0;          // m: the median
+};
+
+// Stage kind "photon_cut" (input "map"); solo. One item: the rows of a cut.
+struct PhotonCutParameters {
+  std::uint32_t nodes = 0;   // of the coarse cut
+  std::uint32_t rounds = 0;  // of refinement
+  float ratio = 0;           // eq. 3's irradiance may be off by so much of itself
+  std::uint32_t reserved = 0;
+  PhotonEstimate estimate{};
+  std::uint32_t spare[2] = {};
+};
+static_assert(sizeof(PhotonCutParameters) == 32);
+
+struct PhotonCutFacts {
+  std::uint64_t nodes = 0;   // of the cut
+  std::uint64_t opened = 0;  // by refinement
+  double radius = 0;         // m: the median
+};
 
 struct PhotonMapFacts {
   std::uint64_t photons = 0, nodes = 0;

@@ -40,7 +40,9 @@ GLEANER_SIZE(SplatPointParameters, 96);
 
 // A place where irradiance is to be gathered: the row of the point that it was chosen at, of which the words below mean
 // something else.
-#define SPLAT_RADIUS 9u  // m: the harmonic mean distance, within its bounds
+#define SPLAT_RADIUS 9u  // m: the harmonic mean distance, within its bounds; of a shading cluster: how far it reaches
+#define SPLAT_ACCURACY 10u  // a; of a shading cluster: the same for normals, as sqrt(1 - n.m)
+#define SPLAT_SPACING 11u   // m, of a shading cluster: how far its members lie apart
 
 // Stage kind "splat_gather" (input "places"). An item is a place; its record is a row of the cache.
 typedef struct {
@@ -62,15 +64,15 @@ GLEANER_SIZE(SplatGatherParameters, 144);
 #define CACHE_IRRADIANCE 7u    // W/m^2, RGB: E_k
 #define CACHE_ROTATION 10u     // nabla_r
 #define CACHE_TRANSLATION 19u  // nabla_t
-#define CACHE_SPARE 28u
+#define CACHE_ACCURACY 28u     // a: where eq. 2 gives more than 1 / a, the record counts
+#define CACHE_SPARE 29u
 
 // Stage kind "splat_shade" (inputs "points", of the stage's items, and "cache"). An item is a tile; its record is RGB
 // of each of its pixels.
 typedef struct {
   gl_uint tiles;
   gl_uint samples;  // as SplatPointParameters
-  gl_float accuracy;
-  gl_uint reserved;
+  gl_uint reserved[2];
 } SplatShadeParameters;
 GLEANER_SIZE(SplatShadeParameters, 16);
 

@@ -238,13 +238,21 @@ std::span<const float> floats_of(const Bytes& records) {
 
 }  // namespace
 
-void GraphPlan::add_pass(const Graph::Artifact& shaded) {
+void GraphPlan::add_pass(const Graph::Artifact& shaded, std::shared_ptr<const Beside> beside) {
   std::vector<Graph::Artifact> after;
   if (shaded) after.push_back(shaded);
+  if (beside) after.push_back(beside->known);
   if (last_pass_) after.push_back(last_pass_);
   const Graph::Artifact added = last_pass_ = graph_.event();
-  graph_.when(std::move(after), [this, shaded, added] {
-    film_.add_pass(shaded ? floats_of(shaded.records()) : std::span<const float>{});
+  graph_.when(std::move(after), [this, shaded, added, beside] {
+    const std::span<const float> pass = shaded ? floats_of(shaded.records()) : std::span<const float>{};
+    if (beside && !beside->light.empty()) {
+      std::vector<float> both = beside->light;
+      for (std::size_t i = 0; i < pass.size(); ++i) both[i] += pass[i];
+      film_.add_pass(both);
+    } else {
+      film_.add_pass(pass);
+    }
     graph_.announce(added);
   });
 }

@@ -185,7 +185,14 @@ class GraphPlan : public Plan {
   virtual void begin() = 0;
   // Adds a pass, RGB a pixel, to the film once it is there: after the passes that were added before, whichever ends
   // first, for sums of floats depend on their order. No artifact: the pass is dark.
-  void add_pass(const Graph::Artifact& shaded);
+  void add_pass(const Graph::Artifact& shaded) { add_pass(shaded, nullptr); }
+  // Light that each pass is a part beside, RGB a pixel or nothing. A pass waits until it is known.
+  struct Beside {
+    explicit Beside(Graph::Artifact event) : known(std::move(event)) {}
+    Graph::Artifact known;  // an event
+    std::vector<float> light{};
+  };
+  void add_pass(const Graph::Artifact& shaded, std::shared_ptr<const Beside> beside);
   // Of a method that predicts so much work for its own stages, what they will still ask for; `others` of what was asked
   // for is not theirs.
   double work_to_come(double predicted, double others) const {

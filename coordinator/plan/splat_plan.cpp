@@ -9,6 +9,7 @@
 
 #include "coordinator/plan/graph.h"
 #include "coordinator/plan/path_sampler.h"
+#include "coordinator/plan/pixel_cache.h"
 #include "kernels/splat_records.h"
 #include "scene/model/error.h"
 
@@ -18,22 +19,18 @@ namespace {
 using namespace kernels;
 using Artifact = Graph::Artifact;
 
-// Points of a film, at most, and so many of each pixel as that allows.
-constexpr std::uint64_t kMostPoints = 1u << 22, kMostPixels = 1u << 26;
 constexpr std::uint32_t kUsualRays = 1024;
 constexpr double kUsualAccuracy = 0.15;
 constexpr std::uint32_t kMostProbeRays = 256;
 // Bounds of R_k, in pixels: with an accuracy of 0.15 a record reaches 1.5 pixels at least, and of a picture of 512
 // pixels 38 at most.
 constexpr float kLeastRadius = 10, kMostRadiusOfWidth = 0.5f;
-// Work, in samples of paths: of a point that is found, and one that is shaded.
-constexpr double kPointWork = 0.2, kShadeWork = 0.1;
 // The cache's stages wait for each other, paths for nothing: these fill what the others leave free.
 constexpr int kFirst = 1;
 
 struct SplatSettings {
   double accuracy;
-  std::uint32_t rays, bounces, records, samples;
+  std::uint32_t rays, bounces, records;
 };
 
 SplatSettings read_settings(const FrameSettings& settings) {
@@ -42,28 +39,13 @@ SplatSettings read_settings(const FrameSettings& settings) {
   s.rays = whole_setting(settings, "splat.gather_rays").value_or(kUsualRays);
   s.bounces = whole_setting(settings, "splat.bounces").value_or(0);
   s.records = whole_setting(settings, "splat.new_records").value_or(0);
-  const std::uint64_t pixels = std::uint64_t{settings.width} * settings.height;
-  const std::uint64_t most =
-      std::min<std::uint64_t>(SPLAT_MOST_SAMPLES, kMostPoints / std::max<std::uint64_t>(1, pixels));
-  s.samples = static_cast<std::uint32_t>(
-      std::bit_floor(std::clamp<std::uint64_t>(settings.spp, 1, std::max<std::uint64_t>(1, most))));
   return s;
 }
 
 void check(const FrameSettings& settings) {
-  if (std::uint64_t{settings.width} * settings.height > kMostPixels)
-    throw Error::usage("--method splat: expected a film of at most " + std::to_string(kMostPixels) + " pixels, found " +
-                       std::to_string(settings.width) + "x" + std::to_string(settings.height));
-}
-
-// Rings of strata, four times as many strata around as rings, or nearly.
-struct Strata {
-  std::uint32_t polar, azimuthal;
-};
-Strata strata_of(std::uint32_t rays) {
-  const auto azimuthal =
-      static_cast<std::uint32_t>(16 * std::max(1l, std::lround(2 * std::sqrt(static_cast<double>(rays)) / 16)));
-  return {std::max(1u, (rays + azimuthal / 2) / azimuthal), azimuthal};
+  if (!PixelCache::holds(settings))
+    throw Error::usage("--method splat: expected a film of at most " + std::to_string(PixelCache::most_pixels) +
+                       " pixels, found " + std::to_string(settings.width) + "x" + std::to_string(settings.height));
 }
 
 class SplatPlan final : public GraphPlan {
@@ -73,6 +55,7 @@ class SplatPlan final : public GraphPlan {
         settings_(settings),
         splat_(read_settings(settings)),
         strata_(strata_of(std::max(1u, splat_.rays))),
+        cache_(settings),
         paths_(graph_, film_, settings) {
     skips_ = path_skips(scene.needs);
     if (settings.depth == 1)
@@ -94,29 +77,24 @@ class SplatPlan final : public GraphPlan {
 
  private:
   bool caches() const { return settings_.depth != 1 && splat_.rays > 0; }
-  std::uint32_t columns() const { return (settings_.width + SPLAT_TILE - 1) / SPLAT_TILE; }
-  std::uint64_t tiles() const { return std::uint64_t{columns()} * ((settings_.height + SPLAT_TILE - 1) / SPLAT_TILE); }
   // Most scatterings on the light's way; 0: no limit.
   std::uint32_t depth() const {
     const std::uint32_t most = splat_.bounces ? splat_.bounces + 1 : 0;
     return most && settings_.depth ? std::min(most, settings_.depth) : std::max(most, settings_.depth);
   }
 
-  double gather_work(double records) const { return records * strata_.polar * strata_.azimuthal; }
-  double point_count() const { return static_cast<double>(tiles() * SPLAT_TILE_PIXELS) * splat_.samples; }
+  double gather_work(double records) const { return records * strata_.count(); }
   double own_work() const;
 
   void begin() override;
-  Artifact ask_points();
   Artifact ask_places(const Artifact& points);
   void gather(const Artifact& points, const Artifact& places);
   void shade(const Artifact& points, const Artifact& cache);
-  void draw(std::uint64_t first, std::uint64_t count, const Bytes& records);
-  std::vector<float> picture_of(const Bytes& records) const;
 
   FrameSettings settings_;
   SplatSettings splat_;
   Strata strata_;
+  PixelCache cache_;
   PathSampler paths_;
   SplatSelectFacts facts_{};
   bool chosen_ = false;  // facts_ are known
@@ -128,7 +106,7 @@ void SplatPlan::begin() {
     return;
   }
   paths_.begin({.classes = PATH_CLASS_IRRADIANCE, .limit = std::numeric_limits<float>::infinity()});
-  const Artifact points = ask_points(), places = ask_places(points);
+  const Artifact points = cache_.ask_points(graph_, "splat", kFirst), places = ask_places(points);
   graph_.when({places}, [this, points, places] {
     facts_ = places.facts<SplatSelectFacts>();
     chosen_ = true;
@@ -152,51 +130,33 @@ double usual_records(double pixels, double accuracy) {
 
 double SplatPlan::own_work() const {
   if (!caches()) return 0;
-  const double records =
-      chosen_ ? static_cast<double>(facts_.records) : usual_records(point_count() / splat_.samples, splat_.accuracy);
-  return (kPointWork + kShadeWork) * point_count() + gather_work(records);
-}
-
-Artifact SplatPlan::ask_points() {
-  SplatPointParameters p{};
-  p.camera = settings_.camera;
-  p.width = settings_.width;
-  p.height = settings_.height;
-  p.samples = splat_.samples;
-  p.depth = settings_.depth;
-  p.seed_low = static_cast<std::uint32_t>(settings_.seed);
-  p.seed_high = static_cast<std::uint32_t>(settings_.seed >> 32);
-  const std::uint32_t tile_points = SPLAT_TILE_PIXELS * splat_.samples;
-  return graph_.add({.name = "splat.points",
-                     .kind = "splat_points",
-                     .items = tiles(),
-                     .priority = kFirst,
-                     .work = kPointWork * point_count(),
-                     .output = {.record_bytes = tile_points * SPLAT_POINT_WORDS * 4, .placement = Placement::retain}},
-                    p);
+  const double records = chosen_
+                             ? static_cast<double>(facts_.records)
+                             : usual_records(static_cast<double>(cache_.points()) / cache_.samples(), splat_.accuracy);
+  return cache_.work() + gather_work(records);
 }
 
 Artifact SplatPlan::ask_places(const Artifact& points) {
   SplatSelectParameters p{};
   p.width = settings_.width;
   p.height = settings_.height;
-  p.samples = splat_.samples;
+  p.samples = cache_.samples();
   p.accuracy = static_cast<float>(splat_.accuracy);
   p.records = splat_.records;
   p.probe_rays = std::min(kMostProbeRays, (splat_.rays + 15) / 16 * 16);
   p.least_radius = kLeastRadius;
   p.most_radius = std::max(kLeastRadius, kMostRadiusOfWidth * static_cast<float>(settings_.width));
-  const std::uint64_t most = tiles() * SPLAT_TILE_PIXELS * splat_.samples;
-  return graph_.add({.name = "splat.select",
-                     .kind = "splat_select",
-                     .items = 1,
-                     .solo = true,
-                     .priority = kFirst,
-                     .output = {.record_bytes = SPLAT_POINT_WORDS * 4,
-                                .counted = true,
-                                .most_records = static_cast<std::uint32_t>(std::min<std::uint64_t>(most, 0xffffffffu)),
-                                .placement = Placement::retain}},
-                    p, {{"points", points}});
+  return graph_.add(
+      {.name = "splat.select",
+       .kind = "splat_select",
+       .items = 1,
+       .solo = true,
+       .priority = kFirst,
+       .output = {.record_bytes = SPLAT_POINT_WORDS * 4,
+                  .counted = true,
+                  .most_records = static_cast<std::uint32_t>(std::min<std::uint64_t>(cache_.points(), 0xffffffffu)),
+                  .placement = Placement::retain}},
+      p, {{"points", points}});
 }
 
 void SplatPlan::gather(const Artifact& points, const Artifact& places) {
@@ -221,50 +181,10 @@ void SplatPlan::gather(const Artifact& points, const Artifact& places) {
 }
 
 void SplatPlan::shade(const Artifact& points, const Artifact& cache) {
-  SplatShadeParameters p{};
-  p.tiles = static_cast<std::uint32_t>(tiles());
-  p.samples = splat_.samples;
-  p.accuracy = static_cast<float>(facts_.accuracy);
-  const Artifact shaded = graph_.add({.name = "splat.shade",
-                                      .kind = "splat_shade",
-                                      .items = tiles(),
-                                      .priority = kFirst,
-                                      .work = kShadeWork * point_count(),
-                                      .output = {.record_bytes = SPLAT_TILE_PIXELS * 12, .floats = true}},
-                                     p, {{"points", points, Extent::own_items}, {"cache", cache}});
-  graph_.on_preview(shaded, [this](auto first, auto count, const Bytes& records) { draw(first, count, records); });
-  graph_.when({shaded}, [this, shaded] { film_.add_pass(picture_of(shaded.records())); });
-}
-
-// Calls row(pixel, rgb, pixels) for each row of each of the tiles from `first` on.
-template <typename Row>
-void each_row(std::uint64_t first, std::uint64_t count, const Bytes& records, std::uint32_t width, std::uint32_t height,
-              Row row) {
-  const std::uint32_t columns = (width + SPLAT_TILE - 1) / SPLAT_TILE;
-  const auto* rgb = reinterpret_cast<const float*>(records.data());
-  for (std::uint64_t k = 0; k < count; ++k) {
-    const auto x = static_cast<std::uint32_t>((first + k) % columns) * SPLAT_TILE;
-    const auto y = static_cast<std::uint32_t>((first + k) / columns) * SPLAT_TILE;
-    const std::uint32_t pixels = std::min(SPLAT_TILE, width - x);
-    for (std::uint32_t r = 0; r < SPLAT_TILE && y + r < height; ++r)
-      row(std::uint64_t{y + r} * width + x, rgb + 3 * (k * SPLAT_TILE_PIXELS + std::uint64_t{r} * SPLAT_TILE), pixels);
-  }
-}
-
-void SplatPlan::draw(std::uint64_t first, std::uint64_t count, const Bytes& records) {
-  each_row(first, count, records, settings_.width, settings_.height,
-           [this](std::uint64_t pixel, const float* rgb, std::uint32_t pixels) {
-             film_.draw_pass(pixel, {rgb, std::size_t{3} * pixels});
-           });
-}
-
-std::vector<float> SplatPlan::picture_of(const Bytes& records) const {
-  std::vector<float> picture(std::size_t{3} * settings_.width * settings_.height);
-  each_row(0, tiles(), records, settings_.width, settings_.height,
-           [&](std::uint64_t pixel, const float* rgb, std::uint32_t pixels) {
-             std::copy_n(rgb, std::size_t{3} * pixels, picture.begin() + static_cast<std::ptrdiff_t>(3 * pixel));
-           });
-  return picture;
+  const Artifact shaded = cache_.ask_shading(graph_, "splat", kFirst, points, cache);
+  graph_.on_preview(
+      shaded, [this](auto first, auto count, const Bytes& records) { cache_.draw(film_, first, count, records); });
+  graph_.when({shaded}, [this, shaded] { film_.add_pass(cache_.picture_of(shaded.records())); });
 }
 
 std::vector<std::string> SplatPlan::warnings() const {
@@ -280,8 +200,8 @@ std::string SplatPlan::parameters_json() const {
   nlohmann::json json = paths_.parameters();
   nlohmann::json splat = {{"accuracy", splat_.accuracy}, {"gather_rays", splat_.rays}, {"bounces", splat_.bounces}};
   if (caches()) {
-    splat["gather_rays"] = strata_.polar * strata_.azimuthal;
-    splat["points_a_pixel"] = splat_.samples;
+    splat["gather_rays"] = strata_.count();
+    splat["points_a_pixel"] = cache_.samples();
     splat["points"] = facts_.points;
     splat["records"] = facts_.records;
     splat["rounds"] = facts_.rounds;
@@ -295,12 +215,12 @@ std::string SplatPlan::parameters_json() const {
 std::vector<std::string> SplatPlan::outline() const {
   std::vector<std::string> lines;
   if (caches()) {
-    lines.push_back("splat.points: " + std::to_string(splat_.samples) + " surface points of each pixel, in " +
-                    std::to_string(tiles()) + " tiles, split");
+    lines.push_back("splat.points: " + std::to_string(cache_.samples()) + " surface points of each pixel, in " +
+                    std::to_string(cache_.tiles()) + " tiles, split");
     lines.push_back("splat.select: where records are needed, solo");
-    lines.push_back("splat.gather: light from " + std::to_string(strata_.polar * strata_.azimuthal) +
+    lines.push_back("splat.gather: light from " + std::to_string(strata_.count()) +
                     " directions at each record, split");
-    lines.push_back("splat.shade: " + std::to_string(tiles()) + " tiles lit by the records near them, split");
+    lines.push_back("splat.shade: " + std::to_string(cache_.tiles()) + " tiles lit by the records near them, split");
   }
   for (const std::string& line : paths_.outline()) lines.push_back(line);
   return lines;

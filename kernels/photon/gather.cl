@@ -17,33 +17,4 @@
 #define PATH_FILTER 7  // of both maps
 #endif
 #include "kernels/path.cl"
-
-kernel void photon_read(global const float* restrict reads, uint count, SCENE_PARAMETERS,
-                        global const float* restrict map, uint map_nodes, uint neighbours, float most_radius,
-                        global float* restrict slots, uint slot_count) {
-  uint i = (uint)get_global_id(0);
-  if (i >= count) return;
-  Scene scene_value = SCENE_FROM_PARAMETERS;
-  global const float* read = reads + READ_WORDS * i;
-  uint slot = ((global const uint*)read)[READ_SLOT];
-  if (slot >= slot_count) return;
-  PhotonMap photons = photon_map(map, map_nodes);
-  MapPlace place = map_place(read);
-  float radius2 = estimate_radius2(&photons, &place, neighbours, most_radius);
-  v3 sum = splat3(zero_f());
-  uint at = 0u;
-  for (;;) {
-    uint block = next_leaf(&photons, &place, radius2, &at);
-    if (block == GLEANER_NONE) break;
-    for (uint part = 0; part < MAP_PARTS; ++part) {
-      vf distance2;
-      vi near = photons_near(&photons, block, part, &place, radius2, &distance2);
-      if (any_lane(near)) sum = add3(sum, layer_takes(&scene_value, &photons, block, part, read, near));
-    }
-  }
-  float scale = INV_PI / radius2;
-  global float* to = slots + SLOT_WORDS * slot + SLOT_INDIRECT;
-  to[0] += read[READ_FACTOR] * scale * sum_lanes(sum.x);
-  to[1] += read[READ_FACTOR + 1u] * scale * sum_lanes(sum.y);
-  to[2] += read[READ_FACTOR + 2u] * scale * sum_lanes(sum.z);
-}
+#include "kernels/photon/read.h"

@@ -18,7 +18,7 @@ FN v3 vector_at(global const float* record, uint word) {
 // the sum of its weights.
 kernel WIDE void splat_accumulate(global const float* restrict points, global const float* restrict cache,
                                   global const uint* restrict offsets, global const uint* restrict list,
-                                  uint tile_points, uint count, float accuracy, global float* restrict radiance) {
+                                  uint tile_points, uint count, global float* restrict radiance) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
   if (first_lane >= count) return;
@@ -34,6 +34,7 @@ kernel WIDE void splat_accumulate(global const float* restrict points, global co
     uint end = offsets[tile + 1u];
     for (uint i = offsets[tile]; i < end; ++i) {
       global const float* record = cache + (ulong)CACHE_WORDS * list[i];
+      float accuracy = record[CACHE_ACCURACY];
       v3 d = sub3(p, vector_at(record, CACHE_POSITION)), m = vector_at(record, CACHE_NORMAL);
       vf error = splat_error(d.x, d.y, d.z, n.x, n.y, n.z, m.x, m.y, m.z, (vf)record[CACHE_RADIUS]);
       vi counts = there & (error <= (vf)(accuracy * (1.0f + SPLAT_SLACK))) &

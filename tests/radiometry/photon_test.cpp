@@ -1,6 +1,8 @@
 // Method `photon` against the path tracer, the balance of its photons' power, and the limits in which it is a path
 // tracer.
 
+#include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstdio>
 #include <functional>
@@ -13,6 +15,8 @@
 #include "scene/library/library.h"
 #include "scene/model/error.h"
 #include "tests/radiometry/rendered_frame.h"
+#include "worker/stages/photon/illumination_cut.h"
+#include "worker/stages/photon/seeding.h"
 
 namespace gleaner::test {
 namespace {
@@ -191,6 +195,8 @@ struct Meeting {
   Settings set{};
 };
 
+const Settings kClusters = {{"photon.clusters", "150"}};
+
 class PhotonMeetsPath : public testing::TestWithParam<Meeting> {};
 
 void PrintTo(const Meeting& meeting, std::ostream* out) { *out << meeting.scene << ", " << meeting.why; }
@@ -198,7 +204,11 @@ void PrintTo(const Meeting& meeting, std::ostream* out) { *out << meeting.scene 
 TEST_P(PhotonMeetsPath, InTheMean) {
   const Meeting& p = GetParam();
   const bool rough = std::string(p.scene) == "rough-boxes";
-  Settings set = {{"photon.count", "100000"}, {"photon.caustics", "50000"}, {"photon.passes", "4"}};
+  Settings set = {{"photon.count", "100000"},
+                  {"photon.caustics", "50000"},
+                  {"photon.passes", "4"},
+                  {"photon.clusters", "0"},
+                  {"photon.gather_rays", "128"}};
   for (const auto& [name, value] : p.set) set[name] = value;
   Frame photon = frame_of(rough ? rough_boxes() : scene::make_scene(p.scene, {}), 24, 32, set);
   Frame path = photon;
@@ -206,21 +216,30 @@ TEST_P(PhotonMeetsPath, InTheMean) {
   path.settings.spp = 512;
   const Sample truth = means_of(path, "indirect.G", 6);
   // The truth's own noise, and what densities of so many photons lose at edges.
-  expect_mean(means_of(photon, "indirect.G", 6), truth.mean, std::string(p.scene) + ", " + p.why, sidak(kFamily, 9),
+  expect_mean(means_of(photon, "indirect.G", 6), truth.mean, std::string(p.scene) + ", " + p.why, sidak(kFamily, 17),
               0.05, 3 * truth.standard_error() + 0.02 * truth.mean);
 }
 
-INSTANTIATE_TEST_SUITE_P(Scenes, PhotonMeetsPath,
-                         testing::Values(Meeting{"cornell-box", "diffuse"},
-                                         Meeting{"cornell-mirror", "mirrors and their caustics"},
-                                         Meeting{"cornell-glass", "glass and its caustics"},
-                                         Meeting{"cornell-glass", "caustics alone", {{"photon.count", "0"}}},
-                                         Meeting{"cornell-glass", "paths find caustics", {{"photon.caustics", "0"}}},
-                                         Meeting{"cornell-glass", "three scatterings", {{"depth", "3"}}},
-                                         Meeting{"cornell-glossy", "lobes over layers"},
-                                         Meeting{"rough-boxes", "rough lobes"},
-                                         Meeting{"cornell-textured", "cut-outs, textured lobes, bent normals"}),
-                         [](const auto& test) { return std::to_string(test.index); });
+INSTANTIATE_TEST_SUITE_P(
+    Scenes, PhotonMeetsPath,
+    testing::Values(Meeting{"cornell-box", "diffuse"}, Meeting{"cornell-mirror", "mirrors and their caustics"},
+                    Meeting{"cornell-glass", "glass and its caustics"},
+                    Meeting{"cornell-glass", "caustics alone", {{"photon.count", "0"}}},
+                    Meeting{"cornell-glass", "paths find caustics", {{"photon.caustics", "0"}}},
+                    Meeting{"cornell-glass", "three scatterings", {{"depth", "3"}}},
+                    Meeting{"cornell-glossy", "lobes over layers"}, Meeting{"rough-boxes", "rough lobes"},
+                    Meeting{"cornell-box", "clusters", kClusters},
+                    Meeting{"cornell-mirror", "clusters seen in mirrors", kClusters},
+                    Meeting{"cornell-glass", "clusters behind glass", kClusters},
+                    Meeting{"cornell-glass",
+                            "clusters beside caustics that paths find",
+                            {{"photon.clusters", "150"}, {"photon.caustics", "0"}}},
+                    Meeting{"cornell-box", "clusters, three scatterings", {{"photon.clusters", "150"}, {"depth", "3"}}},
+                    Meeting{"cornell-glossy", "clusters under lobes", kClusters},
+                    Meeting{"rough-boxes", "clusters under rough lobes", kClusters},
+                    Meeting{"cornell-textured", "clusters on textures", kClusters},
+                    Meeting{"cornell-textured", "cut-outs, textured lobes, bent normals"}),
+    [](const auto& test) { return std::to_string(test.index); });
 
 // More photons: the picture goes to the path tracer's.
 TEST(Photon, BiasFallsWithMorePhotons) {
@@ -229,8 +248,9 @@ TEST(Photon, BiasFallsWithMorePhotons) {
   const Film reference = render(truth).film;
   std::vector<double> off;
   for (const char* count : {"2000", "16000", "128000"}) {
-    const Sample means =
-        means_of(frame_of(scene::make_scene("cornell-box", {}), 24, 64, {{"photon.count", count}}), "indirect.G", 4);
+    const Sample means = means_of(
+        frame_of(scene::make_scene("cornell-box", {}), 24, 64, {{"photon.count", count}, {"photon.clusters", "0"}}),
+        "indirect.G", 4);
     off.push_back(1 - means.mean / mean_of(reference, "indirect.G"));
     std::printf("  %6s light paths: indirect light short of %.4f +- %.4f\n", count, off.back(),
                 means.standard_error() / means.mean);
@@ -240,22 +260,161 @@ TEST(Photon, BiasFallsWithMorePhotons) {
   EXPECT_LT(std::abs(off[2]), std::abs(off[0]) / 2);
 }
 
+// --- Shading clusters ---
+
+// As many clusters as points: each point gathers at its own place what its pixel's samples gather otherwise.
+TEST(Photon, AsManyClustersAsPointsGatherAtEveryPoint) {
+  const Settings plain = {{"photon.count", "20000"}, {"photon.clusters", "0"}};
+  const Settings every = {{"photon.count", "20000"}, {"photon.clusters", "100000"}, {"photon.gather_rays", "256"}};
+  for (const char* name : {"cornell-box", "cornell-textured"}) {
+    // Seeds are the same: so are the photons.
+    const Rendered found = render(frame_of(scene::make_scene(name, {}), 24, 4, every));
+    EXPECT_EQ(found.parameters["photon"]["places"], found.parameters["photon"]["points"]) << name;
+    const double expected = mean_of(render(frame_of(scene::make_scene(name, {}), 24, 1024, plain)).film, "indirect.G");
+    const double mean = mean_of(found.film, "indirect.G");
+    std::printf("  %s: %.6f at every point, %.6f by every sample\n", name, mean, expected);
+    EXPECT_NEAR(mean / expected, 1, 0.005) << name;
+  }
+}
+
+TEST(Photon, ClustersMeanIsThePathTracers) {
+  const Scene scene = scene::make_scene("cornell-box", {});
+  const Film path = render(square_frame("path", scene, {}, 48, 2048, {})).film;
+  const Film film = render(frame_of(scene, 48, 64, {{"photon.clusters", "500"}, {"photon.gather_rays", "384"}})).film;
+  for (const char* channel : {"R", "G", "B"}) {
+    const double expected = mean_of(path, channel), mean = mean_of(film, channel);
+    std::printf("  %s: %.6f, expected %.6f\n", channel, mean, expected);
+    EXPECT_NEAR(mean / expected, 1, 0.005) << channel;
+  }
+}
+
+// Points on a grid: a floor whose right half is bumpy.
+struct Ground {
+  std::vector<float> rows;
+  std::vector<worker::ScreenPoint> screen;
+};
+
+Ground ground(std::uint32_t edge) {
+  Ground made;
+  for (std::uint32_t y = 0; y < edge; ++y)
+    for (std::uint32_t x = 0; x < edge; ++x) {
+      const bool bumpy = 2 * x >= edge;
+      const float tilt = bumpy ? 0.5f * std::sin(0.9f * static_cast<float>(x + 3 * y)) : 0;
+      made.screen.push_back({x, y, static_cast<std::uint32_t>(made.screen.size())});
+      for (const float word :
+           {static_cast<float>(x) / static_cast<float>(edge), static_cast<float>(y) / static_cast<float>(edge), 0.0f,
+            std::sin(tilt), 0.0f, std::cos(tilt), 0.0f, 0.0f})
+        made.rows.push_back(word);
+    }
+  return made;
+}
+
+TEST(Photon, SeedsLieWhereGeometryVaries) {
+  constexpr std::uint32_t edge = 37;
+  const Ground made = ground(edge);
+  for (const std::uint32_t wanted : {1u, 2u, 7u, 100u, 700u, edge * edge}) {
+    const auto seeds = worker::seeds_by_variation(made.rows, 8, made.screen, wanted, 5);
+    const std::set<std::uint32_t> distinct(seeds.begin(), seeds.end());
+    EXPECT_EQ(seeds.size(), wanted);
+    EXPECT_EQ(distinct.size(), wanted);
+    if (wanted != 100) continue;
+    const auto bumpy = std::ranges::count_if(seeds, [](std::uint32_t row) { return 2 * (row % edge) >= edge; });
+    std::printf("  %ld of %zu seeds on the bumpy half\n", static_cast<long>(bumpy), seeds.size());
+    EXPECT_GT(bumpy, 75);
+    EXPECT_LT(bumpy, 100) << "the flat half has none";
+  }
+}
+
+// --- The illumination cut ---
+
+std::vector<std::uint32_t> words_of(const scene::Bytes& bytes) {
+  std::vector<std::uint32_t> words(bytes.size() / 4);
+  std::memcpy(words.data(), bytes.data(), bytes.size());
+  return words;
+}
+
+// A cut has the nodes that were asked for, refinement opens those that are off, and the rows that are read hold the
+// cut's irradiance in the tree's order.
+TEST(Photon, CutIsRefinedWhereItIsOff) {
+  const Frame frame = frame_of(scene::make_scene("cornell-box", {}), 8, 1,
+                               {{"photon.count", "20000"}, {"photon.clusters", "0"}, {"photon.cut", "0"}});
+  const std::vector<std::uint32_t> map = words_of(render(frame).results.at("photon.map.global").records);
+  worker::IlluminationCut cut(map);
+  EXPECT_EQ(cut.size(), 1u);
+  cut.choose(100);
+  ASSERT_EQ(cut.size(), 100u);
+  const double radius = cut.median_radius();
+  // As bright as eq. 3 says but for the first node, which is ten times brighter.
+  std::vector<std::array<float, 3>> irradiance;
+  for (std::size_t i = 0; i < cut.size(); ++i)
+    irradiance.push_back({static_cast<float>(cut.rough_irradiance(i) * (i == 0 ? 10 : 1)), 0, 0});
+  EXPECT_EQ(cut.refine(irradiance, 1.2), 1u);
+  EXPECT_EQ(cut.size(), 101u);
+  cut.choose(map[MAP_NODES]);
+  EXPECT_EQ(cut.size(), map[MAP_BLOCKS]) << "all leaves";
+  EXPECT_LT(cut.median_radius(), radius);
+  irradiance.assign(cut.size(), {});
+  for (std::size_t i = 0; i < cut.size(); ++i) irradiance[i][1] = static_cast<float>(i);
+  const std::vector<std::uint32_t> rows = cut.rows(irradiance);
+  ASSERT_EQ(rows.size(), std::size_t{map[MAP_NODES]} * CUT_WORDS);
+  std::size_t leaves = 0;
+  for (std::size_t row = 0; row < rows.size() / CUT_WORDS; ++row) {
+    const auto real = [&](unsigned word) { return std::bit_cast<float>(rows[row * CUT_WORDS + word]); };
+    EXPECT_GT(rows[row * CUT_WORDS + NODE_SKIP], row);
+    if (real(CUT_NEARNESS) > 0) EXPECT_EQ(real(CUT_IRRADIANCE + 1), static_cast<float>(leaves++));
+  }
+  EXPECT_EQ(leaves, cut.size());
+}
+
+// The same photons and the same rays: what differs is the cut.
+TEST(Photon, CutStandsForTheMap) {
+  for (const char* name : {"cornell-box", "cornell-glossy"}) {
+    Settings set = {{"photon.count", "100000"}, {"photon.clusters", "200"}, {"photon.cut", "0"}};
+    const Film full = render(frame_of(scene::make_scene(name, {}), 32, 4, set)).film;
+    set["photon.cut"] = "4096";
+    const Rendered made = render(frame_of(scene::make_scene(name, {}), 32, 4, set));
+    const auto& expected = full.find("indirect.G")->values;
+    const auto& found = made.film.find("indirect.G")->values;
+    double squared = 0, mean = 0, sum = 0;
+    for (std::size_t i = 0; i < expected.size(); ++i) {
+      squared += std::pow(double{found[i]} - expected[i], 2);
+      mean += double{expected[i]};
+      sum += double{found[i]};
+    }
+    const double error = std::sqrt(squared * static_cast<double>(expected.size())) / mean;
+    std::printf("  %s: a cut of %s nodes is off by %.4f, %.4f in the mean\n", name,
+                made.parameters["photon"]["cut_nodes"].dump().c_str(), error, sum / mean - 1);
+    EXPECT_LT(error, 0.03) << name;
+    EXPECT_GT(error, 0) << name << ": the cut is not read";
+    EXPECT_NEAR(sum / mean, 1, 0.01) << name;
+  }
+}
+
 // --- Bits and malformed tasks ---
 
 TEST(Photon, RecordsDoNotDependOnBatches) {
   worker::Executor two({.device = -1, .threads = 2, .trace = worker::TraceKind::automatic});
   const Frame frame = frame_of(scene::make_scene("cornell-glass", {}), 24, 8,
-                               {{"photon.count", "3000"}, {"photon.caustics", "3000"}, {"photon.passes", "1"}});
+                               {{"photon.count", "3000"},
+                                {"photon.caustics", "3000"},
+                                {"photon.passes", "1"},
+                                {"photon.clusters", "100"},
+                                {"photon.cut", "300"},
+                                {"photon.gather_rays", "64"}});
   const Rendered whole = render(frame);
   two.load_scene("two", frame.scene, nullptr);
-  for (const char* name : {"photon.trace.global", "photon.caustics.0", "photon_gather.0"}) {
+  for (const char* name : {"photon.trace.global", "photon.caustics.0", "photon_gather.0", "photon.cut",
+                           "photon.clusters", "photon.cluster_gather", "photon.shade"}) {
     const coordinator::StageSpec& spec = whole.specs.at(name);
     const worker::BatchResult& all = whole.results.at(name);
     worker::StageTask again = whole.tasks.at(name);
     again.scene = "two";
+    for (auto& [input, to] : again.inputs) to.own_items = false;
     std::size_t at = 0;
-    for (std::uint64_t first = 0; first < spec.items; first += 144) {
-      const std::uint64_t count = std::min<std::uint64_t>(144, spec.items - first);
+    // Batches begin where tiles do.
+    const std::uint64_t step = spec.items < 144 ? 5 : 144;
+    for (std::uint64_t first = 0; first < spec.items; first += step) {
+      const std::uint64_t count = std::min<std::uint64_t>(step, spec.items - first);
       const auto part = two.run(again, first, count);
       ASSERT_LE(at + part.records.size(), all.records.size()) << name;
       ASSERT_EQ(std::memcmp(part.records.data(), all.records.data() + at, part.records.size()), 0)
@@ -268,7 +427,12 @@ TEST(Photon, RecordsDoNotDependOnBatches) {
 
 TEST(Photon, RefusesWhatIsOutOfRange) {
   const Frame frame = frame_of(scene::make_scene("cornell-glass", {}), 8, 1,
-                               {{"photon.count", "500"}, {"photon.caustics", "500"}, {"photon.passes", "1"}});
+                               {{"photon.count", "500"},
+                                {"photon.caustics", "500"},
+                                {"photon.passes", "1"},
+                                {"photon.clusters", "10"},
+                                {"photon.cut", "20"},
+                                {"photon.gather_rays", "64"}});
   const Rendered made = render(frame);
   worker::Executor& on = executor(worker::TraceKind::automatic);
   const auto refused = [&](const char* stage, const std::function<void(worker::StageTask&)>& change) {
@@ -287,6 +451,31 @@ TEST(Photon, RefusesWhatIsOutOfRange) {
                    PATH_CLASS_CAUSTIC));
   refused("photon.caustics.0", set_word(offsetof(kernels::PhotonCausticsParameters, shrink), 0));
   refused("photon.caustics.0", set_word(offsetof(kernels::PhotonCausticsParameters, samples), 3));
+  using kernels::PhotonClusterGatherParameters;
+  refused("photon.clusters", set_word(offsetof(kernels::PhotonClusterParameters, clusters), 0));
+  refused("photon.clusters", set_word(offsetof(kernels::PhotonClusterParameters, width), 80));
+  refused("photon.cluster_gather", set_word(offsetof(PhotonClusterGatherParameters, estimate), 1000));
+  refused("photon.cluster_gather", set_word(offsetof(PhotonClusterGatherParameters, records.azimuthal), 8));
+  refused("photon.cluster_gather", set_word(offsetof(PhotonClusterGatherParameters, records.samples.filter), 32));
+  refused("photon.cluster_gather", set_word(offsetof(PhotonClusterGatherParameters, records.samples.clamp), 0));
+  refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, nodes), 0));
+  refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, ratio), 0xbf800000u));  // -1
+  refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, estimate), 1000));
+  // A cut whose walk would not end, or whose light is none.
+  for (const auto& [word, value] : {std::pair{NODE_SKIP, 0u}, {NODE_SKIP, 1u << 30}, {CUT_IRRADIANCE, 0xbf800000u}})
+    refused("photon.cluster_gather", [word = word, value = value](worker::StageTask& task) {
+      scene::Bytes cut = *task.inputs.at("cut").load();
+      std::memcpy(cut.data() + word * 4, &value, 4);
+      task.inputs["cut"] = std::make_shared<const scene::Bytes>(std::move(cut));
+    });
+  // A place without a reach, or that is nowhere.
+  for (const unsigned word : {SPLAT_RADIUS, SPLAT_ACCURACY, SPLAT_POSITION})
+    refused("photon.cluster_gather", [&](worker::StageTask& task) {
+      scene::Bytes places = *task.inputs.at("places").load();
+      const float bad = word == SPLAT_POSITION ? NAN : 0;
+      std::memcpy(places.data() + word * 4, &bad, 4);
+      task.inputs["places"] = std::make_shared<const scene::Bytes>(std::move(places));
+    });
   // A map whose first node leads nowhere, has photons that are none, or whose walk would not end.
   const auto broken = [&](std::size_t row, unsigned word, std::uint32_t value) {
     return [=](worker::StageTask& task) {
@@ -295,7 +484,7 @@ TEST(Photon, RefusesWhatIsOutOfRange) {
       task.inputs["map"] = std::make_shared<const scene::Bytes>(std::move(map));
     };
   };
-  for (const char* stage : {"photon_gather.0", "photon.caustics.0"}) {
+  for (const char* stage : {"photon_gather.0", "photon.caustics.0", "photon.cluster_gather"}) {
     refused(stage, broken(0, MAP_NODES, 1));
     refused(stage, broken(0, MAP_BLOCKS, 1u << 30));
     refused(stage, broken(1, NODE_BLOCK, 1u << 30));

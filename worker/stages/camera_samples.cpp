@@ -90,10 +90,12 @@ void check_sample_parameters(const StageRun& run, const PathParameters& p) {
   if (p.last_item_samples == 0 || p.last_item_samples > p.samples_per_item)
     throw Error::bad_input(run.where(), "last_item_samples", "1 to samples_per_item",
                            std::to_string(p.last_item_samples));
-  if (p.filter & ~PATH_CLASSES && p.filter != PATH_CLASS_RADIOSITY && p.filter != PATH_CLASS_IRRADIANCE)
+  if (p.filter & ~(PATH_CLASSES | PATH_CLASS_LAYER) && p.filter != PATH_CLASS_RADIOSITY &&
+      p.filter != PATH_CLASS_IRRADIANCE)
     throw Error::bad_input(run.where(), "filter",
-                           "classes of light, up to " + std::to_string(PATH_CLASSES) + ", or " +
-                               std::to_string(PATH_CLASS_RADIOSITY) + " or " + std::to_string(PATH_CLASS_IRRADIANCE),
+                           "classes of light, up to " + std::to_string(PATH_CLASSES) + " with or without " +
+                               std::to_string(PATH_CLASS_LAYER) + ", or " + std::to_string(PATH_CLASS_RADIOSITY) +
+                               " or " + std::to_string(PATH_CLASS_IRRADIANCE),
                            std::to_string(p.filter));
   if (p.filter && !(p.clamp > 0))
     throw Error::bad_input(run.where(), "clamp", "a number above 0", std::to_string(p.clamp));

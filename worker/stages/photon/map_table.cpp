@@ -87,6 +87,50 @@ std::shared_ptr<const PhotonMapTable> photon_map_table(const StageRun& run, cons
   return run.tables.get<PhotonMapTable>(key, [&] { return make_table(run, InputRows(run.task, input, kRowBytes)); });
 }
 
+namespace {
+
+// The walk through the cut ends, and what it finds is light.
+PhotonCutTable make_cut(const StageRun& run) {
+  const InputRows rows(run.task, "cut", CUT_WORDS * 4);
+  const InputRows::Check check = [&](std::uint64_t row, std::span<const std::byte> piece) {
+    for (std::size_t at = 0; at < piece.size(); at += CUT_WORDS * 4, ++row) {
+      const auto skip = row_word<std::uint32_t>(&piece[at], NODE_SKIP);
+      if (skip <= row || skip > rows.rows())
+        rows.fail(row, "skip", "a node behind this one, at most " + std::to_string(rows.rows()), std::to_string(skip));
+      for (const unsigned word : {CUT_NEARNESS, CUT_IRRADIANCE, CUT_IRRADIANCE + 1, CUT_IRRADIANCE + 2}) {
+        const auto value = row_word<float>(&piece[at], word);
+        if (!(value >= 0) || !std::isfinite(value))
+          rows.fail(row, "irradiance", "finite numbers, not negative", std::to_string(value));
+      }
+    }
+  };
+  cl::CommandQueue queue = run.device.make_queue();
+  return {.rows = rows.to_device(run.device, queue, check),
+          .nodes = static_cast<std::uint32_t>(rows.rows()),
+          .most_depth = 0,
+          .size = rows.rows() * CUT_WORDS * 4};
+}
+
+}  // namespace
+
+void PhotonCutTable::set_arguments(Kernel& kernel) const {
+  kernel.set("cut", rows).set("cut_nodes", nodes).set("cut_depth", most_depth);
+}
+
+PhotonCutTable photon_cut_table(const StageRun& run, std::uint32_t most_depth) {
+  const auto found = run.task.inputs.find("cut");
+  // Not touched where there is no cut.
+  if (found == run.task.inputs.end())
+    return {.rows = run.workspace.take("cut.none", 64), .nodes = 0, .most_depth = 0, .size = 0};
+  StageTask key;
+  key.kind = "photon cut";
+  key.scene = run.task.scene;
+  key.inputs["cut"] = found->second;
+  PhotonCutTable table = *run.tables.get<PhotonCutTable>(key, [&] { return make_cut(run); });
+  table.most_depth = most_depth;
+  return table;
+}
+
 void check_photon_estimate(const StageRun& run, const kernels::PhotonEstimate& estimate) {
   if (estimate.neighbours > PHOTON_MOST_NEIGHBOURS)
     throw Error::bad_input(run.where(), "neighbours", "at most " + std::to_string(PHOTON_MOST_NEIGHBOURS),

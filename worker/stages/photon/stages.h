@@ -9,6 +9,9 @@ namespace gleaner::worker {
 BatchResult run_photon_trace_stage(const StageRun& run);
 BatchResult run_photon_gather_stage(const StageRun& run);
 BatchResult run_photon_caustics_stage(const StageRun& run);
+BatchResult run_photon_cut_stage(const StageRun& run);
+BatchResult run_photon_cluster_stage(const StageRun& run);
+BatchResult run_photon_cluster_gather_stage(const StageRun& run);
 BatchResult build_photon_map(const StageTask& task);  // on the host
 
 }  // namespace gleaner::worker

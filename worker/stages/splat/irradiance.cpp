@@ -152,6 +152,7 @@ CacheRecord cache_record(const SplatPoint& place, const HemisphereGrid& grid,
   record.position = place.position;
   record.normal = place.normal;
   record.radius = place.factor[0];
+  record.accuracy = place.factor[1];
   const Frame frame(place.normal);
   const Gradients gradients(grid, samples, frame);
   for (std::size_t color = 0; color < 3; ++color) {

@@ -22,7 +22,7 @@ struct HemisphereSample {
   float x, y;                     // of its unit direction in the frame of the normal (basis3() of kernels/vec3.h)
 };
 
-// `place`: position, normal and radius are taken from it. `samples`: one a stratum, ring by ring.
+// `place`: position, normal, radius and accuracy are taken from it. `samples`: one a stratum, ring by ring.
 CacheRecord cache_record(const SplatPoint& place, const HemisphereGrid& grid,
                          std::span<const HemisphereSample> samples);
 

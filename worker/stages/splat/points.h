@@ -12,7 +12,7 @@ namespace gleaner::worker {
 
 struct SplatPoint {
   std::array<float, 3> position, normal, geometric;
-  std::array<float, 3> factor;  // of a place: its radius, and two spare words
+  std::array<float, 3> factor;  // of a place: its radius, accuracy and spacing
   float footprint;              // 0: no point
   std::uint32_t table;
   float row;
@@ -26,7 +26,8 @@ struct CacheRecord {
   float radius;
   std::array<float, 3> irradiance;
   std::array<float, 9> rotation, translation;  // a colour after the other
-  std::array<float, 4> spare;
+  float accuracy;
+  std::array<float, 3> spare;
 };
 static_assert(sizeof(CacheRecord) == CACHE_WORDS * 4);
 

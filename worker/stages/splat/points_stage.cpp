@@ -1,12 +1,15 @@
 // Stage kind "splat_points": surface points that pixels show (kernels/splat/points.cl).
 
 #include <bit>
+#include <cmath>
+#include <cstring>
 
 #include "kernels/path_layout.h"
 #include "scene/model/error.h"
 #include "worker/stages/splat/points.h"
 #include "worker/stages/splat/stages.h"
 #include "worker/stages/split_stage.h"
+#include "worker/wavefront/input_rows.h"
 #include "worker/wavefront/path_wave.h"
 
 namespace gleaner::worker {
@@ -15,6 +18,39 @@ void check_splat_samples(const StageRun& run, std::uint32_t samples) {
   if (!std::has_single_bit(samples) || samples > SPLAT_MOST_SAMPLES)
     throw Error::bad_input(run.where(), "samples", "a power of two up to " + std::to_string(SPLAT_MOST_SAMPLES),
                            std::to_string(samples));
+}
+
+namespace {
+
+constexpr std::uint64_t kMostPoints = std::uint64_t{1} << 26;
+
+std::uint64_t points_of(std::uint32_t width, std::uint32_t height, std::uint32_t samples) {
+  return std::uint64_t{splat_tiles(width)} * splat_tiles(height) * SPLAT_TILE_PIXELS * samples;
+}
+
+}  // namespace
+
+void check_splat_points(const StageRun& run, std::uint32_t width, std::uint32_t height, std::uint32_t samples) {
+  check_splat_samples(run, samples);
+  if (width == 0 || height == 0 || points_of(width, height, samples) > kMostPoints)
+    throw Error::bad_input(run.where(), "size", "1 to " + std::to_string(kMostPoints) + " points",
+                           std::to_string(width) + " x " + std::to_string(height));
+}
+
+std::vector<SplatPoint> read_splat_points(const StageRun& run, std::uint32_t width, std::uint32_t height,
+                                          std::uint32_t samples) {
+  const InputRows input(run.task, "points", sizeof(SplatPoint));
+  input.expect_rows(points_of(width, height, samples));
+  std::vector<SplatPoint> points(input.rows());
+  input.visit(0, input.rows(), [&](std::uint64_t row, std::span<const std::byte> piece) {
+    std::memcpy(&points[row], piece.data(), piece.size());
+  });
+  for (std::size_t i = 0; i < points.size(); ++i)
+    for (std::size_t k = 0; k < 3 && points[i].exists(); ++k)
+      if (!std::isfinite(points[i].position[k]) || !std::isfinite(points[i].normal[k]) ||
+          !std::isfinite(points[i].footprint))
+        input.fail(i, "position", "finite numbers", "others");
+  return points;
 }
 
 namespace {

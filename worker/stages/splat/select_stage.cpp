@@ -10,7 +10,6 @@
 #include "worker/stages/splat/select.h"
 #include "worker/stages/splat/stages.h"
 #include "worker/stages/split_stage.h"
-#include "worker/wavefront/input_rows.h"
 #include "worker/wavefront/path_wave.h"
 
 namespace gleaner::worker {
@@ -19,7 +18,6 @@ namespace {
 using kernels::SplatSelectFacts;
 using kernels::SplatSelectParameters;
 
-constexpr std::uint64_t kMostPoints = std::uint64_t{1} << 26;
 // Where there may be so many records and no more, the accuracy is raised in such steps until there are; not beyond
 // this.
 constexpr float kCoarser = 1.25f, kMostAccuracy = 8;
@@ -28,11 +26,7 @@ constexpr float kOwnRadius = 1e-4f;
 
 SplatSelectParameters read_parameters(const StageRun& run) {
   const auto p = run.parameters<SplatSelectParameters>();
-  check_splat_samples(run, p.samples);
-  if (p.width == 0 || p.height == 0 ||
-      std::uint64_t{splat_tiles(p.width)} * splat_tiles(p.height) * SPLAT_TILE_PIXELS * p.samples > kMostPoints)
-    throw Error::bad_input(run.where(), "size", "1 to " + std::to_string(kMostPoints) + " points",
-                           std::to_string(p.width) + " x " + std::to_string(p.height));
+  check_splat_points(run, p.width, p.height, p.samples);
   if (!(p.accuracy >= 0) || !(p.accuracy <= kMostAccuracy))
     throw Error::bad_input(run.where(), "accuracy", "0 to 8", std::to_string(p.accuracy));
   if (p.probe_rays == 0 || p.probe_rays % RAY_BLOCK != 0 || p.probe_rays > 4096)
@@ -41,21 +35,6 @@ SplatSelectParameters read_parameters(const StageRun& run) {
     throw Error::bad_input(run.where(), "radii", "pixels above 0", std::to_string(p.least_radius));
   run.check_range(1);
   return p;
-}
-
-std::vector<SplatPoint> read_points(const StageRun& run, const SplatSelectParameters& p) {
-  const InputRows input(run.task, "points", sizeof(SplatPoint));
-  input.expect_rows(std::uint64_t{splat_tiles(p.width)} * splat_tiles(p.height) * SPLAT_TILE_PIXELS * p.samples);
-  std::vector<SplatPoint> points(input.rows());
-  input.visit(0, input.rows(), [&](std::uint64_t row, std::span<const std::byte> piece) {
-    std::memcpy(&points[row], piece.data(), piece.size());
-  });
-  for (std::size_t i = 0; i < points.size(); ++i)
-    for (std::size_t k = 0; k < 3 && points[i].exists(); ++k)
-      if (!std::isfinite(points[i].position[k]) || !std::isfinite(points[i].normal[k]) ||
-          !std::isfinite(points[i].footprint))
-        input.fail(i, "position", "finite numbers", "others");
-  return points;
 }
 
 // One host thread's rays of the places of a round.
@@ -151,14 +130,14 @@ BatchResult run_splat_select_stage(const StageRun& run) {
   const SplatSelectParameters p = read_parameters(run);
   const double start = seconds_now();
   BatchResult result;
-  const std::vector<SplatPoint> points = read_points(run, p);
+  const std::vector<SplatPoint> points = read_splat_points(run, p.width, p.height, p.samples);
   SplatSelectFacts facts;
   const Selection selection = select(run, p, points, &facts.accuracy, result);
   result.records.resize(selection.places.size() * sizeof(SplatPoint));
   std::byte* to = result.records.data();
   for (const Selection::Place& place : selection.places) {
     SplatPoint row = points[place.point];
-    row.factor = {place.radius, 0, 0};
+    row.factor = {place.radius, static_cast<float>(facts.accuracy), 0};
     std::memcpy(to, &row, sizeof row);
     to += sizeof row;
   }

@@ -46,6 +46,8 @@ Cache read_cache(const StageRun& run) {
         if (!std::isfinite(word)) input.fail(row, "", "finite numbers", std::to_string(word));
       if (!(cache.rows[row].radius > 0))
         input.fail(row, "radius", "metres above 0", std::to_string(cache.rows[row].radius));
+      if (!(cache.rows[row].accuracy > 0))
+        input.fail(row, "accuracy", "a number above 0", std::to_string(cache.rows[row].accuracy));
     }
   };
   cl::CommandQueue queue = run.device.make_queue();
@@ -65,7 +67,6 @@ class SplatThread : public HostThread {
         samples_(p.samples),
         tile_points_(SPLAT_TILE_PIXELS * p.samples),
         capacity_(point_capacity(run.device)),
-        accuracy_(p.accuracy),
         points_(take("splat.points", std::size_t{capacity_} * sizeof(SplatPoint))),
         offsets_buffer_(take("splat.offsets", (capacity_ / tile_points_ + 1) * 4)),
         radiance_buffer_(take("splat.radiance", std::size_t{capacity_ + RAY_BLOCK} * 16)),
@@ -76,7 +77,6 @@ class SplatThread : public HostThread {
         .set("cache", cache.buffer)
         .set("offsets", offsets_buffer_)
         .set("tile_points", tile_points_)
-        .set("accuracy", accuracy_)
         .set("radiance", radiance_buffer_);
   }
 
@@ -132,7 +132,7 @@ class SplatThread : public HostThread {
   }
 
   bool meets(const PointBox& box, std::uint32_t k) const {
-    return box.meets(cache_.rows[k].position, accuracy_ * cache_.rows[k].radius * 1.01f);
+    return box.meets(cache_.rows[k].position, cache_.rows[k].accuracy * cache_.rows[k].radius * 1.01f);
   }
 
   // A tile's pixels: the means over their points, in the points' order. Radiance that is not finite is left out and
@@ -162,7 +162,6 @@ class SplatThread : public HostThread {
   const InputRows& input_;
   std::uint64_t first_item_, first_row_;
   std::uint32_t samples_, tile_points_, capacity_;
-  float accuracy_;
   cl::Buffer points_, offsets_buffer_, radiance_buffer_;
   std::vector<SplatPoint> host_points_;
   std::vector<float> radiance_;
@@ -175,8 +174,6 @@ class SplatThread : public HostThread {
 BatchResult run_splat_shade_stage(const StageRun& run) {
   const auto p = run.parameters<SplatShadeParameters>();
   check_splat_samples(run, p.samples);
-  if (!(p.accuracy > 0) || !std::isfinite(p.accuracy))
-    throw Error::bad_input(run.where(), "accuracy", "a number above 0", std::to_string(p.accuracy));
   run.check_range(p.tiles);
   const double start = seconds_now();
   StageTask key;  // by the cache alone: batches share its table

@@ -1,0 +1,51 @@
+// Stage kind "photon_cluster_gather": the light that arrives at the sample points of shading clusters
+// (kernels/photon/cluster_gather.cl).
+
+#include <algorithm>
+#include <cmath>
+
+#include "worker/stages/photon/gather_thread.h"
+#include "worker/stages/photon/stages.h"
+#include "worker/stages/splat/record_gather.h"
+
+namespace gleaner::worker {
+namespace {
+
+// Weights by normals are never less than these by distance, where normals hardly turn.
+constexpr float kLeastTurn = 0.1f;
+
+// R_j is the harmonic mean of the rays' lengths (section 3.4). It is no less than the sample's reach, and small enough
+// that where normals agree the record reaches at most twice as far.
+CacheRecord cluster_record(const SplatPoint& place, const HemisphereGrid& grid,
+                           std::span<const HemisphereSample> samples) {
+  const float reach = place.factor[0], turn = place.factor[1];
+  float nearness = 0;
+  for (const HemisphereSample& sample : samples) nearness += sample.nearness;
+  const float most = reach / std::max(turn, kLeastTurn);
+  SplatPoint sized = place;
+  float& radius = sized.factor[0];
+  radius = nearness > 0 ? std::clamp(static_cast<float>(samples.size()) / nearness, std::min(reach, most), most) : most;
+  sized.factor[1] = reach / radius + turn;
+  return cache_record(sized, grid, samples);
+}
+
+}  // namespace
+
+BatchResult run_photon_cluster_gather_stage(const StageRun& run) {
+  const auto p = run.parameters<kernels::PhotonClusterGatherParameters>();
+  check_record_parameters(run, p.records);
+  check_photon_gather(run, p.records.samples);
+  check_photon_estimate(run, p.estimate);
+  const auto map = photon_map_table(run, "map");
+  const PhotonCutTable cut = photon_cut_table(run, p.cut_depth);
+  const std::string filter = " -D PATH_FILTER=" + std::to_string(p.records.samples.filter);
+  return gather_records(
+      run, p.records, run.build("cluster_gather.cl", filter),
+      [&](const PlaceTable& places, const SamplePart& part, WorkQueue& work, unsigned index) {
+        return std::make_unique<RecordThread<PhotonGatherThread>>(places, part, run.workspace, work, index, p.estimate,
+                                                                  *map, cut);
+      },
+      cluster_record);
+}
+
+}  // namespace gleaner::worker
