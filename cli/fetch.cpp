@@ -1,4 +1,4 @@
-// `gleaner fetch`: a finished job's files.
+// `gleaner fetch`: the files of a job's finished frames.
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
@@ -47,11 +47,12 @@ void fetch_file(Client& client, const std::string& job, const std::string& name,
 
 int fetch(const FetchOptions& options) {
   Client client(options.coordinator);
-  coordinator::JobStatus status = client.show(options.job);
-  require_done(status);
-  if (!ended(status.state))
-    throw Error::failed("job " + status.id + " is " + job_state_name(status.state) + "; `gleaner watch " + status.id +
-                        "` ends with it");
+  const coordinator::JobStatus status = client.show(options.job);
+  if (status.frames_done == 0) {
+    require_done(status);
+    throw Error::failed("job " + status.id + " is " + job_state_name(status.state) +
+                        ", and none of its frames is finished; `gleaner watch " + status.id + "` ends with it");
+  }
   std::error_code code;
   fs::create_directories(options.folder, code);
   if (code) throw Error::failed(options.folder + ": cannot make the folder: " + code.message());
@@ -63,6 +64,10 @@ int fetch(const FetchOptions& options) {
     fetch_file(client, options.job, file.name(), target);
     if (!options.quiet) std::cerr << "gleaner: wrote " << target.string() << "\n";
   }
+  require_done(status);  // what there is has been fetched
+  if (!ended(status.state) && !options.quiet)
+    std::cerr << "gleaner: job " << status.id << " is running: frames " << written_frames(status) << " of "
+              << status.frames << " are finished\n";
   return 0;
 }
 
@@ -70,7 +75,7 @@ int fetch(const FetchOptions& options) {
 
 void add_fetch(CLI::App& app, Run& run) {
   auto options = std::make_shared<FetchOptions>();
-  CLI::App* command = app.add_subcommand("fetch", "Bring a finished job's EXR, PNG and report");
+  CLI::App* command = app.add_subcommand("fetch", "Bring EXR, PNG and report of the frames that are finished");
   command->add_option("JOB", options->job, "as submit printed it")->required();
   command->add_option("-o,--output", options->folder, "folder; made where it is not there")->required();
   command->add_flag("--quiet", options->quiet, "no remarks");

@@ -229,9 +229,10 @@ LoadedFrame load_frame(const FrameOptions& options) {
 
   ImportWords files = options.files;
   files.instances = coordinator::method_of(options.method).takes_instances;
+  if (frame.numbered) files.frames = {frame.first_frame, frame.last_frame, frame.frame_step};
   frame.moving = open_scene(files, options.look_at.empty());
   if (frame.moving->moves()) {
-    frame.scene = frame.moving->scene_at(options.time_offset);
+    frame.scene = frame.moving->scene_at(frame.moving->is_sequence() ? frame.first_frame : options.time_offset);
   } else {
     frame.scene = std::move(frame.moving->base());
     frame.moving = nullptr;
@@ -261,7 +262,7 @@ LoadedFrame load_frame(const FrameOptions& options) {
 FrameLook look_of(const FrameOptions& options, const LoadedFrame& frame, std::uint32_t number) {
   FrameLook look;
   const double since = static_cast<double>(number) - static_cast<double>(frame.first_frame);
-  look.seconds = options.time_offset + since / options.fps;
+  look.seconds = frame.moving->is_sequence() ? number : options.time_offset + since / options.fps;
   std::optional<scene::ShownFrame> shown = frame.moving->at(look.seconds);
   // What choose_camera() looks at.
   scene::Scene seen;
@@ -269,6 +270,8 @@ FrameLook look_of(const FrameOptions& options, const LoadedFrame& frame, std::ui
   if (shown && !shown->cameras.empty())
     seen.cameras = std::move(shown->cameras);
   else if (shown)
+    seen.cameras = frame.moving->base().cameras;
+  else if (frame.moving->is_sequence())
     seen.cameras = frame.moving->base().cameras;
   else if (options.look_at.empty())
     seen.cameras = frame.moving->scene_at(look.seconds).cameras;

@@ -46,6 +46,7 @@ struct CoordinatorOptions {
   std::string check;  // HOST:PORT; empty: be a coordinator
   std::string data;
   unsigned active_jobs = 2;
+  unsigned frames_at_once = coordinator::FarmSettings{}.frames_at_once;
   double upload_gib = 64;
   double memory_gib = 0;  // 0: three quarters of the machine's
   std::uint64_t batch_items = 0;
@@ -95,6 +96,7 @@ int coordinate(const CoordinatorOptions& options) {
   settings.records = data / "records";
   settings.recheck_share = options.recheck;
   settings.active_jobs = options.active_jobs;
+  settings.frames_at_once = options.frames_at_once;
   settings.ended_jobs = options.keep_jobs;
   settings.ended_seconds = options.keep_days * 24 * 3600;
   settings.memory_bytes =
@@ -154,6 +156,10 @@ int main(int argc, char** argv) {
   app.add_option("--active-jobs", options.active_jobs, "jobs that run at the same time")
       ->capture_default_str()
       ->check(CLI::Range(1u, 64u));
+  app.add_option("--frames-at-once", options.frames_at_once,
+                 "frames of a job that run side by side, where workers idle that fewer cannot feed")
+      ->capture_default_str()
+      ->check(CLI::Range(1u, 1024u));
   app.add_option("--upload-limit", options.upload_gib, "largest blob, in GiB")
       ->capture_default_str()
       ->check(CLI::PositiveNumber);

@@ -7,7 +7,10 @@
 namespace gleaner::cli {
 
 void add_import_options(CLI::App& command, ImportWords& words) {
-  command.add_option("SCENE", words.scene, "scene: .gltf, .glb, .obj, .ply or .stl")->required();
+  command
+      .add_option("SCENE", words.scene,
+                  "scene: .gltf, .glb, .obj, .ply or .stl; or 'NAME_####.obj', a file a frame of --frames")
+      ->required();
   command.add_option("--environment", words.environment, "lat-long .exr or .hdr that lights the scene from all around");
   command.add_option("--environment-rotation", words.environment_rotation,
                      "DEGREES about +y, counter-clockwise seen from above");
@@ -35,6 +38,7 @@ std::unique_ptr<scene::MovingScene> open_scene(const ImportWords& words, bool ne
   options.strict = words.strict;
   options.needs_camera = needs_camera;
   options.instances = words.instances;
+  options.frames = words.frames;
   if (words.environment.empty() && (words.environment_rotation != 0 || words.environment_strength != 1))
     throw Error::usage("--environment-rotation and --environment-strength need --environment FILE");
   auto file = std::make_unique<scene::MovingScene>(words.scene, options);

@@ -2,6 +2,7 @@
 // The words that say how a scene's files are read: the same for every command that reads one.
 
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "scene/import/import.h"
@@ -17,6 +18,7 @@ struct ImportWords {
   double environment_rotation = 0, environment_strength = 1;
   std::string light_units = "auto", variant, animation = "all";
   double seconds = 0;  // at which animations are seen
+  std::optional<scene::FrameNumbers> frames{};  // of a sequence of files; no word of these, but --frames
   std::uint64_t texture_limit = scene::ImportOptions().most_texels;
   bool strict = false;
   bool instances = true;  // see scene::ImportOptions; no word of people's, but the method's

@@ -93,12 +93,11 @@ void render_job(coordinator::Farm& farm, const coordinator::JobRequest& request,
     std::_Exit(static_cast<int>(ErrorKind::failed));  // a plan still computes, with what main's end would destroy
   }
   if (status.state == JobState::cancelled) throw Error::failed("cancelled; nothing was written");
+  if (!quiet)
+    for (const fs::path& file : farm.files(job)) std::cerr << "gleaner: wrote " << file.string() << "\n";
   if (status.state == JobState::failed) throw Error::failed(status.message);
   if (!status.message.empty()) std::cerr << "gleaner: warning: " << status.message << "\n";
-  if (!quiet) {
-    for (const fs::path& file : farm.files(job)) std::cerr << "gleaner: wrote " << file.string() << "\n";
-    std::fprintf(stderr, "gleaner: %.2f s\n", status.seconds);
-  }
+  if (!quiet) std::fprintf(stderr, "gleaner: %.2f s\n", status.seconds);
 }
 
 // One job: a base, and a state of it a frame.

@@ -19,12 +19,15 @@ json job_json(const JobStatus& status) {
   for (const auto& stage : status.stages) {
     json entry = {{"name", stage.name},
                   {"kind", stage.kind},
+                  {"frame", stage.frame},
                   {"items", stage.items},
                   {"items_done", stage.items_done},
                   {"items_per_second", stage.items_per_second}};
     if (stage.seconds_left >= 0) entry["seconds_left"] = stage.seconds_left;
     stages.push_back(std::move(entry));
   }
+  json written = json::array();
+  for (const auto& [first, last] : status.written) written.push_back({first, last});
   json out = {{"job", status.id},
               {"state", job_state_name(status.state)},
               {"scene", status.scene_name},
@@ -32,6 +35,9 @@ json job_json(const JobStatus& status) {
               {"size", {status.width, status.height}},
               {"frames", status.frames},
               {"frames_done", status.frames_done},
+              {"frames_failed", status.frames_failed},
+              {"written", std::move(written)},
+              {"running", status.running},
               {"stages", std::move(stages)},
               {"progress", status.progress},
               {"frame_progress", status.frame_progress},
@@ -70,6 +76,16 @@ std::string job_line(const JobStatus& status) {
                                  status.width, status.height, format_duration(status.seconds));
   if (!status.message.empty()) line += fmt::format("  {}", status.message);
   return line;
+}
+
+std::string written_frames(const JobStatus& status) {
+  std::string words;
+  for (const auto& [first, last] : status.written) {
+    if (!words.empty()) words += ", ";
+    words += last == first ? fmt::format("{}", first) : fmt::format("{}-{}", first, last);
+  }
+  if (status.frame_step > 1 && !words.empty()) words += fmt::format(" (every {}th)", status.frame_step);
+  return words;
 }
 
 void require_done(const JobStatus& status) {

@@ -12,6 +12,7 @@ nlohmann::json job_json(const coordinator::JobStatus& status);
 nlohmann::json worker_json(const coordinator::WorkerStatus& status);
 std::string dump(const nlohmann::json& value);  // one line; bytes that are not UTF-8 are replaced
 std::string job_line(const coordinator::JobStatus& status);
+std::string written_frames(const coordinator::JobStatus& status);  // "1-3, 5"
 // Throws Error::failed where the job failed or was cancelled.
 void require_done(const coordinator::JobStatus& status);
 

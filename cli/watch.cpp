@@ -28,6 +28,7 @@ using Clock = std::chrono::steady_clock;
 
 constexpr std::chrono::milliseconds preview_interval{700};           // it must be fresh at least once a second
 constexpr double first_wait_seconds = 1, longest_wait_seconds = 15;  // before the coordinator is called again
+constexpr std::chrono::seconds tell_interval{1};                     // of frames that were written
 constexpr std::chrono::seconds stall{5};                             // without an item done, before it is asked why
 
 struct WatchOptions {
@@ -141,12 +142,22 @@ class Watch {
   void show(const JobStatus& status) {
     if (options_.json) std::cout << dump(job_json(status)) << std::endl;
     progress_.show(status);
+    tell_written(status);
     explain(status);
+  }
+
+  // Names the frames that can be fetched, where more are to come.
+  void tell_written(const JobStatus& status) {
+    if (options_.json || ended(status.state) || status.frames_done == told_) return;
+    if (told_ > 0 && Clock::now() - told_at_ < tell_interval) return;
+    told_ = status.frames_done;
+    told_at_ = Clock::now();
+    say("written, and can be fetched: frames " + written_frames(status));
   }
 
   // Says why nothing happens: that no worker is there, or that other jobs come first.
   void explain(const JobStatus& status) {
-    std::uint64_t done = status.frames_done;
+    std::uint64_t done = status.frames_done + status.frames_failed;
     for (const auto& stage : status.stages) done += stage.items_done;
     if (done != done_ || status.state != state_ || ended(status.state)) {
       done_ = done;
@@ -168,6 +179,8 @@ class Watch {
   bool lost_ = false;
   Clock::time_point lost_since_{}, still_since_ = Clock::now();
   std::uint64_t done_ = 0;
+  std::uint32_t told_ = 0;  // frames that were written when people were told
+  Clock::time_point told_at_{};
   coordinator::JobState state_ = coordinator::JobState::queued;
   std::string explained_;
 };

@@ -119,7 +119,7 @@ FN vi sees_lights(const Vertex* v, vi spent) {
 #ifdef NEED_TRANSMISSIVE
   vi opaque = m->transmission < one_f();
 #ifdef NEED_ROUGH_TRANSMISSIVE
-  opaque = opaque | m->blurs;
+  opaque = opaque | scatters_through(m);
 #endif
   lit = lit & opaque;
 #endif
@@ -127,7 +127,7 @@ FN vi sees_lights(const Vertex* v, vi spent) {
   // A bare mirror: no layer below and no rough lobe.
   vi bare = is_bare_mirror(m);
 #ifdef NEED_ROUGH_TRANSMISSIVE
-  bare = bare & none(m->blurs);
+  bare = bare & none(scatters_through(m));
 #endif
   lit = lit & none(bare);
 #endif
@@ -150,10 +150,11 @@ FN v3 light_reflectance(const Scene* scene, const Vertex* v, const PathFilter* f
   *pdf *= one_f() - m->transmission;
 #endif
 #ifdef NEED_ROUGH_TRANSMISSIVE
-  if (any_lane(m->blurs)) {
+  vi scatters = scatters_through(m);
+  if (any_lane(scatters)) {
     vf glass_pdf;
-    v3 g = filter_sharp(filter, eval_glass(m, frame->view, toward, &glass_pdf));
-    vi through = m->blurs & (toward.z < (vf)-1e-6f);
+    v3 g = filter_sharp(filter, eval_transmissive(scene, m, frame->view, toward, &glass_pdf));
+    vi through = scatters & (toward.z < (vf)-1e-6f);
     f = mad3(g, m->transmission, pick3(f, splat3(zero_f()), through));
     *pdf = fma(m->transmission, glass_pdf, pick(*pdf, zero_f(), through));
     *seen = *seen | through;

@@ -417,6 +417,26 @@ FN void load_grain(const Scene* scene, const Hit* h, Surface* m, vi active) {
 }
 #endif
 
+#ifdef NEED_DIFFUSE_TRANSMISSION
+// The layer that light shines through, beside glass in what transmits light.
+FN void load_shining(const Scene* scene, const Hit* h, Surface* m, vi active) {
+  vf share = material_f(scene, h->material, MATERIAL_DIFFUSE_TRANSMISSION);
+  m->shining_color = material_3(scene, h->material, MATERIAL_DIFFUSE_TRANSMISSION_COLOR);
+#ifdef NEED_MATERIAL_TEXTURES
+  vi shines = active & (share > zero_f());
+  vf unused, alpha;
+  textured_value(scene, h, MATERIAL_DIFFUSE_TRANSMISSION_TEXTURE, shines, splat3(one_f()), &alpha);
+  share *= alpha;
+  m->shining_color =
+      textured_value(scene, h, MATERIAL_DIFFUSE_TRANSMISSION_COLOR_TEXTURE, shines, m->shining_color, &unused);
+#endif
+  vf layer = (one_f() - m->transmission) * share;
+  m->transmission += layer;
+  m->shining = pick(zero_f(), layer / m->transmission, m->transmission > zero_f());
+  m->layer_kept = one_f();
+}
+#endif
+
 // What scattering needs beyond load_color().
 FN void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active) {
 #if defined(NEED_LOBE) || defined(NEED_TRANSMISSIVE)
@@ -508,6 +528,9 @@ FN void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active) {
   m->transmission *= one_f() - m->metallic;
   vf left = one_f() - m->transmission;
   m->metallic = pick(zero_f(), m->metallic / left, left > zero_f());
+#endif
+#ifdef NEED_DIFFUSE_TRANSMISSION
+  load_shining(scene, h, m, active);
 #endif
 #ifdef NEED_TRANSMISSIVE
   m->hidden = no_lanes();
@@ -663,7 +686,11 @@ FN v3 straight_share(const Surface* m, vf nv) {
     fresnel = pick(fresnel, zero_f(), bends_nothing(m));
     tint = pick3(tint, splat3(one_f()), m->hidden);
 #endif
-    share = pick3(share, scale3(tint, m->transmission * (one_f() - fresnel)), passable);
+    vf glass = m->transmission;
+#ifdef NEED_DIFFUSE_TRANSMISSION
+    glass *= one_f() - m->shining;
+#endif
+    share = pick3(share, scale3(tint, glass * (one_f() - fresnel)), passable);
   }
 #endif
 #ifdef NEED_ALPHA

@@ -149,10 +149,19 @@ pb::Job to_proto(const JobStatus& status) {
   out.set_height(status.height);
   out.set_frames(status.frames);
   out.set_frames_done(status.frames_done);
+  out.set_frames_failed(status.frames_failed);
+  out.set_frame_step(status.frame_step);
+  for (const auto& [first, last] : status.written) {
+    pb::FrameRange* range = out.add_written();
+    range->set_first(first);
+    range->set_last(last);
+  }
+  for (const std::uint32_t frame : status.running) out.add_running(frame);
   for (const StageStatus& stage : status.stages) {
     pb::StageProgress* to = out.add_stages();
     to->set_name(stage.name);
     to->set_kind(stage.kind);
+    to->set_frame(stage.frame);
     to->set_items(stage.items);
     to->set_items_done(stage.items_done);
     to->set_items_per_second(stage.items_per_second);
@@ -179,9 +188,13 @@ JobStatus from_proto(const pb::Job& job) {
   out.height = job.height();
   out.frames = job.frames();
   out.frames_done = job.frames_done();
+  out.frames_failed = job.frames_failed();
+  out.frame_step = std::max(1u, job.frame_step());
+  for (const pb::FrameRange& range : job.written()) out.written.emplace_back(range.first(), range.last());
+  out.running.assign(job.running().begin(), job.running().end());
   for (const pb::StageProgress& stage : job.stages())
-    out.stages.push_back({stage.name(), stage.kind(), stage.items(), stage.items_done(), stage.items_per_second(),
-                          stage.seconds_left()});
+    out.stages.push_back({stage.name(), stage.kind(), stage.frame(), stage.items(), stage.items_done(),
+                          stage.items_per_second(), stage.seconds_left()});
   out.seconds = job.seconds();
   out.message = job.message();
   out.preview_available = job.preview_available();

@@ -163,7 +163,7 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
     std::set<std::string> checked;
     for (FrameScene& scene : scenes) {
       scene.summary = summary_of(scene.scene_blob, job.scene_name);
-      if (!scene.state_blob.empty() && checked.insert(lineage_of(scene)).second) check_state(scene);
+      if (!scene.state_blob.empty() && checked.insert(blobs_of(scene)).second) check_state(scene);
     }
     job.scenes = std::move(scenes);
     reply->set_job(farm_.submit(job));

@@ -91,7 +91,7 @@ void jobs_section(Page& page, const std::vector<JobStatus>& jobs) {
   for (const JobStatus& job : jobs) {
     ++jobs_in[job.state];
     if (ended(job.state)) continue;
-    frames_queued += job.frames - job.frames_done;
+    frames_queued += job.frames - job.frames_done - job.frames_failed;
     for (const StageStatus& stage : job.stages)
       if (stage.items_done < stage.items) items_per_second[stage.kind] += stage.items_per_second;
   }

@@ -39,7 +39,10 @@ struct FarmSettings {
   std::function<FramePaths(const std::string& job, std::uint32_t frame)> paths;  // folders are made
   std::function<void(const std::string&)> log;                                   // one line each; empty: silence
   unsigned active_jobs = 2;  // jobs that run at the same time: the second fills the first one's tail
-  bool preview = true;       // accepted batches are drawn as they come
+  // Frames of a job that run side by side, where workers idle that fewer cannot feed: at most, and never more than
+  // there are workers.
+  unsigned frames_at_once = 8;
+  bool preview = true;                                     // accepted batches are drawn as they come
   std::uint64_t artifact_bytes = std::uint64_t{32} << 30;  // largest result of a stage
   std::uint64_t kept_bytes = std::uint64_t{512} << 20;     // of stages' records that later frames may use again
   std::uint64_t retained_bytes = std::uint64_t{8} << 30;  // the same of those that workers retain, all workers together
@@ -82,8 +85,8 @@ class Farm {
   std::vector<JobStatus> list() const;  // oldest first
   // Waits until the job's version is over `seen`, it ended, or `timeout` seconds went by.
   std::optional<JobStatus> wait(const std::string& job, std::uint64_t seen, Seconds timeout) const;
-  // The frame that runs, as far as its batches came in. None: no such job, nothing to show, or a plan that computes at
-  // this moment (it is not waited for).
+  // The first of the frames that run, as far as its batches came in. None: no such job, nothing to show, or a plan that
+  // computes at this moment (it is not waited for).
   std::optional<Film> preview(const std::string& job);
   // One line for every stage that has items which nobody runs. None: no such job.
   std::optional<std::vector<std::string>> why(const std::string& job) const;

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "coordinator/jobs/session.h"
@@ -16,8 +17,8 @@ struct FrameScene {
   SceneSummary summary;    // of the scene; of a base at rest where there is a state
   std::string state_blob;  // id of the state that shows the scene as a base; empty: the scene as it is
 };
-// Names what is made of it (artifact_id).
-inline std::string lineage_of(const FrameScene& scene) {
+// Equal for frames of one scene.
+inline std::string blobs_of(const FrameScene& scene) {
   return scene.state_blob.empty() ? scene.scene_blob : scene.scene_blob + "+" + scene.state_blob;
 }
 
@@ -54,6 +55,7 @@ inline bool ended(JobState state) { return state != JobState::queued && state !=
 
 struct StageStatus {
   std::string name, kind;
+  std::uint32_t frame = 1;  // its number
   std::uint64_t items = 0, items_done = 0;
   double items_per_second = 0;  // over the last few seconds
   double seconds_left = -1;     // negative = unknown
@@ -64,14 +66,18 @@ struct JobStatus {
   JobState state = JobState::queued;
   std::string scene_name, method;
   std::uint32_t width = 0, height = 0;
-  std::uint32_t frames = 1, frames_done = 0;
-  std::vector<StageStatus> stages;  // of the frame that runs, finished ones too
+  std::uint32_t frames = 1, frames_done = 0, frames_failed = 0;  // done: their files are written
+  std::uint32_t frame_step = 1;                                  // between their numbers
+  // Numbers of frames: [first, last] of those whose files are written, in order; those that run.
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> written;
+  std::vector<std::uint32_t> running;
+  std::vector<StageStatus> stages;  // of the frames that run, finished ones too
   double seconds = 0;               // since it was accepted; of an ended job: until it ended
-  // Of a job that runs, by predicted work. They never fall within a frame.
-  double frame_progress = 0, progress = 0;            // 0 to 1: of the frame that runs, of all frames
+  // Of a job that runs, by predicted work. That of all frames never falls, that of a frame not within the frame.
+  double frame_progress = 0, progress = 0;            // 0 to 1: of the first frame that runs, of all frames
   double frame_seconds_left = -1, seconds_left = -1;  // negative = unknown
   double submitted_unix_seconds = 0;
-  std::string message;  // why it failed; of one that is done: what must be known of its pictures
+  std::string message;  // which frames failed, and why; of one that is done: what must be known of its pictures
   bool preview_available = false;
   double exposure_stops = 0;
   std::uint64_t version = 0;  // grows with every change

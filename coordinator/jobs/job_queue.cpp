@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
-#include <new>
+#include <iterator>
 #include <utility>
 
 #include "coordinator/jobs/engine.h"
@@ -14,6 +14,9 @@
 namespace gleaner::coordinator {
 
 namespace {
+
+// Over which a job's rate is taken: frames are uneven.
+constexpr Seconds job_rate_window = 60;
 
 std::string gibibytes(std::uint64_t bytes) {
   char text[32];
@@ -51,13 +54,13 @@ std::shared_ptr<Job> Farm::Impl::accept(const JobRequest& request) {
   auto job = std::make_shared<Job>();
   job->request = request;
   std::vector<FrameScene>& scenes = job->request.scenes;
-  for (FrameScene& scene : scenes) scene.summary.blob = lineage_of(scene);
+  for (FrameScene& scene : scenes) scene.summary.lineage = scene.scene_blob;
   if (std::all_of(scenes.begin(), scenes.end(),
-                  [&](const FrameScene& scene) { return lineage_of(scene) == lineage_of(scenes.front()); }))
+                  [&](const FrameScene& scene) { return blobs_of(scene) == blobs_of(scenes.front()); }))
     scenes.resize(1);
   // What a trajectory's frames share is made for one scene.
   if (!request.cameras.empty() && scenes.size() == 1) job->request.settings.trajectory = trajectory_of(request.cameras);
-  job->memory = settings.check(settings_of(job->request, request.first_frame), request.scenes.front().summary);
+  job->memory = settings.check(settings_of(job->request, 0), request.scenes.front().summary);
   if (job->memory > settings.memory_bytes)
     throw Error::usage("a frame of " + std::to_string(request.settings.width) + "x" +
                        std::to_string(request.settings.height) + " pixels by " + request.settings.method + " needs " +
@@ -73,42 +76,51 @@ bool Farm::Impl::has_memory_for(const Job& job) const {
 }
 
 void Farm::Impl::start_queued() {
-  while (!queue.empty() && running < settings.active_jobs && !stopping) {
+  while (!queue.empty() && running.size() < settings.active_jobs && !stopping) {
     std::shared_ptr<Job> job = queue.front();
     // The first in the queue is not overtaken, or a large one would wait for ever.
     if (!has_memory_for(*job)) return;
     queue.pop_front();
-    ++running;
-    memory_taken += job->memory;
+    running.push_back(job);
     job->state = JobState::running;
     job->started = now();
+    job->progress = FrameProgress(job->started, static_cast<double>(job->frames_over()), job_rate_window);
+    update_progress(*job, job->started);
     changed(*job);
-    threads.emplace(job.get(), std::thread(&Impl::run, shared_from_this(), job));
+    if (begin_frame(job)) continue;
+    // The coordinator before this one died when all frames were over.
+    const bool failed = job->failed.count() > 0;
+    end_job(*job, failed ? JobState::failed : JobState::done, failed ? failures_of(*job) : "");
   }
 }
 
 std::string Farm::Impl::why_queued(const Job& job) const {
-  if (queue.front().get() == &job && running < settings.active_jobs && !has_memory_for(job))
+  if (queue.front().get() == &job && running.size() < settings.active_jobs && !has_memory_for(job))
     return "the job waits for memory: it needs " + gibibytes(job.memory) + ", and of the " +
            gibibytes(settings.memory_bytes) + " that there may be, jobs that run have " + gibibytes(memory_taken);
   return "the job waits until one of the " + std::to_string(settings.active_jobs) + " that run has ended";
 }
 
 JobRemains Farm::Impl::end_job(Job& job, JobState state, const std::string& message) {
-  JobRemains remains = withdraw(job);
-  running -= job.state == JobState::running;
+  JobRemains remains;
+  for (const auto& [place, frame] : std::exchange(job.frames, {})) {
+    for (const auto& stage : frame->stages) job.last_stages.push_back(status_of(*stage, now()));
+    JobRemains of_frame = withdraw(*frame);
+    std::move(frame->stages.begin(), frame->stages.end(), std::back_inserter(of_frame.stages));
+    frame->stages.clear();
+    remains.frames.push_back(std::move(of_frame));
+  }
+  std::erase_if(running, [&](const auto& other) { return other.get() == &job; });
   job.state = state;
   job.message = message;
   job.ended = now();
-  for (const auto& stage : job.stages) job.last_stages.push_back(status_of(*stage, job.ended));
-  remains.stages = std::exchange(job.stages, {});
   remains.cameras = std::exchange(job.request.cameras, {});
   remains.scenes = std::exchange(job.request.scenes, {});
   job.request.settings.trajectory = {};
   // What a farm that ends stops goes on with the next one.
   if (!stopping || state != JobState::cancelled) {
     journal_changed(job, state);
-    forget_records(job.id, settings.records / job.id);
+    forget_records(job);
   }
   settings.log("job " + job.id + " " + job_state_name(state) + (message.empty() ? "" : ": " + message));
   changed(job);
@@ -116,6 +128,16 @@ JobRemains Farm::Impl::end_job(Job& job, JobState state, const std::string& mess
   forget_ended();
   start_queued();
   return remains;
+}
+
+bool Farm::Impl::stop_frames(Job& job) {
+  job.cancel = true;
+  bool computes = false;
+  for (const auto& [place, frame] : job.frames) {
+    frame->events.notify_all();
+    computes = computes || frame->computing;
+  }
+  return computes;
 }
 
 void Farm::Impl::forget_ended() {
@@ -135,50 +157,6 @@ void Farm::Impl::join_ended_threads() {
     ended.swap(ended_threads);
   }
   for (std::thread& thread : ended) thread.join();
-}
-
-void Farm::Impl::run(std::shared_ptr<Impl> self, std::shared_ptr<Job> job) {
-  JobState state = JobState::done;
-  std::string message;
-  try {
-    self->run_frames(job);
-  } catch (const Cancelled&) {
-    state = JobState::cancelled;
-  } catch (const std::bad_alloc&) {
-    state = JobState::failed;
-    message = "the coordinator is out of memory";
-  } catch (const std::exception& error) {
-    state = JobState::failed;
-    message = error.what();
-  } catch (...) {
-    state = JobState::failed;
-    message = "the plan threw what is no std::exception";
-  }
-  std::unique_ptr<Plan> plan;
-  {
-    std::lock_guard plan_lock(job->plan_mutex);
-    plan = std::move(job->plan);
-  }
-  plan.reset();
-  job->base.reset();
-  JobRemains remains;
-  std::lock_guard lock(self->mutex);
-  self->memory_taken -= job->memory;
-  // Who cancelled while the last frame was written was told that the job ends so.
-  if (state == JobState::done && job->cancel) state = JobState::cancelled;
-  if (state == JobState::done)
-    for (const std::string& warning : job->warnings) message += (message.empty() ? "" : "; ") + warning;
-  // One that was cancelled while its plan computed has ended before.
-  if (!ended(job->state))
-    remains = self->end_job(*job, state, message);
-  else
-    self->start_queued();
-  auto own = self->threads.find(job.get());
-  if (own != self->threads.end()) {
-    self->ended_threads.push_back(std::move(own->second));
-    self->threads.erase(own);
-  }
-  self->thread_ended.notify_all();
 }
 
 std::string Farm::submit(const JobRequest& request) {
@@ -210,11 +188,9 @@ std::optional<JobStatus> Farm::cancel(const std::string& id) {
     std::erase(impl_->queue, job);
     remains = impl_->end_job(*job, JobState::cancelled, "");
   } else if (job->state == JobState::running) {
-    job->cancel = true;
     impl_->journal_changed(*job, JobState::cancelled);
-    job->events.notify_all();
-    // Nobody knows how long its plan computes: the job ends now, and its thread when the plan has returned.
-    if (job->computing)
+    // Nobody knows how long a plan computes: the job ends now, and that frame's thread when the plan has returned.
+    if (impl_->stop_frames(*job))
       remains = impl_->end_job(*job, JobState::cancelled, "");
     else
       impl_->changed(*job);

@@ -29,7 +29,6 @@ JournalJob entry_of(const Job& job, JobState state, Seconds ended_seconds) {
           .message = job.message,
           .submitted = job.submitted_unix_seconds,
           .ended = ended(state) ? job.submitted_unix_seconds + ended_seconds : 0,
-          .frames_done = job.frames_done,
           .request = {}};
 }
 
@@ -102,7 +101,13 @@ std::shared_ptr<Job> Farm::Impl::restored(const JournalJob& entry, std::string& 
   job->state = state;
   job->message = entry.message;
   job->submitted_unix_seconds = entry.submitted;
-  job->frames_done = entry.frames_done;
+  for (const JournalFrame& frame : settings.journal->frames_over(entry.id)) {
+    // Of a job whose request cannot be read, the single frame is all that is known.
+    if (frame.frame >= frames_of(job->request)) continue;
+    (frame.failure.empty() ? job->written : job->failed).insert(frame.frame);
+    if (!frame.failure.empty() && job->failures.size() < most_failures)
+      job->failures.emplace_back(frame.frame, frame.failure);
+  }
   job->accepted = now() - std::max(0.0, unix_seconds() - entry.submitted);
   if (ended(state)) job->ended = job->accepted + std::max(0.0, entry.ended - entry.submitted);
   return job;

@@ -72,14 +72,14 @@ void Farm::Impl::recheck(const std::shared_ptr<RunningStage>& stage, WorkerId ma
   what->items = {lease.first, lease.count};
   what->device_kind = worker->second.kind;
   what->answers.push_back({maker, worker->second.name, std::move(digest)});
-  ask_another(*stage->job, *stage, std::move(what));
+  ask_another(*stage->frame, *stage, std::move(what));
 }
 
-bool Farm::Impl::ask_another(Job& job, const RunningStage& like, std::unique_ptr<Recheck> what) {
+bool Farm::Impl::ask_another(Frame& frame, const RunningStage& like, std::unique_ptr<Recheck> what) {
   const std::set<WorkerId> asked = witnesses(*what);
   if (asked.empty()) return false;
   auto stage = std::make_shared<RunningStage>();
-  stage->job = job.shared_from_this();
+  stage->frame = frame.shared_from_this();
   stage->spec = like.spec;
   stage->spec.name += " (compared)";
   stage->work = like.work;
@@ -101,7 +101,7 @@ bool Farm::Impl::ask_another(Job& job, const RunningStage& like, std::unique_ptr
                            .near = {}};
   stage->id = scheduler.add_stage(scheduled, now());
   active_stages[stage->id] = stage;
-  job.rechecks.push_back(stage);
+  frame.rechecks.push_back(stage);
   offer_to_unserved_soon();
   return true;
 }
@@ -110,13 +110,13 @@ void Farm::Impl::end_recheck(const std::shared_ptr<RunningStage>& stage) {
   stage->delivered = true;
   revoke(scheduler.remove_stage(stage->id));
   active_stages.erase(stage->id);
-  std::erase(stage->job->rechecks, stage);
-  stage->job->events.notify_all();
+  std::erase(stage->frame->rechecks, stage);
+  stage->frame->events.notify_all();
 }
 
 void Farm::Impl::take_recheck(const std::shared_ptr<RunningStage>& stage, const Worker& worker, std::string digest) {
   if (stage->delivered) return;
-  Job& job = *stage->job;
+  Frame& frame = *stage->frame;
   auto recheck = std::make_unique<Recheck>(*stage->recheck);
   end_recheck(stage);
   if (!witnesses(*recheck).contains(worker.id)) return;  // it says nothing about the others
@@ -129,19 +129,20 @@ void Farm::Impl::take_recheck(const std::shared_ptr<RunningStage>& stage, const 
     return;
   }
   recheck->answers.push_back({worker.id, worker.name, std::move(digest)});
-  settings.log("job " + job.id + ": " + words_of(*recheck) + ": workers " + recheck->answers[0].name + " and " +
+  settings.log("job " + frame.job->id + ": " + words_of(*recheck) + ": workers " + recheck->answers[0].name + " and " +
                worker.name + " made different records");
   const Recheck open = *recheck;
-  if (recheck->answers.size() > 2 || !ask_another(job, *stage, std::move(recheck))) disagree(job, open);
+  if (recheck->answers.size() > 2 || !ask_another(frame, *stage, std::move(recheck))) disagree(frame, open);
 }
 
-void Farm::Impl::disagree(Job& job, const Recheck& recheck) {
-  if (!job.failure.empty()) return;
+void Farm::Impl::disagree(Frame& frame, const Recheck& recheck) {
+  if (!frame.failure.empty()) return;
   std::string names;
   for (const auto& answer : recheck.answers) names += (names.empty() ? "" : ", ") + answer.name;
-  job.failure = words_of(recheck) + ": workers " + names + " made different records, and " +
-                (recheck.answers.size() > 2 ? "no two of them agree" : "there is no third one of their kind to decide");
-  job.events.notify_all();
+  frame.failure =
+      words_of(recheck) + ": workers " + names + " made different records, and " +
+      (recheck.answers.size() > 2 ? "no two of them agree" : "there is no third one of their kind to decide");
+  frame.events.notify_all();
 }
 
 void Farm::Impl::drop_hopeless_rechecks() {
@@ -150,7 +151,7 @@ void Farm::Impl::drop_hopeless_rechecks() {
     if (stage->recheck && witnesses(*stage->recheck).empty()) hopeless.push_back(stage);
   for (const auto& stage : hopeless) {
     end_recheck(stage);
-    if (stage->recheck->answers.size() > 1) disagree(*stage->job, *stage->recheck);
+    if (stage->recheck->answers.size() > 1) disagree(*stage->frame, *stage->recheck);
   }
 }
 
@@ -161,7 +162,7 @@ void Farm::Impl::distrust(WorkerId liar, const std::string& why) {
   // What others made of its records may be among these.
   kept.clear();
   std::vector<ArtifactId> held;
-  std::set<Job*> readers;
+  std::set<Frame*> readers;
   for (auto& [id, artifact] : retained) {
     artifact.untrusted = true;
     held.push_back(id);
@@ -177,46 +178,50 @@ void Farm::Impl::distrust(WorkerId liar, const std::string& why) {
       settings.log("job " + id + ": " + words);
       job->warnings.push_back(words);
     }
-    if (!job->makers.contains(liar) && !readers.contains(job.get())) continue;
-    job->distrusted = true;
-    job->events.notify_all();
+    for (const auto& [place, frame] : job->frames) {
+      if (!frame->makers.contains(liar) && !readers.contains(frame.get())) continue;
+      frame->distrusted = true;
+      frame->events.notify_all();
+    }
   }
 }
 
-void Farm::Impl::await_rechecks(Job& job) {
+void Farm::Impl::await_rechecks(Frame& frame) {
+  const Job& job = *frame.job;
   std::unique_lock lock(mutex);
-  job.events.wait(
-      lock, [&] { return job.cancel || stopping || !job.failure.empty() || job.distrusted || job.rechecks.empty(); });
+  frame.events.wait(lock, [&] {
+    return job.cancel || stopping || !frame.failure.empty() || frame.distrusted || frame.rechecks.empty();
+  });
   if (job.cancel || stopping) throw Cancelled{};
-  if (!job.failure.empty()) throw Error::failed(job.failure);
-  if (job.distrusted) throw Distrusted{};
+  if (!frame.failure.empty()) throw Error::failed(frame.failure);
+  if (frame.distrusted) throw Distrusted{};
 }
 
-void Farm::Impl::start_over(Job& job) {
+void Farm::Impl::start_over(Frame& frame) {
   JobRemains remains;  // destroyed last
   std::lock_guard lock(mutex);
-  remains = withdraw(job);
-  job.distrusted = false;
-  job.held.clear();
-  job.reused.clear();
-  std::erase_if(job.remembered, [&](const auto& entry) { return liars.contains(entry.second); });
-  std::sort(job.remembered.begin(), job.remembered.end(), [](const auto& a, const auto& b) {
+  remains = withdraw(frame);
+  frame.distrusted = false;
+  frame.held.clear();
+  frame.reused.clear();
+  std::erase_if(frame.remembered, [&](const auto& entry) { return liars.contains(entry.second); });
+  std::sort(frame.remembered.begin(), frame.remembered.end(), [](const auto& a, const auto& b) {
     return std::tie(a.first.artifact, a.first.first) < std::tie(b.first.artifact, b.first.first);
   });
-  job.makers.clear();
-  if (settings.journal) settings.journal->frame_over(job.id, [] {});
+  frame.makers.clear();
+  if (settings.journal) settings.journal->frame_begins_again(frame.job->id, frame.place);
   std::uint64_t items = 0;
-  for (const auto& [range, maker] : job.remembered) {
-    job.makers.insert(maker);
+  for (const auto& [range, maker] : frame.remembered) {
+    frame.makers.insert(maker);
     settings.journal->accepted(range);
-    job.held[range.artifact].push_back(range);
+    frame.held[range.artifact].push_back(range);
     items += range.count;
   }
-  settings.log("job " + job.id + ": the frame begins again; " + std::to_string(items) +
+  settings.log("job " + frame.job->id + ": the frame begins again; " + std::to_string(items) +
                " items that other workers made are taken over");
-  job.work_asked = job.work_done = job.work_to_come = 0;
-  job.progress = FrameProgress(now());
-  changed(job);
+  frame.work_asked = frame.work_done = frame.work_to_come = 0;
+  frame.progress = FrameProgress(now());
+  changed(*frame.job);
 }
 
 }  // namespace gleaner::coordinator

@@ -32,8 +32,8 @@ bool answers(const RunningStage& stage, const JournalRange& range) {
 
 }  // namespace
 
-fs::path Farm::Impl::records_of(const std::string& job, std::uint32_t frame) const {
-  return settings.records / job / std::to_string(frame);
+fs::path Farm::Impl::records_of(const Frame& frame) const {
+  return settings.records / frame.job->id / std::to_string(frame_at(frame.job->request, frame.place));
 }
 
 void Farm::Impl::drop_left_records(const std::set<std::string>& waiting) const {
@@ -44,13 +44,14 @@ void Farm::Impl::drop_left_records(const std::set<std::string>& waiting) const {
       fs::remove_all(entry.path(), ignored);
 }
 
-void Farm::Impl::recall(Job& job) {
-  if (!settings.journal || settings.records.empty() || job.frames_done >= frames_of(job.request)) return;
-  const fs::path folder = records_of(job.id, frame_at(job.request, job.frames_done));
+void Farm::Impl::recall(Frame& frame) {
+  if (!settings.journal || settings.records.empty()) return;
+  const std::string& id = frame.job->id;
+  const fs::path folder = records_of(frame);
   std::string trouble;
   std::map<ArtifactId, std::unique_ptr<RecordFile>> files;
-  for (JournalRange& range : settings.journal->ranges(job.id)) {
-    std::vector<JournalRange>& held = job.held[range.artifact];
+  for (JournalRange& range : settings.journal->ranges(id, frame.place)) {
+    std::vector<JournalRange>& held = frame.held[range.artifact];
     if (!held.empty() && range.first < held.back().first + held.back().count) continue;
     auto& file = files[range.artifact];
     if (!file) file = std::make_unique<RecordFile>(folder / range.artifact);
@@ -63,14 +64,14 @@ void Farm::Impl::recall(Job& job) {
       trouble = error.what();
     }
   }
-  if (!trouble.empty()) settings.log("job " + job.id + ": " + trouble + "; what cannot be read back is computed again");
+  if (!trouble.empty()) settings.log("job " + id + ": " + trouble + "; what cannot be read back is computed again");
 }
 
 void Farm::Impl::use_held(RunningStage& stage) {
   if (!settings.journal || settings.records.empty() || stage.retained() || stage.computes_again) return;
-  Job& job = *stage.job;
-  stage.file = std::make_shared<RecordFile>(records_of(job.id, job.report.frame) / stage.artifact);
-  const auto found = job.held.extract(stage.artifact);
+  Frame& frame = *stage.frame;
+  stage.file = std::make_shared<RecordFile>(records_of(frame) / stage.artifact);
+  const auto found = frame.held.extract(stage.artifact);
   if (!found) return;
   std::uint64_t next = 0;
   for (JournalRange& range : found.mapped()) {
@@ -87,7 +88,7 @@ void Farm::Impl::use_held(RunningStage& stage) {
   }
   if (next < stage.spec.items) stage.missing.push_back({next, stage.spec.items - next});
   ++stage.writers;  // until feed_held() has read them
-  job.reused.push_back({"stage " + stage.spec.name, "accepted before the frame was begun again", stage.items_done});
+  frame.reused.push_back({"stage " + stage.spec.name, "accepted before the frame was begun again", stage.items_done});
 }
 
 void Farm::Impl::feed_held(RunningStage& stage, Bytes* records) {
@@ -114,7 +115,7 @@ void Farm::Impl::feed_held(RunningStage& stage, Bytes* records) {
   if (records)
     for (const JournalRange& range : stage.held) {
       stage.copied.push_back({range.first, range.count});
-      if (settings.preview) stage.job->undrawn.push_back({stage.shared_from_this(), range.first, range.count});
+      if (settings.preview) stage.frame->undrawn.push_back({stage.shared_from_this(), range.first, range.count});
     }
   stage.held.clear();
   --stage.writers;
@@ -123,7 +124,8 @@ void Farm::Impl::feed_held(RunningStage& stage, Bytes* records) {
 std::optional<JournalRange> Farm::Impl::store(RunningStage& stage, const Lease& lease, const Bytes& image,
                                               const Bytes& facts, const std::string& digest) {
   try {
-    return JournalRange{.job = stage.job->id,
+    return JournalRange{.job = stage.frame->job->id,
+                        .frame = stage.frame->place,
                         .artifact = stage.artifact,
                         .first = lease.first,
                         .count = lease.count,
@@ -133,21 +135,30 @@ std::optional<JournalRange> Farm::Impl::store(RunningStage& stage, const Lease& 
                         .facts = facts};
   } catch (const Error& error) {
     // The frame does not need the file; a coordinator after this one would.
-    if (!std::exchange(stage.job->said_unremembered, true))
-      settings.log("job " + stage.job->id + ": " + error.what() +
+    if (!std::exchange(stage.frame->said_unremembered, true))
+      settings.log("job " + stage.frame->job->id + ": " + error.what() +
                    "; the frame goes on, but after a restart these records are computed again");
     return std::nullopt;
   }
 }
 
 void Farm::Impl::remember(RunningStage& stage, WorkerId maker, JournalRange range) {
-  if (stage.rests_on_no_stage()) stage.job->remembered.emplace_back(range, maker);
+  if (stage.rests_on_no_stage()) stage.frame->remembered.emplace_back(range, maker);
   settings.journal->accepted(std::move(range));
 }
 
-void Farm::Impl::forget_records(const std::string& job, const fs::path& folder) {
+void Farm::Impl::forget_records(const Frame& frame, const std::string& failure) {
+  if (!settings.journal) return;
+  settings.journal->frame_over({.job = frame.job->id, .frame = frame.place, .failure = failure},
+                               [folder = settings.records.empty() ? fs::path() : records_of(frame)] {
+                                 std::error_code ignored;
+                                 if (!folder.empty()) fs::remove_all(folder, ignored);
+                               });
+}
+
+void Farm::Impl::forget_records(const Job& job) {
   if (!settings.journal || settings.records.empty()) return;
-  settings.journal->frame_over(job, [folder] {
+  settings.journal->job_over(job.id, [folder = settings.records / job.id] {
     std::error_code ignored;
     fs::remove_all(folder, ignored);
   });

@@ -135,7 +135,7 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutp
     stage->complete = outcome.stage_complete;
     stage->unavailable_since = -1;
     if (stage->spec.solo) stage->facts = std::move(output.facts);
-    changed(*stage->job);
+    changed(*stage->frame->job);
   }
   held.stop();
   if (stage->recheck || stage->file || rechecked) put_on_record(stage, id, lease, output.image, rechecked, lock);
@@ -205,18 +205,18 @@ void Farm::Impl::collect(const std::shared_ptr<RunningStage>& stage, const Lease
   --stage->writers;
   deliver_if_complete(stage);
   if (!settings.preview || stage->delivered || !target) return;
-  std::deque<UndrawnItems>& undrawn = stage->job->undrawn;
+  std::deque<UndrawnItems>& undrawn = stage->frame->undrawn;
   if (!undrawn.empty() && undrawn.back().stage == stage && undrawn.back().first + undrawn.back().count == lease.first)
     undrawn.back().count += lease.count;
   else
     undrawn.push_back({stage, lease.first, lease.count});
-  stage->job->events.notify_all();
+  stage->frame->events.notify_all();
 }
 
 void Farm::Impl::stream_in(RunningStage& stage, const Lease& lease, Bytes records, std::unique_lock<std::mutex>& lock) {
   Stopwatch held(totals.result_lock_seconds);
   stage.arrived.put({lease.first, lease.count, std::move(records)});
-  stage.job->events.notify_all();
+  stage.frame->events.notify_all();
   // A plan that takes records in more slowly than they arrive holds their workers up; one that waits for a batch that
   // has not arrived does not, or that batch might never come.
   const auto room = [&] { return stage.delivered || !stage.arrived.ready() || stage.arrived.bytes() <= most_arrived; };
@@ -239,17 +239,18 @@ void Farm::Impl::account(RunningStage& stage, const Worker& worker, const Lease&
   ++totals.batches_accepted;
   stage.last_result = time;
   remember_progress(stage, time);
-  Job& job = *stage.job;
-  job.makers.insert(worker.id);
-  job.work_done += stage.work_per_item() * static_cast<double>(lease.count);
-  job.progress.update(time, job.work_done, job.work_asked - job.work_done + job.work_to_come);
+  Frame& frame = *stage.frame;
+  frame.makers.insert(worker.id);
+  frame.work_done += stage.work_per_item() * static_cast<double>(lease.count);
+  frame.progress.update(time, frame.work_done, frame.work_asked - frame.work_done + frame.work_to_come);
+  update_progress(*frame.job, time);
   ++stage.report.batches;
   stage.report.trace_seconds += cost.trace_seconds;
   stage.report.kernel_seconds += cost.kernel_seconds;
   auto& share = stage.report.workers[worker.name];
   share.items += lease.count;
   share.seconds += cost.seconds;
-  FrameReport& report = stage.job->report;
+  FrameReport& report = frame.report;
   report.camera_rays += cost.camera_rays;
   report.scatter_rays += cost.scatter_rays;
   report.shadow_rays += cost.shadow_rays;
@@ -287,16 +288,16 @@ void Farm::Impl::failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::s
     stage->last_failure = "stage " + stage->spec.name + ", items " + std::to_string(lease.first) + " to " +
                           std::to_string(lease.first + lease.count - 1) + ", worker " + worker->second.name + ": " +
                           message;
-    settings.log("job " + stage->job->id + ": " + stage->last_failure);
-    if (outcome.stage_failed && !stage->recheck && stage->job->failure.empty()) {
-      stage->job->failure = stage->last_failure;
-      stage->job->events.notify_all();
+    settings.log("job " + stage->frame->job->id + ": " + stage->last_failure);
+    if (outcome.stage_failed && !stage->recheck && stage->frame->failure.empty()) {
+      stage->frame->failure = stage->last_failure;
+      stage->frame->events.notify_all();
     }
     forget_lease(epoch);
     if (stage->recheck && (outcome.stage_failed || input_unavailable)) {
       // Nobody can compare: where the answers so far differ, nobody decides.
       end_recheck(stage);
-      if (stage->recheck->answers.size() > 1) disagree(*stage->job, *stage->recheck);
+      if (stage->recheck->answers.size() > 1) disagree(*stage->frame, *stage->recheck);
     }
   }
   offer(worker->second);

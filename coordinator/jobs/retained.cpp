@@ -40,7 +40,7 @@ std::string words_of(const ItemRange& items) {
 // --- Lifetimes (mutex held)
 // -------------------------------------------------------------------------------------------
 
-bool Farm::Impl::retain_output(Job& job, RunningStage& stage) {
+bool Farm::Impl::retain_output(RunningStage& stage) {
   auto recipe = std::make_shared<Recipe>();
   recipe->id = stage.artifact;
   recipe->spec = stage.spec;
@@ -49,7 +49,7 @@ bool Farm::Impl::retain_output(Job& job, RunningStage& stage) {
   stage.recipe = recipe;
   RetainedArtifact& artifact = retained[stage.artifact];
   if (!artifact.recipe) artifact.recipe = std::move(recipe);
-  artifact.frames.insert(&job);
+  artifact.frames.insert(stage.frame.get());
   registry.take(stage.artifact);
   registry.add(stage.artifact, layout_of(stage.spec));
   if (stage.spec.items > 0 && registry.whole(stage.artifact)) {
@@ -63,8 +63,8 @@ bool Farm::Impl::retain_output(Job& job, RunningStage& stage) {
   return false;
 }
 
-void Farm::Impl::release_retained(Job& job, const ArtifactId& id) {
-  if (const auto at = retained.find(id); at != retained.end() && at->second.frames.erase(&job) > 0)
+void Farm::Impl::release_retained(Frame& frame, const ArtifactId& id) {
+  if (const auto at = retained.find(id); at != retained.end() && at->second.frames.erase(&frame) > 0)
     release_if_unused(id);
 }
 
@@ -81,11 +81,11 @@ void Farm::Impl::release_if_unused(const ArtifactId& id) {
   }
 }
 
-void Farm::Impl::release_all_retained(Job& job) {
+void Farm::Impl::release_all_retained(Frame& frame) {
   std::vector<ArtifactId> held;
   for (const auto& [id, artifact] : retained)
-    if (artifact.frames.contains(&job)) held.push_back(id);
-  for (const ArtifactId& id : held) release_retained(job, id);
+    if (artifact.frames.contains(&frame)) held.push_back(id);
+  for (const ArtifactId& id : held) release_retained(frame, id);
 }
 
 // --- Placing and pausing (mutex held)
@@ -181,21 +181,21 @@ std::vector<Gap> Farm::Impl::missing(const ArtifactId& id, bool being_made) {
   return gaps;
 }
 
-void Farm::Impl::compute_again(Job& job, const ArtifactId& id, const std::vector<Gap>& gaps) {
+void Farm::Impl::compute_again(Frame& frame, const ArtifactId& id, const std::vector<Gap>& gaps) {
   if (gaps.empty()) return;
   std::vector<ItemRange> together;
   for (const Gap& gap : gaps)
     if (gap.in_one_piece || !gap.avoid.empty())
-      start_again(job, id, {gap.items}, &gap);
+      start_again(frame, id, {gap.items}, &gap);
     else
       together.push_back(gap.items);
-  if (!together.empty()) start_again(job, id, std::move(together), nullptr);
+  if (!together.empty()) start_again(frame, id, std::move(together), nullptr);
 }
 
-void Farm::Impl::start_again(Job& job, const ArtifactId& id, std::vector<ItemRange> items, const Gap* special) {
+void Farm::Impl::start_again(Frame& frame, const ArtifactId& id, std::vector<ItemRange> items, const Gap* special) {
   const std::shared_ptr<const Recipe> recipe = retained.at(id).recipe;
   auto stage = std::make_shared<RunningStage>();
-  stage->job = job.shared_from_this();
+  stage->frame = frame.shared_from_this();
   stage->spec = recipe->spec;
   stage->spec.name += " (again)";
   stage->spec.priority = priority_again;
@@ -212,7 +212,7 @@ void Farm::Impl::start_again(Job& job, const ArtifactId& id, std::vector<ItemRan
   stage->report.name = stage->spec.name;
   stage->report.kind = stage->spec.kind;
   for (const ItemRange& range : stage->again) stage->report.items += range.count;
-  settings.log("job " + job.id + ": stage " + recipe->spec.name + ": " + std::to_string(stage->report.items) +
+  settings.log("job " + frame.job->id + ": stage " + recipe->spec.name + ": " + std::to_string(stage->report.items) +
                " items are computed again");
   // What it reads may have been released meanwhile: it is needed again, as far as these items read it.
   for (std::size_t i = 0; i < stage->reads.size(); ++i) {
@@ -240,7 +240,7 @@ void Farm::Impl::require_inputs(const RunningStage& stage) {
     else
       needed = registry.gaps(input->id);
     std::erase_if(needed, [&](const Gap& gap) { return is_computed(input->id, gap.items); });
-    compute_again(*stage.job, input->id, needed);
+    compute_again(*stage.frame, input->id, needed);
   }
 }
 
@@ -284,7 +284,7 @@ void Farm::Impl::take_part(const RunningStage& stage, Worker& worker, const Item
       .items = items, .bytes = sent.bytes, .records = sent.records, .digest = sent.digest, .device_kind = worker.kind};
   const ArtifactId id = stage.artifact;
   const PartOutcome outcome = registry.accept(id, part, worker.id);
-  const std::string what = "job " + stage.job->id + ": stage " + stage.spec.name + ", " + words_of(items);
+  const std::string what = "job " + stage.frame->job->id + ": stage " + stage.spec.name + ", " + words_of(items);
   if (outcome.verdict == PartVerdict::disputed) {
     std::string names;
     for (const PartClaim& claim : outcome.claims) {
@@ -293,9 +293,9 @@ void Farm::Impl::take_part(const RunningStage& stage, Worker& worker, const Item
         holder->second.session->drop_part(id, items.first, claim.digest);
     }
     settings.log(what + ": workers " + names + " made different records; none counts");
-    if ((outcome.claims.size() > 2 || outcome.rounds >= most_rounds) && stage.job->failure.empty()) {
-      stage.job->failure = what + ": the records differ each time they are computed (workers " + names + ")";
-      stage.job->events.notify_all();
+    if ((outcome.claims.size() > 2 || outcome.rounds >= most_rounds) && stage.frame->failure.empty()) {
+      stage.frame->failure = what + ": the records differ each time they are computed (workers " + names + ")";
+      stage.frame->events.notify_all();
     }
     if (auto at = retained.find(id); at != retained.end()) at->second.lost.push_back(items);
     settle_retained();
@@ -462,8 +462,8 @@ void Farm::relayed(Epoch epoch, std::uint64_t bytes) {
   const auto stage = impl_->active_stages.find(lease->second.stage);
   if (stage == impl_->active_stages.end()) return;
   // They come from one worker, and go to another one.
-  stage->second->job->report.uploaded_bytes += bytes;
-  stage->second->job->report.downloaded_bytes += bytes;
+  stage->second->frame->report.uploaded_bytes += bytes;
+  stage->second->frame->report.downloaded_bytes += bytes;
 }
 
 std::optional<WorkerId> Farm::worker_of(const std::string& token) const {

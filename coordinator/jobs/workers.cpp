@@ -22,8 +22,10 @@ constexpr std::size_t most_names_of_gone = 4096;
 }  // namespace
 
 void Farm::Impl::offer(Worker& worker) {
+  // A further frame serves an idle worker better than a second copy of what others do.
+  const bool duplicates = !further_frame_comes();
   while (!active_stages.empty()) {
-    auto lease = scheduler.next_lease(worker.id, now());
+    auto lease = scheduler.next_lease(worker.id, now(), duplicates);
     if (!lease) break;
     auto found = active_stages.find(lease->stage);
     if (found == active_stages.end()) continue;
@@ -40,6 +42,7 @@ void Farm::Impl::offer(Worker& worker) {
     unserved.insert(worker.id);
   else
     unserved.erase(worker.id);
+  note_idle(worker);
 }
 
 void Farm::Impl::offer_to_all() {
@@ -69,8 +72,10 @@ void Farm::Impl::revoke(const std::vector<Lease>& revoked) {
   for (const Lease& lease : revoked) {
     if (auto worker = workers.find(lease.worker); worker != workers.end()) worker->second.session->revoke(lease);
     forget_lease(lease.epoch);
-    if (auto worker = workers.find(lease.worker); worker != workers.end() && !worker->second.draining)
+    if (auto worker = workers.find(lease.worker); worker != workers.end() && !worker->second.draining) {
       unserved.insert(lease.worker);
+      note_idle(worker->second);
+    }
   }
   if (!revoked.empty()) offer_to_unserved_soon();
 }
@@ -111,9 +116,10 @@ void Farm::Impl::watch_clock() {
     // Not woken by every lease: what is due next is never nearer than `idle_look` unless next_expiry() said so. However
     // many offers are made, the clock is looked at in time.
     Clock::time_point due = ticked + (active_stages.empty() ? calm_look : idle_look);
-    if (auto next = scheduler.next_expiry())
-      due = std::min(due, Clock::now() + std::chrono::duration_cast<Clock::duration>(
-                                             std::chrono::duration<double>(std::clamp(*next - now(), 0.001, 1.0))));
+    for (const auto& next : {scheduler.next_expiry(), next_frame_due()})
+      if (next)
+        due = std::min(due, Clock::now() + std::chrono::duration_cast<Clock::duration>(
+                                               std::chrono::duration<double>(std::clamp(*next - now(), 0.001, 1.0))));
     timer_wakes.wait_until(lock, due, woken);
     if (stopping || Clock::now() < due) continue;
     tick();
@@ -131,6 +137,7 @@ void Farm::Impl::tick() {
     if (time - worker.heard > settings.silence && worker.waits == 0) silent.push_back(id);
   for (WorkerId id : silent) lose(id, "not heard of for " + std::to_string(static_cast<int>(settings.silence)) + " s");
   offer_to_unserved();
+  begin_another_frame();
 }
 
 Farm::Joined Farm::join(const WorkerHello& hello, std::shared_ptr<WorkerSession> session) {

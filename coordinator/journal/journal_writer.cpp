@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <iterator>
 #include <utility>
 
 #include "scene/model/error.h"
@@ -50,9 +51,14 @@ Bytes JournalWriter::frames(const std::string& job) {
   return journal_->frames(job);
 }
 
-std::vector<JournalRange> JournalWriter::ranges(const std::string& job) {
+std::vector<JournalFrame> JournalWriter::frames_over(const std::string& job) {
   std::lock_guard lock(journal_mutex_);
-  return journal_->ranges(job);
+  return journal_->frames_over(job);
+}
+
+std::vector<JournalRange> JournalWriter::ranges(const std::string& job, std::uint64_t frame) {
+  std::lock_guard lock(journal_mutex_);
+  return journal_->ranges(job, frame);
 }
 
 void JournalWriter::add(const JournalJob& job, const Bytes& frames) {
@@ -83,10 +89,26 @@ void JournalWriter::accepted(JournalRange range) {
   if (changes_.ranges.size() == 1) wakes_.notify_all();
 }
 
-void JournalWriter::frame_over(const std::string& job, std::function<void()> then) {
+void JournalWriter::frame_over(JournalFrame frame, std::function<void()> then) {
+  frame_begins_again(frame.job, frame.frame);
+  std::lock_guard lock(mutex_);
+  changes_.frames_over.push_back(std::move(frame));
+  then_.push_back(std::move(then));
+  urgent_ = true;
+  wakes_.notify_all();
+}
+
+void JournalWriter::frame_begins_again(const std::string& job, std::uint64_t frame) {
+  std::lock_guard lock(mutex_);
+  std::erase_if(changes_.ranges, [&](const JournalRange& range) { return range.job == job && range.frame == frame; });
+  changes_.dropped_frames.insert({job, frame});
+  wakes_.notify_all();
+}
+
+void JournalWriter::job_over(const std::string& job, std::function<void()> then) {
   std::lock_guard lock(mutex_);
   std::erase_if(changes_.ranges, [&](const JournalRange& range) { return range.job == job; });
-  changes_.frames_over.insert(job);
+  changes_.dropped_jobs.insert(job);
   then_.push_back(std::move(then));
   wakes_.notify_all();
 }
@@ -155,11 +177,15 @@ void JournalWriter::merge_back(JournalChanges&& unwritten) {
   for (auto& [id, job] : unwritten.jobs) changes_.jobs.emplace(id, std::move(job));
   for (const std::string& id : changes_.forgotten) changes_.jobs.erase(id);
   changes_.forgotten.insert(changes_.forgotten.begin(), unwritten.forgotten.begin(), unwritten.forgotten.end());
+  changes_.frames_over.insert(changes_.frames_over.begin(), std::make_move_iterator(unwritten.frames_over.begin()),
+                              std::make_move_iterator(unwritten.frames_over.end()));
   for (auto& range : unwritten.ranges) {
-    if (changes_.ranges.size() < most_ranges && !changes_.frames_over.contains(range.job))
+    if (changes_.ranges.size() < most_ranges && !changes_.dropped_jobs.contains(range.job) &&
+        !changes_.dropped_frames.contains({range.job, range.frame}))
       changes_.ranges.push_back(std::move(range));
   }
-  changes_.frames_over.merge(unwritten.frames_over);
+  changes_.dropped_frames.merge(unwritten.dropped_frames);
+  changes_.dropped_jobs.merge(unwritten.dropped_jobs);
 }
 
 }  // namespace gleaner::coordinator

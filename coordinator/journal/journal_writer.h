@@ -25,15 +25,18 @@ class JournalWriter {
   std::uint64_t begin();
   std::vector<JournalJob> jobs();
   Bytes frames(const std::string& job);
-  std::vector<JournalRange> ranges(const std::string& job);
+  std::vector<JournalFrame> frames_over(const std::string& job);
+  std::vector<JournalRange> ranges(const std::string& job, std::uint64_t frame);
   void add(const JournalJob& job, const Bytes& frames);
 
   // These return at once. What happened to a job later replaces what happened before.
   void changed(JournalJob job);
   void forget(const std::string& job);
   void accepted(JournalRange range);
-  // The job's ranges so far are needed no more. Once that is written, `then` is called by the writer's thread.
-  void frame_over(const std::string& job, std::function<void()> then);
+  // Its ranges are needed no more. Once that is written, `then` is called by the writer's thread.
+  void frame_over(JournalFrame frame, std::function<void()> then);
+  void frame_begins_again(const std::string& job, std::uint64_t frame);  // its ranges so far are needed no more
+  void job_over(const std::string& job, std::function<void()> then);     // as frame_over(), for all its ranges
 
   // Waits until what has happened so far is written; false: it cannot be, trouble() says why.
   bool flush();

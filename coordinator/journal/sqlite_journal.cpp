@@ -16,19 +16,38 @@ namespace fs = std::filesystem;
 
 namespace {
 
-constexpr std::int64_t schema_version = 1;
+constexpr std::int64_t schema_version = 2;
 
 // `place` is the order of submission. Requests are kept apart from what changes, so that a change rewrites a short row.
 constexpr const char* schema = R"(
 CREATE TABLE meta(starts INTEGER NOT NULL);
 INSERT INTO meta VALUES(0);
 CREATE TABLE jobs(place INTEGER PRIMARY KEY, id TEXT NOT NULL UNIQUE, state TEXT NOT NULL, message BLOB NOT NULL,
-                  submitted REAL NOT NULL, ended REAL NOT NULL, frames_done INTEGER NOT NULL);
+                  submitted REAL NOT NULL, ended REAL NOT NULL);
 CREATE TABLE requests(id TEXT PRIMARY KEY, request BLOB NOT NULL, frames BLOB NOT NULL);
+CREATE TABLE frames_over(job TEXT NOT NULL, frame INTEGER NOT NULL, failure BLOB NOT NULL, PRIMARY KEY(job, frame))
+                         WITHOUT ROWID;
 CREATE TABLE ranges(job TEXT NOT NULL, artifact TEXT NOT NULL, first INTEGER NOT NULL, count INTEGER NOT NULL,
-                    place INTEGER NOT NULL, bytes INTEGER NOT NULL, digest BLOB NOT NULL, facts BLOB NOT NULL);
-CREATE INDEX ranges_of_job ON ranges(job, artifact);
-PRAGMA user_version = 1;
+                    place INTEGER NOT NULL, bytes INTEGER NOT NULL, digest BLOB NOT NULL, facts BLOB NOT NULL,
+                    frame INTEGER NOT NULL);
+CREATE INDEX ranges_of_frame ON ranges(job, frame, artifact);
+PRAGMA user_version = 2;
+)";
+
+// Layout 1 knew that a job's first `frames_done` frames were written, and ranges of the one after them alone.
+constexpr const char* from_layout_1 = R"(
+CREATE TABLE frames_over(job TEXT NOT NULL, frame INTEGER NOT NULL, failure BLOB NOT NULL, PRIMARY KEY(job, frame))
+                         WITHOUT ROWID;
+WITH RECURSIVE written(job, frame) AS (SELECT id, frames_done - 1 FROM jobs WHERE frames_done > 0
+                                       UNION ALL SELECT job, frame - 1 FROM written WHERE frame > 0)
+INSERT INTO frames_over SELECT job, frame, '' FROM written;
+ALTER TABLE ranges ADD COLUMN frame INTEGER NOT NULL DEFAULT 0;
+UPDATE ranges SET frame = (SELECT frames_done FROM jobs WHERE jobs.id = ranges.job)
+  WHERE job IN (SELECT id FROM jobs);
+DROP INDEX ranges_of_job;
+CREATE INDEX ranges_of_frame ON ranges(job, frame, artifact);
+ALTER TABLE jobs DROP COLUMN frames_done;
+PRAGMA user_version = 2;
 )";
 
 // What a person can do about it.
@@ -139,7 +158,7 @@ class SqliteJournal final : public Journal {
 
   std::vector<JournalJob> jobs() override {
     Statement rows(*this,
-                   "SELECT jobs.id, state, message, submitted, ended, frames_done, request FROM jobs "
+                   "SELECT jobs.id, state, message, submitted, ended, request FROM jobs "
                    "LEFT JOIN requests ON requests.id = jobs.id ORDER BY place");
     std::vector<JournalJob> all;
     while (rows.step())
@@ -148,8 +167,7 @@ class SqliteJournal final : public Journal {
                      .message = rows.text(2),
                      .submitted = rows.real(3),
                      .ended = rows.real(4),
-                     .frames_done = static_cast<std::uint32_t>(rows.number(5)),
-                     .request = rows.bytes(6)});
+                     .request = rows.bytes(5)});
     return all;
   }
 
@@ -159,14 +177,23 @@ class SqliteJournal final : public Journal {
     return rows.step() ? rows.bytes(0) : Bytes();
   }
 
-  std::vector<JournalRange> ranges(const std::string& job) override {
-    Statement rows(*this,
-                   "SELECT artifact, first, count, place, bytes, digest, facts FROM ranges WHERE job = ? "
-                   "ORDER BY artifact, first");
+  std::vector<JournalFrame> frames_over(const std::string& job) override {
+    Statement rows(*this, "SELECT frame, failure FROM frames_over WHERE job = ? ORDER BY frame");
     rows.bind(job);
+    std::vector<JournalFrame> all;
+    while (rows.step()) all.push_back({.job = job, .frame = rows.number(0), .failure = rows.text(1)});
+    return all;
+  }
+
+  std::vector<JournalRange> ranges(const std::string& job, std::uint64_t frame) override {
+    Statement rows(*this,
+                   "SELECT artifact, first, count, place, bytes, digest, facts FROM ranges WHERE job = ? AND frame = ? "
+                   "ORDER BY artifact, first");
+    rows.bind(job).bind(frame);
     std::vector<JournalRange> all;
     while (rows.step())
       all.push_back({.job = job,
+                     .frame = frame,
                      .artifact = rows.text(0),
                      .first = rows.number(1),
                      .count = rows.number(2),
@@ -179,13 +206,12 @@ class SqliteJournal final : public Journal {
 
   void add(const JournalJob& job, const Bytes& frames) override {
     transaction([&] {
-      Statement(*this, "INSERT INTO jobs(id, state, message, submitted, ended, frames_done) VALUES(?, ?, ?, ?, ?, ?)")
+      Statement(*this, "INSERT INTO jobs(id, state, message, submitted, ended) VALUES(?, ?, ?, ?, ?)")
           .bind(job.id)
           .bind(job.state)
           .bind_bytes(job.message)
           .bind(job.submitted)
           .bind(job.ended)
-          .bind(std::uint64_t{job.frames_done})
           .run();
       Statement(*this, "INSERT INTO requests(id, request, frames) VALUES(?, ?, ?)")
           .bind(job.id)
@@ -197,8 +223,9 @@ class SqliteJournal final : public Journal {
 
   void write(const JournalChanges& changes) override {
     transaction([&] {
-      write_jobs(changes);
+      write_frames(changes);
       write_ranges(changes);
+      write_jobs(changes);  // takes out what was forgotten
     });
   }
 
@@ -225,6 +252,7 @@ class SqliteJournal final : public Journal {
       throw Error::failed("journal " + name_ + ": it was written by a newer version of Gleaner (layout " +
                           std::to_string(version) + ", this one knows " + std::to_string(schema_version) + ")");
     if (version == 0) transaction([&] { execute(schema); });
+    if (version == 1) transaction([&] { execute(from_layout_1); });
   }
 
   void check_integrity() {
@@ -234,28 +262,32 @@ class SqliteJournal final : public Journal {
   }
 
   void write_jobs(const JournalChanges& changes) {
-    Statement update(*this, "UPDATE jobs SET state = ?, message = ?, ended = ?, frames_done = ? WHERE id = ?");
+    Statement update(*this, "UPDATE jobs SET state = ?, message = ?, ended = ? WHERE id = ?");
     for (const auto& [id, job] : changes.jobs)
-      update.bind(job.state)
-          .bind_bytes(job.message)
-          .bind(job.ended)
-          .bind(std::uint64_t{job.frames_done})
-          .bind(id)
-          .run();
+      update.bind(job.state).bind_bytes(job.message).bind(job.ended).bind(id).run();
     for (const std::string& id : changes.forgotten)
-      for (const char* text :
-           {"DELETE FROM jobs WHERE id = ?", "DELETE FROM requests WHERE id = ?", "DELETE FROM ranges WHERE job = ?"})
+      for (const char* text : {"DELETE FROM jobs WHERE id = ?", "DELETE FROM requests WHERE id = ?",
+                               "DELETE FROM frames_over WHERE job = ?", "DELETE FROM ranges WHERE job = ?"})
         Statement(*this, text).bind(id).run();
   }
 
+  void write_frames(const JournalChanges& changes) {
+    Statement insert(*this, "INSERT OR REPLACE INTO frames_over(job, frame, failure) VALUES(?, ?, ?)");
+    for (const JournalFrame& frame : changes.frames_over)
+      insert.bind(frame.job).bind(frame.frame).bind_bytes(frame.failure).run();
+  }
+
   void write_ranges(const JournalChanges& changes) {
-    for (const std::string& job : changes.frames_over)
+    Statement drop(*this, "DELETE FROM ranges WHERE job = ? AND frame = ?");
+    for (const auto& [job, frame] : changes.dropped_frames) drop.bind(job).bind(frame).run();
+    for (const std::string& job : changes.dropped_jobs)
       Statement(*this, "DELETE FROM ranges WHERE job = ?").bind(job).run();
     Statement insert(*this,
-                     "INSERT INTO ranges(job, artifact, first, count, place, bytes, digest, facts) "
-                     "VALUES(?, ?, ?, ?, ?, ?, ?, ?)");
+                     "INSERT INTO ranges(job, frame, artifact, first, count, place, bytes, digest, facts) "
+                     "VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?)");
     for (const JournalRange& range : changes.ranges)
       insert.bind(range.job)
+          .bind(range.frame)
           .bind(range.artifact)
           .bind(range.first)
           .bind(range.count)

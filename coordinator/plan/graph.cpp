@@ -85,8 +85,7 @@ void Graph::Artifact::check_facts(bool sound, const std::string& what) const {
   if (!sound) throw fault(stage(), "facts that cannot be: " + what);
 }
 
-Graph::Graph(std::string scene_blob)
-    : scene_blob_(std::move(scene_blob)), released_(std::make_shared<std::vector<ArtifactId>>()) {}
+Graph::Graph(SceneLineage scene) : scene_(std::move(scene)), released_(std::make_shared<std::vector<ArtifactId>>()) {}
 Graph::~Graph() = default;
 
 std::shared_ptr<Graph::Life> Graph::life_of(const ArtifactId& id) {
@@ -116,7 +115,7 @@ Graph::Artifact Graph::add_stage(StageSpec stage, std::vector<Input> inputs) {
   for (const Input& input : inputs) stage.inputs.push_back({input.name, input.artifact.id(), input.extent});
   asked_work_ += work_of(stage);
   auto node = std::make_shared<Node>();
-  node->life = life_of(artifact_id(scene_blob_, stage));
+  node->life = life_of(artifact_id(scene_, stage));
   node->spec = std::move(stage);
   node->inputs = std::move(inputs);
   waiting_stages_.push_back(node);

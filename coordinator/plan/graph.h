@@ -88,8 +88,8 @@ class Graph {
   // Records of items [first, first + count).
   using RecordCall = std::function<void(std::uint64_t first, std::uint64_t count, const Bytes& records)>;
 
-  // `scene_blob`: id of the scene's blob, a part of every output's name.
-  explicit Graph(std::string scene_blob);
+  // `scene`: its parts are a part of every output's name.
+  explicit Graph(SceneLineage scene);
   Graph(const Graph&) = delete;
   Graph& operator=(const Graph&) = delete;
   ~Graph();
@@ -151,7 +151,7 @@ class Graph {
   void hand_out(const std::shared_ptr<Node>& node);
   void run_continuations();
 
-  std::string scene_blob_;
+  SceneLineage scene_;
   Step step_;
   std::shared_ptr<std::vector<ArtifactId>> released_;
   std::map<ArtifactId, std::weak_ptr<Life>> lives_;
@@ -180,7 +180,7 @@ class GraphPlan : public Plan {
 
  protected:
   GraphPlan(const FrameSettings& settings, const SceneSummary& scene)
-      : graph_(scene.blob), film_(settings.width, settings.height) {}
+      : graph_(scene.lineage), film_(settings.width, settings.height) {}
   // Asks for the first stages. The film is whole once nothing is left that was asked for.
   virtual void begin() = 0;
   // Adds a pass, RGB a pixel, to the film once it is there: after the passes that were added before, whichever ends

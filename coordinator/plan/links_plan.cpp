@@ -144,7 +144,8 @@ class LinksPlan final : public GraphPlan {
   bool is_enough(std::uint32_t bounce, const LinksFluxFacts& facts);
   void shade(const Artifact& gathered);
   LinksParameters element_parameters() const;
-  StageSpec elements(const std::string& name, const char* kind, const StageOutput& output, double work) const;
+  StageSpec elements(const std::string& name, const char* kind, unsigned scene_parts, const StageOutput& output,
+                     double work) const;
 
   FrameSettings settings_;
   LinksSettings links_;
@@ -192,6 +193,7 @@ Artifact LinksPlan::ask_mesh(const std::string& name, std::uint32_t vertices, st
                  .kind = "links_mesh",
                  .items = 1,
                  .solo = true,
+                 .scene_parts = kSurfaces,
                  .priority = kFirst,
                  .output = reusable(retained_words(0xffffffffu))};
   return graph_.add(std::move(mesh), LinksMeshParameters{vertices, {}}, std::move(inputs));
@@ -215,7 +217,7 @@ Graph::Artifact LinksPlan::ask_probe(const std::string& name, const Artifact& me
   LinksParameters p = element_parameters();
   p.directions = directions;
   p.wave = wave_;
-  return graph_.add(elements(name, "links_probe", reusable(retained(PROBE_WORDS * 4)), directions), p,
+  return graph_.add(elements(name, "links_probe", kSurfaces, reusable(retained(PROBE_WORDS * 4)), directions), p,
                     {{"mesh", mesh}});
 }
 
@@ -230,11 +232,13 @@ LinksParameters LinksPlan::element_parameters() const {
 }
 
 // `work`: of an element, in rays.
-StageSpec LinksPlan::elements(const std::string& name, const char* kind, const StageOutput& output, double work) const {
+StageSpec LinksPlan::elements(const std::string& name, const char* kind, unsigned scene_parts,
+                              const StageOutput& output, double work) const {
   return {.name = name,
           .kind = kind,
           .items = elements_,
           .tile = 2,
+          .scene_parts = scene_parts,
           .priority = kFirst,
           .work = work * elements_,
           .output = output};
@@ -252,20 +256,20 @@ void LinksPlan::link(const LinksMeshFacts& facts) {
   probe_ = ask_probe("links.probe", mesh_, kInsideDirections);
   LinksParameters p = element_parameters();
   p.samples = kAlbedoSamples;
-  albedo_ = graph_.add(elements("links.albedo", "links_albedo", reusable(retained(ALBEDO_WORDS * 4)), 1), p,
+  albedo_ = graph_.add(elements("links.albedo", "links_albedo", kSurfaces, reusable(retained(ALBEDO_WORDS * 4)), 1), p,
                        {{"mesh", mesh_}});
   p = element_parameters();
   p.directions = links_.directions;
   p.compress = links_.compress;
   p.exact = links_.exact;
-  made_ = graph_.add(elements("links.make", "links_make",
+  made_ = graph_.add(elements("links.make", "links_make", kSurfaces,
                               reusable(retained_words(std::uint64_t{6} * links_.directions)), links_.directions),
                      p, {{"mesh", mesh_}, {"probe", probe_}});
   p = element_parameters();
   p.samples = links_.light_samples;
-  light_ =
-      graph_.add(elements("links.light", "links_light", reusable(retained(RADIOSITY_WORDS * 4)), links_.light_samples),
-                 p, {{"mesh", mesh_}, {"albedo", albedo_}});
+  light_ = graph_.add(elements("links.light", "links_light", kWholeScene, reusable(retained(RADIOSITY_WORDS * 4)),
+                               links_.light_samples),
+                      p, {{"mesh", mesh_}, {"albedo", albedo_}});
   sent_ = light_;
   graph_.when({made_}, [this, made = made_] { link_words_ = made.record_count(); });
   gather(1);
@@ -273,13 +277,13 @@ void LinksPlan::link(const LinksMeshFacts& facts) {
 
 void LinksPlan::gather(std::uint32_t bounce) {
   const Artifact before = sent_;
-  sent_ =
-      graph_.add(elements(numbered("links.gather", bounce), "links_gather", reusable(retained(RADIOSITY_WORDS * 4)), 1),
-                 LinksGatherParameters{elements_, links_.exact ? 1u : 0u, {}},
-                 {{"links", made_, kOwnItems},
-                  {"light", light_, kOwnItems},
-                  {"albedo", albedo_, kOwnItems},
-                  {"radiosity", before}});
+  sent_ = graph_.add(
+      elements(numbered("links.gather", bounce), "links_gather", kNoScene, reusable(retained(RADIOSITY_WORDS * 4)), 1),
+      LinksGatherParameters{elements_, links_.exact ? 1u : 0u, {}},
+      {{"links", made_, kOwnItems},
+       {"light", light_, kOwnItems},
+       {"albedo", albedo_, kOwnItems},
+       {"radiosity", before}});
   if (links_.bounces && bounce < most_bounces_) {
     gather(bounce + 1);
     return;
@@ -293,6 +297,7 @@ void LinksPlan::gather(std::uint32_t bounce) {
                  .kind = "links_flux",
                  .items = 1,
                  .solo = true,
+                 .scene_parts = kNoScene,
                  .priority = kFirst,
                  .output = reusable(retained_words(1))};
   const Artifact measured = graph_.add(std::move(flux), LinksFluxParameters{elements_, {}},
@@ -322,7 +327,7 @@ void LinksPlan::shade(const Artifact& gathered) {
   LinksSmoothParameters smooth{};
   smooth.elements = elements_;
   smooth.least_cosine = smooths ? static_cast<float>(std::cos(links_.smooth_angle * std::numbers::pi / 180)) : 2.0f;
-  StageSpec smoothing = elements("links.smooth", "links_smooth", retained(RADIOSITY_WORDS * 4), 0);
+  StageSpec smoothing = elements("links.smooth", "links_smooth", kNoScene, retained(RADIOSITY_WORDS * 4), 0);
   smoothing.solo = true;
   const Artifact irradiance =
       graph_.add(std::move(smoothing), smooth, {{"mesh", mesh_}, {"probe", probe_}, {"irradiance", gathered}});

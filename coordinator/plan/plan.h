@@ -99,7 +99,7 @@ struct SceneSummary {
   std::uint64_t triangles = 0, emissive_triangles = 0, lights = 0;
   scene::Bounds bounds;
   std::uint32_t matrices = 0, morph_weights = 0;  // that a state of it has, where it is a base
-  std::string blob{};  // id of the scene's blob, which names what is made of it (artifact_id); the farm fills it in
+  SceneLineage lineage{};                         // names what is made of it (artifact_id); the farm fills it in
 };
 SceneSummary summarize(const scene::Scene& scene);
 

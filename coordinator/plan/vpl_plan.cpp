@@ -69,12 +69,25 @@ StageOutput retained_rows(std::size_t words, std::uint64_t most, bool reusable) 
   output.most_records = static_cast<std::uint32_t>(most);
   return output;
 }
+// These read their inputs alone.
 StageSpec solo(const std::string& name, const char* kind, std::uint64_t items, const StageOutput& output) {
-  return {.name = name, .kind = kind, .items = items, .solo = true, .priority = kFirst, .output = output};
+  return {.name = name,
+          .kind = kind,
+          .items = items,
+          .solo = true,
+          .scene_parts = kNoScene,
+          .priority = kFirst,
+          .output = output};
 }
-StageSpec split(const std::string& name, const char* kind, std::uint64_t items, std::uint32_t tile,
+StageSpec split(const std::string& name, const char* kind, std::uint64_t items, std::uint32_t tile, unsigned parts,
                 const StageOutput& output) {
-  return {.name = name, .kind = kind, .items = items, .tile = tile, .priority = kFirst, .output = output};
+  return {.name = name,
+          .kind = kind,
+          .items = items,
+          .tile = tile,
+          .scene_parts = parts,
+          .priority = kFirst,
+          .output = output};
 }
 
 StageSpec with_work(StageSpec spec, double work) {
@@ -226,9 +239,10 @@ void VplPlan::trace(std::uint32_t pass) {
   StageOutput output = retained(VPL_WORDS * 4, true);  // another camera sees the same lights
   output.counted = true;
   output.most_records = VPL_PATH_SLOTS;
-  passes_[pass].traced = graph_.add(with_work(split(numbered("vpl.trace", pass), "vpl_trace", light_paths_, 16, output),
-                                              VplWork::path * light_paths_),
-                                    p);
+  passes_[pass].traced =
+      graph_.add(with_work(split(numbered("vpl.trace", pass), "vpl_trace", light_paths_, 16, kWholeScene, output),
+                           VplWork::path * light_paths_),
+                 p);
 }
 
 Artifact VplPlan::resample(const std::string& name, const Artifact& traced, std::uint32_t pass) {
@@ -325,11 +339,12 @@ void VplPlan::query_visibility(std::uint32_t pass) {
   p.clamp = clamp_;
   p.cutoff = static_cast<float>(vpl_.contribution_cutoff);
   const std::size_t row_bytes = (s.rows / 32 + VISIBILITY_COUNTS) * 4;
-  const Artifact visibility = graph_.add(with_work(split(numbered("vpl.visibility", pass), "vpl_visibility",
-                                                         point_rows_, 1, retained(row_bytes, on_trajectory())),
-                                                   VplWork::pair * static_cast<double>(point_rows_) * s.clusters),
-                                         p, {{"lights", s.table}, {"points", points_}});
-  const Artifact skipped = graph_.add(split(numbered("vpl.skipped", pass), "vpl_skipped", point_rows_, 1,
+  const Artifact visibility =
+      graph_.add(with_work(split(numbered("vpl.visibility", pass), "vpl_visibility", point_rows_, 1, kSurfaces,
+                                 retained(row_bytes, on_trajectory())),
+                           VplWork::pair * static_cast<double>(point_rows_) * s.clusters),
+                 p, {{"lights", s.table}, {"points", points_}});
+  const Artifact skipped = graph_.add(split(numbered("vpl.skipped", pass), "vpl_skipped", point_rows_, 1, kNoScene,
                                             {.record_bytes = sizeof(VplSkippedRecord), .reusable = on_trajectory()}),
                                       VplSkippedParameters{.lights = s.rows}, {{"visibility", visibility, kOwnItems}});
   graph_.on_records(skipped, [this](auto, auto count, const Bytes& records) {
@@ -362,10 +377,10 @@ void VplPlan::shade(std::uint32_t pass, const Artifact& visibility) {
     inputs.push_back({"points", points_});
     inputs.push_back({"visibility", visibility});
   }
-  const Artifact shaded = graph_.add(
-      with_work(split(numbered("vpl.shade", pass), "vpl_shade", pixels(), 16, {.record_bytes = 12, .floats = true}),
-                shade_work(s.clusters)),
-      p, std::move(inputs));
+  const Artifact shaded = graph_.add(with_work(split(numbered("vpl.shade", pass), "vpl_shade", pixels(), 16,
+                                                     kWholeScene, {.record_bytes = 12, .floats = true}),
+                                               shade_work(s.clusters)),
+                                     p, std::move(inputs));
   s.table = {};
   preview_pass(shaded);
   add_pass(shaded);
@@ -428,7 +443,7 @@ VplPointParameters VplPlan::points_parameters() const {
 Artifact VplPlan::ask_points(const std::string& name, const scene::Camera& camera) {
   VplPointParameters p = points_parameters();
   p.camera = camera;
-  return graph_.add(split(name, "vpl_points", p.items_low, 16, retained(POINT_WORDS * 4, on_trajectory())), p);
+  return graph_.add(split(name, "vpl_points", p.items_low, 16, kSurfaces, retained(POINT_WORDS * 4, true)), p);
 }
 
 void VplPlan::ask_point_clusters() {
@@ -474,13 +489,13 @@ void VplPlan::cluster_points(const Artifact& points) {
   const std::uint64_t wanted = kPointsPerCluster * std::uint64_t{point_clusters_};
   Artifact some = points;
   if (vpl_.piloted && wanted < points.record_count())  // more were looked at than so few clusters need
-    some = graph_.add(solo("vpl.sample_points", "vpl_sample_points", wanted, retained(POINT_WORDS * 4, false)),
+    some = graph_.add(solo("vpl.sample_points", "vpl_sample_points", wanted, retained(POINT_WORDS * 4, true)),
                       VplSamplePointsParameters{.count = low(wanted)}, {{"points", points}});
   ClusterParameters p{};
   p.clusters = point_clusters_;
   p.iterations = kIterations;
   p.least_cosine = CLUSTER_LEAST_COSINE;
-  StageOutput output = retained(POINT_WORDS * 4, on_trajectory());
+  StageOutput output = retained(POINT_WORDS * 4, true);
   output.counted = true;  // a cluster without members has no record
   const Artifact clusters =
       graph_.add(with_work(solo("vpl.point_cluster", "point_cluster", point_clusters_, output),
@@ -502,7 +517,7 @@ void VplPlan::begin_pilot(const Artifact& traced) {
       graph_.add(solo("vpl.pilot.lights", "vpl_pilot_lights", 1, retained_rows(VPL_WORDS, Shape::lights, false)),
                  VplPilotRowsParameters{}, {{"lights", pilot_.lights}});
   pilot_.queried_points = graph_.add(
-      solo("vpl.pilot.points", "vpl_pilot_points", 1, retained_rows(POINT_WORDS, Shape::queried_points, false)),
+      solo("vpl.pilot.points", "vpl_pilot_points", 1, retained_rows(POINT_WORDS, Shape::queried_points, true)),
       VplPilotRowsParameters{}, {{"points", pilot_.points}});
   graph_.when({pilot_.lights, pilot_.queried_lights, pilot_.queried_points}, [this] { measure_pilot(); });
 }
@@ -520,7 +535,7 @@ void VplPlan::measure_pilot() {
   p.clusters = Shape::lights;
   p.point_clusters = low(points);
   p.clamp = kUnbounded;
-  const Artifact visibility = graph_.add(split("vpl.pilot.visibility", "vpl_visibility", points, 1,
+  const Artifact visibility = graph_.add(split("vpl.pilot.visibility", "vpl_visibility", points, 1, kSurfaces,
                                                retained((Shape::lights / 32 + VISIBILITY_COUNTS) * 4, false)),
                                          p, {{"lights", pilot_.queried_lights}, {"points", pilot_.queried_points}});
   VplPilotParameters parameters;
@@ -565,7 +580,7 @@ Artifact VplPlan::pilot_paths(std::uint32_t number) {
   p.filter = PATH_CLASS_DIFFUSE;
   p.clamp = static_cast<float>(number == 0 ? pilot_.bounds.front() : pilot_.bounds.back());
   return graph_.add(split(numbered("vpl.pilot.path", number), "path", items.size(), 16 / Shape::path_samples,
-                          retained(sizeof(PathRecord) + 12, false)),
+                          kWholeScene, retained(sizeof(PathRecord) + 12, false)),
                     p, {{"items", graph_.data(items), kOwnItems}});
 }
 

@@ -67,6 +67,8 @@ struct HeldRange {
 
 enum class StageState { open, complete, failed };
 
+using Place = std::tuple<unsigned, int, StageId>;  // (rank, priority negated, id)
+
 using Candidates = std::set<std::pair<Seconds, LeaseId>>;  // by planned finish
 
 struct Stage {
@@ -87,6 +89,8 @@ struct Stage {
   std::vector<LeaseId> ended;
   std::map<WorkerId, WorkerProgress> progress;
 };
+
+Place place_of(const Stage& stage) { return {stage.spec.rank, -stage.spec.priority, stage.id}; }
 
 struct Worker {
   WorkerId id = 0;
@@ -174,7 +178,7 @@ struct Scheduler::Impl {
   Epoch next_epoch;
   StageId next_stage = 1;
   std::map<StageId, Stage> stages;
-  std::set<std::pair<int, StageId>> order;  // open stages: most urgent first (priority negated)
+  std::set<Place> order;  // open stages: most urgent first
   std::map<WorkerId, Worker> workers;
   std::unordered_map<LeaseId, LiveLease> live;
   std::unordered_map<LeaseId, EndedLease> ended;
@@ -460,7 +464,7 @@ struct Scheduler::Impl {
 
   void close(Stage& stage, StageState state) {
     stage.state = state;
-    order.erase({-stage.spec.priority, stage.id});
+    order.erase(place_of(stage));
     if (stage.spec.solo) timers.erase({stage.preferred_until, TimerKind::preferred, stage.id});
     for (Candidates* list : {&stage.running, &stage.waiting}) {
       for (const auto& [planned, id] : *list) live.at(id).standing = Standing::none;
@@ -678,7 +682,7 @@ StageId Scheduler::add_stage(const ScheduledStage& spec, Seconds now) {
     stage.state = StageState::complete;
     return id;
   }
-  m.order.insert({-spec.priority, id});
+  m.order.insert(place_of(stage));
   if (spec.solo) {
     // Workers that are at work ask again within a batch's time, or two where one waits.
     stage.preferred_until = now + 2 * m.settings.target_batch;
@@ -737,14 +741,14 @@ void Scheduler::worker_draining(WorkerId id) {
   impl_->enter_sums(at->second);
 }
 
-std::optional<Lease> Scheduler::next_lease(WorkerId id, Seconds now) {
+std::optional<Lease> Scheduler::next_lease(WorkerId id, Seconds now, bool duplicates) {
   Impl& m = *impl_;
   now = m.clock(now);
   const auto at = m.workers.find(id);
   ++m.steps;
   if (at == m.workers.end()) return std::nullopt;
   Worker& worker = at->second;
-  for (const auto& [priority, stage_id] : m.order) {
+  for (const auto& [rank, priority, stage_id] : m.order) {
     ++m.steps;
     Stage& stage = m.stages.at(stage_id);
     if (stage.pool.items() == 0 || stage.paused) continue;
@@ -756,8 +760,8 @@ std::optional<Lease> Scheduler::next_lease(WorkerId id, Seconds now) {
     if (offer.why_not <= Refusal::full) return std::nullopt;  // whatever the stage
   }
   if (!m.usable(worker)) return std::nullopt;
-  if (!worker.in_flight.empty()) return std::nullopt;
-  for (const auto& [priority, stage_id] : m.order) {
+  if (!worker.in_flight.empty() || !duplicates) return std::nullopt;
+  for (const auto& [rank, priority, stage_id] : m.order) {
     ++m.steps;
     Stage& stage = m.stages.at(stage_id);
     if (stage.paused) continue;
@@ -839,6 +843,16 @@ ResultOutcome Scheduler::result(WorkerId id, LeaseId lease_id, Epoch epoch, Seco
     outcome.stage_complete = true;
   }
   return outcome;
+}
+
+void Scheduler::set_rank(StageId id, unsigned rank) {
+  Impl& m = *impl_;
+  const auto at = m.stages.find(id);
+  if (at == m.stages.end() || at->second.spec.rank == rank) return;
+  const bool listed = m.order.erase(place_of(at->second)) > 0;
+  at->second.spec.rank = rank;
+  if (listed) m.order.insert(place_of(at->second));
+  ++m.steps;
 }
 
 void Scheduler::pause(StageId id) {
@@ -956,11 +970,13 @@ std::string Scheduler::why_waiting(StageId id, Seconds now) const {
   if (stage.paused) return "it waits for inputs that are computed again";
   if (m.joined == 0) return "no worker is connected";
 
-  for (const auto& [priority, other] : m.order) {
+  for (const auto& [rank, priority, other] : m.order) {
     if (other == id) break;
     if (m.stages.at(other).pool.items() == 0 || m.stages.at(other).paused) continue;
-    return "stage " + std::to_string(other) +
-           " goes first: " + (-priority > stage.spec.priority ? "its priority is higher" : "it is older");
+    return "stage " + std::to_string(other) + " goes first: " +
+           (rank < stage.spec.rank            ? "it is of an earlier frame"
+            : -priority > stage.spec.priority ? "its priority is higher"
+                                              : "it is older");
   }
 
   std::map<Refusal, std::vector<WorkerId>> refused;

@@ -28,7 +28,8 @@ struct ScheduledStage {
   bool solo = false;
   bool at_once = false;             // the next worker that has room takes it, also beyond its share
   std::uint64_t most_items = 0;     // of a batch; 0: as many as its worker can do in time
-  int priority = 0;                 // higher first; equal: older first
+  unsigned rank = 0;                // lower first, whatever the priority: what a higher one gets, lower ones left
+  int priority = 0;                 // of one rank: higher first; equal: older first
   std::vector<WorkerId> preferred;  // solo: who holds most of its inputs
   // Where not all of [0, items) are to run: these, in order and apart from each other; each begins at a multiple of
   // `tile`.
@@ -107,6 +108,7 @@ class Scheduler {
   // so that their workers can be told.
   std::vector<Lease> remove_stage(StageId stage);
 
+  void set_rank(StageId stage, unsigned rank);
   // A paused stage hands out nothing; leases that are out may still finish.
   void pause(StageId stage);
   void resume(StageId stage);
@@ -121,7 +123,8 @@ class Scheduler {
   // The next lease for the worker, or none: it holds enough, drains, is unknown, or nothing waits. Ask for the
   // worker of an event until none is given, and again for those that got none while they had room: soon after each
   // event (result, failure, loss, new stage, expire()), on large farms gathered, e.g. every 2 ms.
-  std::optional<Lease> next_lease(WorkerId worker, Seconds now);
+  // `duplicates`: where no items wait, a copy of a slow lease.
+  std::optional<Lease> next_lease(WorkerId worker, Seconds now, bool duplicates = true);
   // A batch's result. `seconds` is the worker's own measure of the batch.
   ResultOutcome result(WorkerId worker, LeaseId lease, Epoch epoch, Seconds seconds, Seconds now);
   // The worker could not do it: the items go back, preferably to another worker. `blameless`: for no fault of the items

@@ -8,6 +8,7 @@
 #include "scene/import/formats.h"
 #include "scene/import/gltf/file.h"
 #include "scene/import/placement.h"
+#include "scene/import/sequence.h"
 #include "scene/model/error.h"
 #include "scene/model/names.h"
 
@@ -83,12 +84,19 @@ struct MovingScene::Impl {
   std::string path;
   ImportOptions options;
   Warnings warnings;
-  std::unique_ptr<gltf::File> file;  // where the scene moves
+  std::unique_ptr<gltf::File> file;    // where the scene moves
+  std::unique_ptr<Sequence> sequence;  // or is one of files
   Scene base;
+
+  void open_sequence();
 };
 
 MovingScene::MovingScene(const std::string& path, const ImportOptions& options)
-    : impl_(std::make_unique<Impl>(path, options, Warnings{}, nullptr, Scene{})) {
+    : impl_(std::make_unique<Impl>(path, options, Warnings{}, nullptr, nullptr, Scene{})) {
+  if (scene::is_sequence(path)) {
+    impl_->open_sequence();
+    return;
+  }
   if (is_gltf(path)) {
     impl_->file = std::make_unique<gltf::File>(path, options, impl_->warnings);
     impl_->base = impl_->file->moves() ? impl_->file->read_base() : impl_->file->read_at(0);
@@ -100,12 +108,30 @@ MovingScene::MovingScene(const std::string& path, const ImportOptions& options)
   finish(impl_->base, path, options, impl_->warnings);
 }
 
+void MovingScene::Impl::open_sequence() {
+  if (lower_case_extension(path) != ".obj")
+    throw Error::usage(path + ": a file a frame: expected a name that ends in .obj");
+  if (!options.frames) throw Error::usage(path + ": a file a frame: --frames A-B must say which");
+  sequence = std::make_unique<Sequence>(path, *options.frames);
+  const Scene first = read_obj(sequence->file_of(options.frames->first), options, warnings);
+  options.origin = first.origin;  // all frames have the first one's
+  base = first;
+  sequence->make_rig(base, first, [&](const std::string& of_frame) { return read_obj(of_frame, options, warnings); });
+  finish(base, path, options, warnings);
+}
+
 MovingScene::~MovingScene() = default;
-bool MovingScene::moves() const { return impl_->file != nullptr; }
+bool MovingScene::moves() const { return impl_->file != nullptr || impl_->sequence != nullptr; }
+bool MovingScene::is_sequence() const { return impl_->sequence != nullptr; }
 Scene& MovingScene::base() { return impl_->base; }
 
 std::optional<ShownFrame> MovingScene::at(double seconds) {
   if (!moves()) return ShownFrame{{}, impl_->base.cameras};
+  if (impl_->sequence) {
+    std::optional<FrameState> state = impl_->sequence->state_of(static_cast<std::uint32_t>(seconds));
+    if (!state) return std::nullopt;
+    return ShownFrame{std::move(*state), {}};  // the first frame's camera sees all
+  }
   std::optional<ShownFrame> frame = impl_->file->at(seconds, impl_->base);
   if (frame) make_camera_names_unique(frame->cameras);
   return frame;
@@ -119,6 +145,14 @@ Scene MovingScene::scene_at(double seconds) {
     return scene;
   }
   Warnings warnings;
+  if (impl_->sequence) {
+    const std::string file = impl_->sequence->file_of(static_cast<std::uint32_t>(seconds));
+    Scene scene = read_obj(file, impl_->options, warnings);
+    scene.cameras = impl_->base.cameras;
+    finish(scene, file, impl_->options, warnings);
+    scene.environment = impl_->base.environment;
+    return scene;
+  }
   Scene scene = gltf::File(impl_->path, impl_->options, warnings).read_at(seconds);
   finish(scene, impl_->path, impl_->options, warnings);
   scene.environment = impl_->base.environment;

@@ -1,6 +1,7 @@
 #pragma once
 // Files that people have, turned into scenes.
 
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -19,10 +20,19 @@ enum class LightUnits { automatic, radiometric, photometric };
 // "auto", "radiometric" or "photometric". Throws Error::usage.
 LightUnits parse_light_units(const std::string& word);
 
+// The frames FIRST, FIRST + STEP, ... up to LAST.
+struct FrameNumbers {
+  std::uint32_t first = 1, last = 1, step = 1;
+  std::uint64_t count() const { return std::uint64_t{last - first} / step + 1; }
+  std::uint32_t at(std::uint64_t index) const { return static_cast<std::uint32_t>(first + index * step); }
+};
+
 struct ImportOptions {
   LightUnits light_units = LightUnits::automatic;
   std::string animation = "all";                       // its name, its number, or all; of a file that has any
   double seconds = 0;                                  // the time at which the animations are seen
+  std::optional<FrameNumbers> frames{};                // of a sequence of files
+  std::optional<std::array<double, 3>> origin{};       // of the scene, of an OBJ; none: one that fits
   std::string variant;                                 // of KHR_materials_variants; empty: the file's own materials
   std::uint64_t most_texels = std::uint64_t{1} << 30;  // in all images together: 4 GiB
   bool strict = false;                                 // what would be a warning is an error
@@ -41,7 +51,8 @@ struct ShownFrame {
   std::vector<NamedCamera> cameras;
 };
 
-// A file whose scene may move: read once, as a base, of which frames show states.
+// A file whose scene may move: read once, as a base, of which frames show states. Or a sequence of OBJ files, one a
+// frame ("model_####.obj"), for which ImportOptions::frames must say which.
 class MovingScene {
  public:
   // Reads as import_scene() does.
@@ -52,6 +63,8 @@ class MovingScene {
 
   // Whether anything changes with time. The base of a scene that stands still is that scene.
   bool moves() const;
+  // A file a frame: the times below are frames' numbers.
+  bool is_sequence() const;
   // With a rig of what moves. Its warnings are those of the file. An environment that is put into it lights all frames.
   Scene& base();
   // The state at that time. Nothing where no state of the base looks so (textures that slide, a mesh turned inside out,

@@ -433,6 +433,13 @@ class GlbWriter {
       }
       extensions["KHR_materials_volume"] = volume;
     }
+    if (m.diffuse_transmission > 0) {
+      Json shining{{"diffuseTransmissionFactor", m.diffuse_transmission},
+                   {"diffuseTransmissionColorFactor", numbers(m.diffuse_transmission_color, 3)}};
+      set_texture(shining, "diffuseTransmissionTexture", m.diffuse_transmission_texture);
+      set_texture(shining, "diffuseTransmissionColorTexture", m.diffuse_transmission_color_texture);
+      extensions["KHR_materials_diffuse_transmission"] = shining;
+    }
     add_layers(m, extensions);
     if (m.flags & GLEANER_MATERIAL_UNLIT) extensions["KHR_materials_unlit"] = Json::object();
     if (!extensions.empty()) json["extensions"] = extensions;

@@ -182,8 +182,10 @@ std::vector<std::uint32_t> PosedScene::pose(const FrameState& state, const std::
   std::vector<std::uint32_t> moved;
   for (const PosedMesh& mesh : rig.meshes) {
     if (is_same_pose(mesh, *state_, state)) continue;
-    if (mesh.triangle_count > 0 && (moved.empty() || moved.back() != mesh_of(*base_, mesh)))
-      moved.push_back(mesh_of(*base_, mesh));
+    const std::vector<Mesh>& meshes = base_->meshes;
+    const std::uint32_t end = mesh.first_triangle + mesh.triangle_count;
+    for (std::uint32_t m = mesh_of(*base_, mesh); m < meshes.size() && meshes[m].first_triangle < end; ++m)
+      if (meshes[m].triangle_count > 0 && (moved.empty() || moved.back() != m)) moved.push_back(m);
     in_runs(mesh.vertex_count, threads, [&](std::size_t first, std::size_t count) {
       pose_vertices(rig, mesh, state, first, count, mutable_->positions, mutable_->normals);
     });

@@ -84,6 +84,7 @@ void add_material(const Scene& scene, const Material& m, float vertex_alpha, Sce
   const bool has_lobe = opaque_part && (m.metallic > 0 || m.specular > 0);
   needs.anisotropy |= has_lobe && m.anisotropy > 0;
   needs.iridescence |= has_lobe && m.iridescence > 0;
+  if (transmits_diffusely(m)) needs.diffuse_transmission = needs.transmissive = needs.rough_transmissive = true;
   if (!transmissive) return;
   needs.transmissive = true;
   const bool solid = m.flags & GLEANER_MATERIAL_SOLID;
@@ -181,7 +182,8 @@ constexpr bool SceneNeeds::*need_fields[] = {&SceneNeeds::specular,
                                              &SceneNeeds::sheen,
                                              &SceneNeeds::anisotropy,
                                              &SceneNeeds::iridescence,
-                                             &SceneNeeds::instances};
+                                             &SceneNeeds::instances,
+                                             &SceneNeeds::diffuse_transmission};
 
 std::uint32_t SceneNeeds::bits() const {
   std::uint32_t bits = 0;
@@ -223,7 +225,8 @@ const std::vector<std::string>& need_names() {
                                                  "sheen",
                                                  "anisotropy",
                                                  "iridescence",
-                                                 "instances"};
+                                                 "instances",
+                                                 "diffuse_transmission"};
   return names;
 }
 

@@ -77,11 +77,11 @@ class RigChecker {
     for (std::size_t i = m.first_influence; i < m.first_influence + influences; ++i)
       if (rig_.joints[i] >= m.matrix_count)
         fail(item("rig.joints", i), "a joint below " + std::to_string(m.matrix_count), std::to_string(rig_.joints[i]));
-    if (m.triangle_count > 0) {
-      const Mesh& holder = scene_.meshes[mesh_of(scene_, m)];
-      if (!holder.deforming || m.first_triangle + m.triangle_count > holder.first_triangle + holder.triangle_count)
-        fail(name + ".triangles", "triangles of one mesh that deforms", holder.deforming ? "two" : "one that does not");
-    }
+    if (m.triangle_count > 0)
+      for (std::uint32_t k = mesh_of(scene_, m);
+           k < scene_.meshes.size() && scene_.meshes[k].first_triangle < m.first_triangle + m.triangle_count; ++k)
+        if (!scene_.meshes[k].deforming)
+          fail(name + ".triangles", "triangles of meshes that deform", item("meshes", k) + ", which does not");
     for (std::size_t t = m.first_target; t < m.first_target + m.target_count; ++t)
       for (const gl_uint first : {rig_.targets[t].positions, rig_.targets[t].normals})
         if (first != GLEANER_NONE)
@@ -131,7 +131,10 @@ std::uint32_t mesh_of(const Scene& scene, const PosedMesh& posed) {
 
 void mark_deforming(Scene& scene) {
   for (const PosedMesh& posed : scene.rig.meshes)
-    if (posed.triangle_count > 0) scene.meshes[mesh_of(scene, posed)].deforming = true;
+    if (posed.triangle_count > 0)
+      for (std::uint32_t m = mesh_of(scene, posed);
+           m < scene.meshes.size() && scene.meshes[m].first_triangle < posed.first_triangle + posed.triangle_count; ++m)
+        scene.meshes[m].deforming = true;
 }
 
 void validate_rig(const Scene& scene, const std::string& file) { RigChecker(scene, file).run(); }

@@ -105,9 +105,10 @@ struct SceneNeeds {
   bool media = false;               // solids that absorb or may lie in one another: paths keep what they are in
   bool clearcoat = false;
   bool sheen = false;
-  bool anisotropy = false;   // specular lobes that are longer one way
-  bool iridescence = false;  // thin films
-  bool instances = false;    // meshes stored once that stand in several places, or move as a whole
+  bool anisotropy = false;            // specular lobes that are longer one way
+  bool iridescence = false;           // thin films
+  bool instances = false;             // meshes stored once that stand in several places, or move as a whole
+  bool diffuse_transmission = false;  // sheets that light shines through (transmissive and rough_transmissive as well)
 
   std::uint32_t bits() const;  // one bit a field, in the order above
 };

@@ -231,7 +231,7 @@ class Checker {
            std::to_string(end));
   }
 
-  // Coat, sheen, grain and film.
+  // Coat, sheen, grain, film, and what shines through.
   void layers(const Material& m, std::size_t i) const {
     const auto named = [&](const char* field) { return [i, field] { return item("materials", i, field); }; };
     within(m.clearcoat, 0, 1, named("clearcoat"));
@@ -246,6 +246,10 @@ class Checker {
       fail(item("materials", i, "iridescence_ior"), "at least 1", number(m.iridescence_ior));
     not_negative(m.iridescence_minimum, named("iridescence_minimum"));
     not_negative(m.iridescence_maximum, named("iridescence_maximum"));
+    within(m.diffuse_transmission, 0, 1, named("diffuse_transmission"));
+    for (const float c : m.diffuse_transmission_color) within(c, 0, 1, named("diffuse_transmission_color"));
+    texture_of(m.diffuse_transmission_texture, i, "diffuse_transmission_texture");
+    texture_of(m.diffuse_transmission_color_texture, i, "diffuse_transmission_color_texture");
     texture_of(m.clearcoat_texture, i, "clearcoat_texture");
     texture_of(m.clearcoat_roughness_texture, i, "clearcoat_roughness_texture");
     texture_of(m.clearcoat_normal_texture, i, "clearcoat_normal_texture");

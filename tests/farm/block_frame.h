@@ -61,7 +61,7 @@ inline BlockDigests block_digests(std::uint64_t seed, std::uint64_t blocks) {
 class BlockPlan final : public coordinator::Plan {
  public:
   BlockPlan(coordinator::FrameSettings settings, const coordinator::SceneSummary& scene)
-      : settings_(std::move(settings)), graph_(scene.blob) {}
+      : settings_(std::move(settings)), graph_(scene.lineage) {}
 
   coordinator::Step next(const coordinator::FinishedStage* finished) override {
     if (finished)

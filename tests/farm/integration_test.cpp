@@ -146,7 +146,7 @@ TEST_P(AnyMethod, AKilledWorkerCostsNoPixelOfTheFramesToCome) {
                                           "--spp", "64",       "--seed", "7",     "--method", GetParam()};
   std::vector<std::string> alone = words;
   alone.insert(alone.begin(), "render");
-  for (const std::string& word : {"-o", "cloth.exr", "--report", "cloth.json", "--workers", "1"})
+  for (const std::string word : {"-o", "cloth.exr", "--report", "cloth.json", "--workers", "1"})
     alone.push_back(word.find('.') == std::string::npos ? word : folder(word).string());
   const Ran rendered = run(alone);
   ASSERT_EQ(rendered.status, 0) << rendered.err;

@@ -228,14 +228,7 @@ TEST_F(FarmJournal, AJobWhoseRecordCannotBeReadFailsAlone) {
     auto journal = open_sqlite_journal(folder_.path() / "journal.sqlite");
     journal->add({.id = "bad", .state = "queued", .message = {}, .request = bytes_of(std::vector<int>{-1, 7})}, {});
     const auto now = static_cast<double>(std::time(nullptr));
-    journal->add({.id = "ended",
-                  .state = "done",
-                  .message = {},
-                  .submitted = now,
-                  .ended = now,
-                  .frames_done = 1,
-                  .request = {}},
-                 {});
+    journal->add({.id = "ended", .state = "done", .message = {}, .submitted = now, .ended = now, .request = {}}, {});
   }
   {
     Farm farm(journaled(), blobs_);
@@ -259,7 +252,8 @@ TEST_F(FarmJournal, AJobThatCannotBeRememberedIsNotTaken) {
     std::uint64_t begin() override { return 1; }
     std::vector<JournalJob> jobs() override { return {}; }
     Bytes frames(const std::string&) override { return {}; }
-    std::vector<JournalRange> ranges(const std::string&) override { return {}; }
+    std::vector<JournalFrame> frames_over(const std::string&) override { return {}; }
+    std::vector<JournalRange> ranges(const std::string&, std::uint64_t) override { return {}; }
     void add(const JournalJob&, const Bytes&) override { throw Error::failed("journal full: the disk is full"); }
     void write(const JournalChanges&) override {}
   };

@@ -7,4 +7,8 @@ if(TARGET gleaner AND TARGET gleaner-coordinator AND TARGET gleaner-worker)
                TIMEOUT 900)
   target_compile_definitions(test_farm_restart PRIVATE GLEANER_BIN_DIR="${CMAKE_RUNTIME_OUTPUT_DIRECTORY}")
   add_dependencies(test_farm_restart gleaner gleaner-coordinator gleaner-worker)
+  gleaner_test(NAME farm_side_by_side_processes SOURCES side_by_side_processes_test.cpp
+               LIBRARIES gleaner_proto nlohmann_json::nlohmann_json TIMEOUT 900)
+  target_compile_definitions(test_farm_side_by_side_processes PRIVATE GLEANER_BIN_DIR="${CMAKE_RUNTIME_OUTPUT_DIRECTORY}")
+  add_dependencies(test_farm_side_by_side_processes gleaner gleaner-coordinator gleaner-worker)
 endif()

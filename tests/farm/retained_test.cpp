@@ -690,6 +690,46 @@ TEST_F(FarmRetained, AnotherFrameReadsWhatIsReusable) {
   expect_right(farm, third);
 }
 
+// Two frames that ask for the same at the same time; the second one's job may lose the first one's.
+class FarmFollowers : public FarmRetained, public testing::WithParamInterface<const char*> {};
+INSTANTIATE_TEST_SUITE_P(Places, FarmFollowers, testing::Values("collect", "retain"),
+                         [](const auto& place) { return std::string(place.param); });
+
+TEST_P(FarmFollowers, WhatTwoFramesAskForIsMadeOnce) {
+  Farm farm(settings_, blobs_);
+  HoldingWorker worker;
+  worker.join(farm, "worker");
+  const std::string first = farm.submit(request({{"reusable", "1"}, {"place", GetParam()}}));
+  ASSERT_TRUE(serve(worker, "hashes", 1));
+  const std::string second = farm.submit(request({{"reusable", "1"}, {"place", GetParam()}}));
+  ASSERT_TRUE(eventually([&] { return !farm.status(second)->stages.empty(); }));
+  std::map<std::string, int> batches;
+  while (!ended(farm.status(first)->state) || !ended(farm.status(second)->state)) {
+    const std::string stage = worker.work(chain_, 0.05);
+    if (!stage.empty()) ++batches[stage];
+  }
+  const int all = static_cast<int>((chain_.pixels * items_a_pixel + 511) / 512);
+  EXPECT_EQ(batches["hashes"], all - 1);
+  EXPECT_EQ(batches["spread"], all);
+  expect_right(farm, first);
+  expect_right(farm, second);
+  EXPECT_THAT(report(farm, second)["skips"].dump(), HasSubstr("made at the same time for another frame"));
+}
+
+TEST_P(FarmFollowers, WhoFollowsAFrameThatEndsGoesOnAlone) {
+  Farm farm(settings_, blobs_);
+  HoldingWorker worker;
+  worker.join(farm, "worker");
+  const std::string first = farm.submit(request({{"reusable", "1"}, {"place", GetParam()}}));
+  ASSERT_TRUE(serve(worker, "hashes", 1));
+  std::vector<std::string> others;
+  others.push_back(farm.submit(request({{"reusable", "1"}, {"place", GetParam()}})));
+  ASSERT_TRUE(eventually([&] { return !farm.status(others[0])->stages.empty(); }));
+  farm.cancel(first);
+  serve(farm, {&worker}, others[0]);
+  expect_right(farm, others[0]);
+}
+
 TEST_F(FarmRetained, ReusableOutputsStayWithinTheirBound) {
   settings_.active_jobs = 1;
   settings_.retained_bytes = 2048 * 8 - 1;  // not even the hashes of one frame

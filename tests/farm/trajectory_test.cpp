@@ -172,9 +172,9 @@ scene::FrameState moved_by(double x) {
   return state;
 }
 
-// The frames' pixels, of a farm that has rendered nothing before; of no states: those of the base's own scene.
-std::vector<std::string> pixels(const scene::Scene& base, const std::vector<scene::FrameState>& states,
-                                JobRequest request, unsigned workers) {
+// The frames' reports, of a farm that has rendered nothing before; of no states: those of the base's own scene.
+std::vector<json> reports(const scene::Scene& base, const std::vector<scene::FrameState>& states, JobRequest request,
+                          unsigned workers) {
   TemporaryFolder folder;
   cli::EmbeddedSettings settings;
   settings.workers = workers;
@@ -194,12 +194,17 @@ std::vector<std::string> pixels(const scene::Scene& base, const std::vector<scen
   const std::string job = embedded.farm().submit(request);
   while (!ended(embedded.farm().status(job)->state)) embedded.farm().wait(job, ~std::uint64_t{0}, 0.1);
   EXPECT_EQ(embedded.farm().status(job)->state, coordinator::JobState::done) << embedded.farm().status(job)->message;
-  std::vector<std::string> all;
+  std::vector<json> all;
   for (std::uint32_t frame = 1; frame <= request.last_frame; ++frame) {
     std::ifstream file(folder.path() / (std::to_string(frame) + ".json"));
-    all.push_back(json::parse(file)["pixels_sha256"]);
+    all.push_back(json::parse(file));
   }
   return all;
+}
+
+std::vector<std::string> pixels(const scene::Scene& base, const std::vector<scene::FrameState>& states,
+                                const JobRequest& request, unsigned workers) {
+  return names(reports(base, states, request, workers), "pixels_sha256");
 }
 
 // A base in a state is the picture of that scene alone, whatever frames came before and however many workers there are.
@@ -216,6 +221,41 @@ TEST(FarmMovingScenes, StatesOfABaseAreThoseOfTheirScenes) {
     EXPECT_EQ(pixels(base, {states[2]}, request, 1)[0], frames[2]) << method << ", rendered alone";
     EXPECT_EQ(pixels(base, {states[2], states[0], states[1]}, request, 2)[0], frames[2]) << method;
     EXPECT_EQ(pixels(base, states, request, 3), frames) << method;
+  }
+}
+
+// What is seen of what stays while lights change, and is used again; no picture depends on that.
+TEST(FarmMovingScenes, SurfacesServeEveryLight) {
+  scene::Scene base = moving_box();
+  base.lights = scene::make_scene("furnace-point").lights;
+  for (int k = 0; k < 3; ++k) base.lights[0].position[k] = base.cameras.front().camera.origin[k];
+  const auto lit = [&](float intensity, float x, double moved) {
+    scene::FrameState state = moved_by(moved);
+    state.light_indices = {0};
+    state.lights = base.lights;
+    std::fill(state.lights[0].intensity, state.lights[0].intensity + 3, intensity);
+    state.lights[0].position[0] += x;
+    return state;
+  };
+  const std::vector<scene::FrameState> states = {lit(1, 0, 0), lit(2, 0, 0), lit(2, 0.1f, 0), lit(0, 0.1f, 0),
+                                                 lit(1, 0, 0.1)};
+  const JobRequest request = request_of(base);
+  const std::vector<json> frames = reports(base, states, request, 1);
+  ASSERT_EQ(frames.size(), states.size());
+  for (std::size_t k = 0; k < frames.size(); ++k) {
+    const auto run = names(frames[k]["stages"], "name"), left_out = names(frames[k]["skips"], "what");
+    // A frame in which another number of lights shines runs kernels of its own; in the last one an object has moved.
+    const bool again = k == 1 || k == 2;
+    for (const char* stage : {"vpl.points", "vpl.point_cluster"}) {
+      EXPECT_EQ(std::ranges::count(run, stage), again ? 0 : 1) << stage << ", frame " << k + 1;
+      EXPECT_EQ(std::ranges::count(left_out, std::string("stage ") + stage), again ? 1 : 0)
+          << stage << ", frame " << k + 1;
+    }
+    for (const char* stage : {"vpl.trace.0", "vpl.shade.0"}) EXPECT_THAT(run, Contains(stage)) << "frame " << k + 1;
+    if (!again) continue;
+    EXPECT_EQ(pixels(base, {states[k]}, request, 2)[0], frames[k]["pixels_sha256"]) << "frame " << k + 1 << " alone";
+    EXPECT_EQ(pixels(scene::posed(base, states[k], "own"), {}, request, 1)[0], frames[k]["pixels_sha256"])
+        << "frame " << k + 1 << ", a scene of its own";
   }
 }
 

@@ -2,7 +2,7 @@ find_package(OpenImageIO REQUIRED)
 find_package(nlohmann_json REQUIRED)
 find_package(meshoptimizer REQUIRED)
 find_library(DRACO_LIBRARY draco REQUIRED)
-foreach(subject gltf gltf_bad animation motion deform instances compression tolerance mesh obj images scenes fuzz)
+foreach(subject gltf gltf_bad animation motion sequence deform instances compression tolerance mesh obj images scenes fuzz)
   gleaner_test(NAME import_${subject} SOURCES import_${subject}_test.cpp import_files.cpp
                LIBRARIES gleaner_import OpenImageIO::OpenImageIO nlohmann_json::nlohmann_json)
 endforeach()

@@ -502,6 +502,35 @@ TEST_F(Gltf, PrimitivesWithoutMaterialGetTheDefault) {
   EXPECT_FLOAT_EQ(s.materials.at(1).metallic, 1);
 }
 
+TEST_F(Gltf, LightShinesThrough) {
+  GltfFile file = triangle_file();
+  file.primitive()["attributes"]["TEXCOORD_0"] = file.add<float>({0, 0, 1, 0, 0, 1}, 5126, "VEC2");
+  folder_.write_image("t.png", 1, 1, 4, {1, 1, 1, 1});
+  file.json["images"] = {{{"uri", "t.png"}}};
+  file.json["textures"] = {{{"source", 0}}};
+  const json texture = {{"index", 0}};
+  json leaf, off;
+  leaf["extensions"]["KHR_materials_diffuse_transmission"] = {{"diffuseTransmissionFactor", 0.25},
+                                                              {"diffuseTransmissionColorFactor", {0.5, 1, 0.25}},
+                                                              {"diffuseTransmissionTexture", texture},
+                                                              {"diffuseTransmissionColorTexture", texture}};
+  leaf["extensions"]["KHR_materials_volume"]["thicknessFactor"] = 0.1;
+  off["extensions"]["KHR_materials_diffuse_transmission"]["diffuseTransmissionTexture"] = texture;
+  file.json["materials"] = {leaf, off};
+  file.json["extensionsUsed"] = {"KHR_materials_diffuse_transmission", "KHR_materials_volume"};
+  const Scene s = read(file);
+  EXPECT_THAT(warnings(s), ElementsAre(HasSubstr("thin sheet")));
+  const Material& m = s.materials[0];
+  EXPECT_FLOAT_EQ(m.diffuse_transmission, 0.25f);
+  EXPECT_THAT(m.diffuse_transmission_color, ElementsAre(0.5f, 1, 0.25f));
+  EXPECT_EQ(s.textures.at(m.diffuse_transmission_texture).flags, 0u);
+  EXPECT_EQ(s.textures.at(m.diffuse_transmission_color_texture).flags, GLEANER_TEXTURE_SRGB);
+  EXPECT_EQ(s.materials[1].diffuse_transmission_texture, GLEANER_NONE);
+  EXPECT_TRUE(needs_of(s).diffuse_transmission && needs_of(s).transmissive);
+  file.json["materials"][0]["extensions"]["KHR_materials_diffuse_transmission"]["diffuseTransmissionFactor"] = 1.5;
+  EXPECT_THAT(refusal(folder_.write("bad.gltf", file.gltf())), HasSubstr("diffuseTransmissionFactor"));
+}
+
 TEST_F(Gltf, UnknownExtensionsThatAreOnlyUsedGetAWord) {
   GltfFile file = triangle_file();
   file.json["extensionsUsed"] = {"KHR_materials_dispersion", "KHR_materials_ior"};

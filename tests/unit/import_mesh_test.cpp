@@ -196,6 +196,12 @@ TEST(Ply, WhatScannersWrite) {
   s = import_text(folder, "c.ply", binary);
   EXPECT_THAT(s.positions, ElementsAre(10, 0, 0, 1, 0, 0, 0, 1, 0));
   EXPECT_THAT(s.indices, ElementsAre(0, 1, 2));
+  // Blender 2.47 wrote its comment without that word.
+  std::string by_blender = head + body + "3 0 1 2\n";
+  by_blender.insert(by_blender.find("element"), "Created by Blender3D 247 - www.blender.org, source file: \n");
+  s = import_text(folder, "d.ply", by_blender);
+  EXPECT_EQ(s.triangle_count(), 1u);
+  EXPECT_THAT(s.warnings, Contains(AllOf(HasSubstr("Created by Blender3D"), HasSubstr("passed over"))));
 }
 
 // --- OBJ of many programs --------------------------------------------------------------------------------------------

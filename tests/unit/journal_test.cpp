@@ -25,8 +25,9 @@ JournalJob job(const std::string& id) {
       .id = id, .state = "queued", .message = {}, .submitted = 1.5e9, .request = bytes_of(std::vector<int>{4, 0, 5})};
 }
 
-JournalRange range(const std::string& of, const std::string& artifact, std::uint64_t first) {
+JournalRange range(const std::string& of, const std::string& artifact, std::uint64_t first, std::uint64_t frame = 0) {
   return {.job = of,
+          .frame = frame,
           .artifact = artifact,
           .first = first,
           .count = 16,
@@ -60,7 +61,8 @@ TEST_F(SqliteJournal, JobsComeBackInTheirOrder) {
     auto journal = open();
     for (const char* id : {"b", "a", "c"}) journal->add(job(id), bytes_of(std::vector<char>{*id}));
     JournalChanges changes;
-    changes.jobs["a"] = {.id = "a", .state = "failed", .message = odd, .ended = 1.6e9, .frames_done = 7, .request = {}};
+    changes.jobs["a"] = {.id = "a", .state = "failed", .message = odd, .ended = 1.6e9, .request = {}};
+    changes.frames_over = {{"a", 3, ""}, {"a", 1, odd}, {"b", 0, ""}};
     changes.forgotten = {"b"};
     journal->write(changes);
   }
@@ -72,7 +74,13 @@ TEST_F(SqliteJournal, JobsComeBackInTheirOrder) {
   EXPECT_EQ(jobs[0].message, odd);
   EXPECT_EQ(jobs[0].submitted, 1.5e9);
   EXPECT_EQ(jobs[0].ended, 1.6e9);
-  EXPECT_EQ(jobs[0].frames_done, 7u);
+  const auto over = journal->frames_over("a");
+  ASSERT_THAT(over, SizeIs(2));
+  EXPECT_EQ(over[0].frame, 1u);
+  EXPECT_EQ(over[0].failure, odd);
+  EXPECT_EQ(over[1].frame, 3u);
+  EXPECT_EQ(over[1].failure, "");
+  EXPECT_THAT(journal->frames_over("b"), IsEmpty()) << "it goes with its job";
   EXPECT_EQ(jobs[0].request, job("a").request);
   EXPECT_EQ(jobs[1].id, "c");
   EXPECT_EQ(journal->frames("c"), bytes_of(std::vector<char>{'c'}));
@@ -83,10 +91,11 @@ TEST_F(SqliteJournal, RangesComeBackUntilTheyAreNoLongerNeeded) {
   auto journal = open();
   for (const char* id : {"a", "b"}) journal->add(job(id), {});
   JournalChanges changes;
-  changes.ranges = {range("a", "x", 16), range("a", "x", 0), range("a", "y", 0), range("b", "x", 0)};
+  changes.ranges = {range("a", "x", 16), range("a", "x", 0), range("a", "y", 0), range("b", "x", 0),
+                    range("a", "x", 0, 1)};
   journal->write(changes);
   journal = open();
-  const auto ranges = journal->ranges("a");
+  const auto ranges = journal->ranges("a", 0);
   ASSERT_THAT(ranges, SizeIs(3));
   EXPECT_EQ(ranges[0].first, 0u) << "in the order of items";
   EXPECT_EQ(ranges[1].offset, 128u);
@@ -95,12 +104,55 @@ TEST_F(SqliteJournal, RangesComeBackUntilTheyAreNoLongerNeeded) {
   EXPECT_EQ(ranges[1].digest, range("a", "x", 16).digest);
   EXPECT_EQ(ranges[1].facts, range("a", "x", 16).facts);
   changes = {};
-  changes.frames_over = {"a"};
+  changes.dropped_frames = {{"a", 0}};
   changes.ranges = {range("a", "z", 0)};
   journal->write(changes);
-  ASSERT_THAT(journal->ranges("a"), SizeIs(1));
-  EXPECT_EQ(journal->ranges("a")[0].artifact, "z") << "of the frame that follows";
-  EXPECT_THAT(journal->ranges("b"), SizeIs(1));
+  ASSERT_THAT(journal->ranges("a", 0), SizeIs(1));
+  EXPECT_EQ(journal->ranges("a", 0)[0].artifact, "z") << "since it began again";
+  EXPECT_THAT(journal->ranges("a", 1), SizeIs(1)) << "another frame";
+  EXPECT_THAT(journal->ranges("b", 0), SizeIs(1)) << "another job";
+  changes = {};
+  changes.dropped_jobs = {"a"};
+  journal->write(changes);
+  EXPECT_THAT(journal->ranges("a", 0), IsEmpty());
+  EXPECT_THAT(journal->ranges("a", 1), IsEmpty());
+  EXPECT_THAT(journal->ranges("b", 0), SizeIs(1));
+}
+
+// What a coordinator of an earlier version left goes on: its first frames are written, its ranges are of the next one.
+TEST_F(SqliteJournal, TheFirstLayoutIsBroughtUpToDate) {
+  sqlite3* old = nullptr;
+  ASSERT_EQ(sqlite3_open(file_.c_str(), &old), SQLITE_OK);
+  const char* left = R"(
+    CREATE TABLE meta(starts INTEGER NOT NULL);
+    INSERT INTO meta VALUES(4);
+    CREATE TABLE jobs(place INTEGER PRIMARY KEY, id TEXT NOT NULL UNIQUE, state TEXT NOT NULL, message BLOB NOT NULL,
+                      submitted REAL NOT NULL, ended REAL NOT NULL, frames_done INTEGER NOT NULL);
+    CREATE TABLE requests(id TEXT PRIMARY KEY, request BLOB NOT NULL, frames BLOB NOT NULL);
+    CREATE TABLE ranges(job TEXT NOT NULL, artifact TEXT NOT NULL, first INTEGER NOT NULL, count INTEGER NOT NULL,
+                        place INTEGER NOT NULL, bytes INTEGER NOT NULL, digest BLOB NOT NULL, facts BLOB NOT NULL);
+    CREATE INDEX ranges_of_job ON ranges(job, artifact);
+    INSERT INTO jobs VALUES(1, 'a', 'queued', '', 1.5e9, 0, 3), (2, 'b', 'queued', '', 1.5e9, 0, 0);
+    INSERT INTO requests VALUES('a', x'01', x'02'), ('b', x'', x'');
+    INSERT INTO ranges VALUES('a', 'x', 0, 16, 8, 128, x'aa', x'');
+    PRAGMA user_version = 1;)";
+  ASSERT_EQ(sqlite3_exec(old, left, nullptr, nullptr, nullptr), SQLITE_OK) << sqlite3_errmsg(old);
+  sqlite3_close(old);
+  for (int again = 0; again < 2; ++again) {
+    auto journal = open();
+    ASSERT_THAT(journal->jobs(), SizeIs(2));
+    EXPECT_EQ(journal->jobs()[0].id, "a");
+    EXPECT_EQ(journal->jobs()[0].request, Bytes{std::byte{1}});
+    const auto over = journal->frames_over("a");
+    ASSERT_THAT(over, SizeIs(3));
+    for (std::uint64_t frame = 0; frame < 3; ++frame) EXPECT_EQ(over[frame].frame, frame);
+    EXPECT_EQ(over[2].failure, "");
+    EXPECT_THAT(journal->frames_over("b"), IsEmpty());
+    ASSERT_THAT(journal->ranges("a", 3), SizeIs(1));
+    EXPECT_EQ(journal->ranges("a", 3)[0].bytes, 128u);
+    EXPECT_THAT(journal->ranges("a", 0), IsEmpty());
+  }
+  EXPECT_EQ(open()->begin(), 5u);
 }
 
 TEST_F(SqliteJournal, CountsItsStarts) {
@@ -172,7 +224,8 @@ class FailingJournal final : public Journal {
   std::uint64_t begin() override { return 1; }
   std::vector<JournalJob> jobs() override { return {}; }
   Bytes frames(const std::string&) override { return {}; }
-  std::vector<JournalRange> ranges(const std::string&) override { return {}; }
+  std::vector<JournalFrame> frames_over(const std::string&) override { return {}; }
+  std::vector<JournalRange> ranges(const std::string&, std::uint64_t) override { return {}; }
   void add(const JournalJob&, const Bytes&) override {}
   void write(const JournalChanges& changes) override {
     std::lock_guard lock(memory_.mutex);
@@ -195,20 +248,23 @@ TEST(JournalWriter, TriesAgainAndLosesNoJob) {
   {
     JournalWriter writer(std::make_unique<FailingJournal>(memory),
                          [&](const std::string& line) { said.push_back(line); });
-    writer.changed({.id = "a", .state = "queued", .message = {}, .frames_done = 1, .request = {}});
+    writer.changed({.id = "a", .state = "queued", .message = {}, .request = {}});
     writer.accepted(range("a", "x", 0));
+    writer.accepted(range("a", "x", 0, 1));
     ASSERT_TRUE(eventually([&] { return memory.failures < 2; }));
     ASSERT_TRUE(eventually([&] { return !writer.trouble().empty(); }));
     EXPECT_THAT(writer.trouble(), HasSubstr("the disk is full"));
     // What comes later stands above what could not be written.
-    writer.changed({.id = "a", .state = "queued", .message = {}, .frames_done = 2, .request = {}});
-    writer.frame_over("a", [&] { cleaned = true; });
+    writer.changed({.id = "a", .state = "done", .message = {}, .request = {}});
+    writer.frame_over({"a", 0, ""}, [&] { cleaned = true; });
     ASSERT_TRUE(eventually([&] { return writer.trouble().empty(); }));
   }
   ASSERT_THAT(memory.writes, SizeIs(1));
-  EXPECT_EQ(memory.writes[0].jobs.at("a").frames_done, 2u);
-  EXPECT_THAT(memory.writes[0].ranges, IsEmpty()) << "of a frame that is over";
-  EXPECT_TRUE(memory.writes[0].frames_over.contains("a"));
+  EXPECT_EQ(memory.writes[0].jobs.at("a").state, "done");
+  ASSERT_THAT(memory.writes[0].ranges, SizeIs(1)) << "none of a frame that is over";
+  EXPECT_EQ(memory.writes[0].ranges[0].frame, 1u);
+  ASSERT_THAT(memory.writes[0].frames_over, SizeIs(1));
+  EXPECT_EQ(memory.writes[0].frames_over[0].frame, 0u);
   EXPECT_TRUE(cleaned) << "after the write, not before";
   EXPECT_THAT(said, SizeIs(2)) << "once that it fails, once that it does not";
 }

@@ -68,6 +68,7 @@ std::string kernel_needs(const scene::Scene& scene, const scene::SceneNeeds& nee
       {alpha_emitters, "ALPHA_EMITTERS"},
       {needs.environment, "ENVIRONMENT"},
       {needs.instances, "INSTANCES"},
+      {needs.diffuse_transmission, "DIFFUSE_TRANSMISSION"},
   };
   std::string options;
   for (auto [need, word] : words)

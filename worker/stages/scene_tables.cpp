@@ -84,6 +84,11 @@ std::vector<float> material_rows(const scene::Scene& scene, const std::vector<st
     word(MATERIAL_IRIDESCENCE_THICKNESS_TEXTURE, m.iridescence_thickness_texture);
     word(MATERIAL_CLEARCOAT_TABLE, m.clearcoat_table);
     word(MATERIAL_SHEEN_TABLE, m.sheen_table);
+    row[MATERIAL_DIFFUSE_TRANSMISSION] = m.diffuse_transmission;
+    std::copy(m.diffuse_transmission_color, m.diffuse_transmission_color + 3,
+              row + MATERIAL_DIFFUSE_TRANSMISSION_COLOR);
+    word(MATERIAL_DIFFUSE_TRANSMISSION_TEXTURE, m.diffuse_transmission_texture);
+    word(MATERIAL_DIFFUSE_TRANSMISSION_COLOR_TEXTURE, m.diffuse_transmission_color_texture);
   }
   for (std::uint32_t r = 0; r < media.size(); ++r) {
     const std::uint32_t rank = r + 1;

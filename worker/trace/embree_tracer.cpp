@@ -23,7 +23,7 @@ static_assert(offsetof(RTCRayHit16, ray.org_x) == 64 * ROW_ORIGIN &&
 
 class Query {
  public:
-  explicit Query(bool coherent) {
+  explicit Query(bool coherent) : coherent_(coherent) {
 #ifdef GLEANER_EMBREE4
     rtcInitIntersectArguments(&closest_);
     rtcInitOccludedArguments(&any_);
@@ -33,6 +33,7 @@ class Query {
     context_.flags = coherent ? RTC_INTERSECT_CONTEXT_FLAG_COHERENT : RTC_INTERSECT_CONTEXT_FLAG_INCOHERENT;
 #endif
   }
+  bool coherent() const { return coherent_; }
   void closest(RTCScene scene, const int* valid, RTCRayHit16* rays) {
 #ifdef GLEANER_EMBREE4
     rtcIntersect16(valid, scene, rays, &closest_);
@@ -49,6 +50,7 @@ class Query {
   }
 
  private:
+  bool coherent_;
 #ifdef GLEANER_EMBREE4
   RTCIntersectArguments closest_;
   RTCOccludedArguments any_;
@@ -73,6 +75,19 @@ Valid asking(const float* block, std::uint32_t count) {
   return valid;
 }
 
+// Incoherent rays too begin as a packet while most lanes go the same way, as they do among a few instances. The order
+// in which these are met then depends on a ray's neighbours, and where two of them touch, so does which one is hit. One
+// lane at a time is traced by itself.
+template <typename Call>
+void one_by_one(const Valid& valid, Call&& call) {
+  for (std::uint32_t k = 0; k < 16; ++k) {
+    if (!valid.lanes[k]) continue;
+    Valid one{};
+    one.lanes[k] = valid.lanes[k];
+    call(one);
+  }
+}
+
 class EmbreeTracer final : public Tracer {
  public:
   EmbreeTracer(const scene::Scene& scene, unsigned threads) : levels_(scene, threads) {}
@@ -94,7 +109,8 @@ class EmbreeTracer final : public Tracer {
       for (int k = 0; k < 16; ++k) valid.lanes[k] = asked->tfar[k] > 0 ? asking.lanes[k] : 0;
       // Each ray for itself: asked as a packet, Embree 3.13.5 may loop for ever once a ray of another octant than the
       // one it is at has ended in an instance.
-      Query(false).any(levels_.top(), valid.lanes, asked);
+      Query single(false);
+      one_by_one(valid, [&](const Valid& one) { single.any(levels_.top(), one.lanes, asked); });
     });
   }
 
@@ -151,7 +167,11 @@ class EmbreeTracer final : public Tracer {
       name_world_hits(valid, rays);
     }
     if (levels_.top()) {
-      query.closest(levels_.top(), valid.lanes, rays);
+      const auto ask = [&](const Valid& asking) { query.closest(levels_.top(), asking.lanes, rays); };
+      if (query.coherent())
+        ask(valid);  // always the same neighbours
+      else
+        one_by_one(valid, ask);
       name_top_hits(valid, rays);
     }
   }

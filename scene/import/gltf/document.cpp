@@ -32,14 +32,26 @@ T load(const std::byte* from) {
 
 // What this importer reads.
 const std::set<std::string>& known_extensions() {
-  static const std::set<std::string> names = {
-      "EXT_mesh_gpu_instancing",    "EXT_meshopt_compression",    "EXT_texture_webp",
-      "KHR_draco_mesh_compression", "KHR_lights_punctual",        "KHR_materials_anisotropy",
-      "KHR_animation_pointer",      "KHR_materials_clearcoat",    "KHR_materials_emissive_strength",
-      "KHR_materials_ior",          "KHR_materials_iridescence",  "KHR_materials_sheen",
-      "KHR_materials_specular",     "KHR_materials_transmission", "KHR_materials_unlit",
-      "KHR_materials_variants",     "KHR_materials_volume",       "KHR_mesh_quantization",
-      "KHR_texture_transform"};
+  static const std::set<std::string> names = {"EXT_mesh_gpu_instancing",
+                                              "EXT_meshopt_compression",
+                                              "EXT_texture_webp",
+                                              "KHR_draco_mesh_compression",
+                                              "KHR_lights_punctual",
+                                              "KHR_materials_anisotropy",
+                                              "KHR_animation_pointer",
+                                              "KHR_materials_clearcoat",
+                                              "KHR_materials_diffuse_transmission",
+                                              "KHR_materials_emissive_strength",
+                                              "KHR_materials_ior",
+                                              "KHR_materials_iridescence",
+                                              "KHR_materials_sheen",
+                                              "KHR_materials_specular",
+                                              "KHR_materials_transmission",
+                                              "KHR_materials_unlit",
+                                              "KHR_materials_variants",
+                                              "KHR_materials_volume",
+                                              "KHR_mesh_quantization",
+                                              "KHR_texture_transform"};
   return names;
 }
 
@@ -47,7 +59,6 @@ const std::set<std::string>& known_extensions() {
 std::string what_is_left_out(const std::string& extension) {
   static const std::map<std::string, std::string> words = {
       {"KHR_materials_dispersion", "all colours are refracted alike"},
-      {"KHR_materials_diffuse_transmission", "light that shines through"},
       {"KHR_materials_pbrSpecularGlossiness", "the metallic-roughness values are taken, or their defaults"},
       {"KHR_texture_basisu", "the texture's other image is taken, or none"},
       {"EXT_texture_avif", "the texture's other image is taken, or none"},

@@ -110,12 +110,13 @@ void Materials::add(const Element& element) {
   add_specular(element, m);
   add_transmission(element, m);
   if (const auto volume = element.extension("KHR_materials_volume")) add_volume(*volume, m);
+  add_diffuse_transmission(element, m);
   add_layers(element, m);
   const bool is_unlit = element.extension("KHR_materials_unlit").has_value();
   if (is_unlit) {
     // It emits its base colour whatever else the file says.
     m.flags |= GLEANER_MATERIAL_UNLIT;
-    m.metallic = m.specular = m.transmission = m.clearcoat = m.anisotropy = m.iridescence = 0;
+    m.metallic = m.specular = m.transmission = m.diffuse_transmission = m.clearcoat = m.anisotropy = m.iridescence = 0;
     std::fill(m.sheen_color, m.sheen_color + 3, 0.0f);
     m.flags &= ~GLEANER_MATERIAL_DOUBLE_SIDED;
     std::fill(m.emission, m.emission + 3, 0.0f);
@@ -194,6 +195,21 @@ void Materials::add_volume(const Element& volume, Material& m) {
   // Nothing comes through a colour of 0 at any distance; 1e12 per metre is as good as infinity, and finite.
   for (int c = 0; c < 3; ++c)
     m.attenuation[c] = left[c] >= 1 ? 0.0f : static_cast<float>(std::min(-std::log(double(left[c])) / metres, 1e12));
+}
+
+// After transmission and volume.
+void Materials::add_diffuse_transmission(const Element& element, Material& m) {
+  const auto shining = element.extension("KHR_materials_diffuse_transmission");
+  if (!shining) return;
+  m.diffuse_transmission = static_cast<float>(shining->factor("diffuseTransmissionFactor", 0));
+  shining->colour("diffuseTransmissionColorFactor", m.diffuse_transmission_color);
+  if (m.diffuse_transmission == 0) return;
+  texture(*shining, "diffuseTransmissionTexture", false, &Material::diffuse_transmission_texture);
+  texture(*shining, "diffuseTransmissionColorTexture", true, &Material::diffuse_transmission_color_texture);
+  const auto volume = element.extension("KHR_materials_volume");
+  const auto thickness = volume ? volume->find("thicknessFactor") : std::nullopt;
+  if (m.transmission == 0 && thickness && thickness->number(0) > 0)
+    warnings_.add(volume->name(), "light that shines through is not scattered within: the surface is a thin sheet");
 }
 
 // Textures of what is switched off are not read.

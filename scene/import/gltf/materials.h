@@ -63,6 +63,7 @@ class Materials {
   void add_specular(const Element& element, Material& m);
   void add_transmission(const Element& element, Material& m);
   void add_volume(const Element& volume, Material& m);
+  void add_diffuse_transmission(const Element& element, Material& m);
   void add_layers(const Element& element, Material& m);
   void add_film(const Element& film, Material& m);
   void add_alpha(const Element& element, Material& m);

@@ -167,8 +167,8 @@ class PlyReader {
         read_property(words, line);
       else if (words[0] == "comment" && words.size() >= 3 && words[1] == "TextureFile")
         texture_ = line.substr(line.find(words[2], line.find(words[1]) + words[1].size()));
-      else if (words[0] != "comment" && words[0] != "obj_info")
-        fail("header", "format, element, property or comment", in_quotes(words[0]));
+      else if (words[0] != "comment" && words[0] != "obj_info")  // some write comments without the word
+        warnings_.add("header: " + in_quotes(line), "no statement of PLY: passed over");
       if (kinds_.size() > 1000) fail("header", "at most 1000 elements", "more");
     }
     if (!has_format_) fail("header", "a format", "none");

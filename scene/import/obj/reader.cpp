@@ -248,7 +248,7 @@ class ObjReader {
       const double* p = &vertices_[3 * static_cast<std::size_t>(use.corner.v)];
       box.add({p[0], p[1], p[2]});
     }
-    scene_.origin = origin_for(box);
+    scene_.origin = options_.origin.value_or(origin_for(box));
     const double finest_step = std::pow(10.0, std::clamp(finest_digit_, -15, 15));
     if (box.magnitude() > kFarAway * box.extent() && finest_step * kFewSteps > box.extent() && box.extent() > 0) {
       char text[160];
