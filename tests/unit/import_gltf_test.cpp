@@ -515,6 +515,7 @@ TEST_F(Gltf, LightShinesThrough) {
                                                               {"diffuseTransmissionTexture", texture},
                                                               {"diffuseTransmissionColorTexture", texture}};
   leaf["extensions"]["KHR_materials_volume"]["thicknessFactor"] = 0.1;
+  leaf["pbrMetallicRoughness"]["metallicFactor"] = 0;  // through the default, metal, nothing shines
   off["extensions"]["KHR_materials_diffuse_transmission"]["diffuseTransmissionTexture"] = texture;
   file.json["materials"] = {leaf, off};
   file.json["extensionsUsed"] = {"KHR_materials_diffuse_transmission", "KHR_materials_volume"};
