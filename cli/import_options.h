@@ -17,7 +17,7 @@ struct ImportWords {
   std::string scene, environment;  // paths
   double environment_rotation = 0, environment_strength = 1;
   std::string light_units = "auto", variant, animation = "all";
-  double seconds = 0;  // at which animations are seen
+  double seconds = 0;                           // at which animations are seen
   std::optional<scene::FrameNumbers> frames{};  // of a sequence of files; no word of these, but --frames
   std::uint64_t texture_limit = scene::ImportOptions().most_texels;
   bool strict = false;

@@ -32,8 +32,6 @@ constexpr std::uint32_t kUsualRays = 384, kIterations = 6;
 // Photons of the estimates at a cut's nodes, rounds of its refinement, and the ratio of section 3.3.
 constexpr std::uint32_t kUsualCut = 0, kCutNeighbours = 64, kCutRounds = 4;
 constexpr float kCutRatio = 1.2f;
-// Pixels of a cluster, where the number of clusters is not set, and bounds of that number.
-constexpr std::uint64_t kClusterPixels = 16, kFewestClusters = 64, kMostClusters = 4096;
 // Maps wait for each other, paths that read none for nothing: these fill what the others leave free.
 constexpr int kFirst = 1;
 
@@ -56,10 +54,7 @@ PhotonSettings read_settings(const FrameSettings& settings) {
   p.count = whole("photon.count", 200'000);
   p.caustics = whole("photon.caustics", 200'000);
   p.passes = whole("photon.passes", std::clamp<std::uint32_t>(settings.spp / 8, 1, 64));
-  p.clusters =
-      whole("photon.clusters",
-            static_cast<std::uint32_t>(std::clamp(std::uint64_t{settings.width} * settings.height / kClusterPixels,
-                                                  kFewestClusters, kMostClusters)));
+  p.clusters = whole("photon.clusters", 0);
   p.cut = whole("photon.cut", kUsualCut);
   p.rays = whole("photon.gather_rays", kUsualRays);
   p.radius = real_setting(settings, "photon.radius").value_or(0);
@@ -512,7 +507,7 @@ Method photon_method() {
            "light paths of each pass of caustics; 0: paths find the caustics"},
           {"photon.passes", whole, 1, 4096, "`--spp` / 8, 1 to 64",
            "independent passes of caustics, each of a smaller radius; their mean is the picture"},
-          {"photon.clusters", whole, 0, 1u << 20, "a pixel in 16, 64 to 4096",
+          {"photon.clusters", whole, 0, 1u << 20, "0",
            "clusters of the points that pixels show, at whose sample points indirect light on diffuse layers is "
            "gathered "
            "and between which it is interpolated; 0: each sample of a pixel gathers by itself"},

@@ -268,7 +268,7 @@ TEST(Photon, AsManyClustersAsPointsGatherAtEveryPoint) {
   const Settings every = {{"photon.count", "20000"}, {"photon.clusters", "100000"}, {"photon.gather_rays", "256"}};
   for (const char* name : {"cornell-box", "cornell-textured"}) {
     // Seeds are the same: so are the photons.
-    const Rendered found = render(frame_of(scene::make_scene(name, {}), 24, 4, every));
+    const Rendered found = render(frame_of(scene::make_scene(name, {}), 24, 16, every));
     EXPECT_EQ(found.parameters["photon"]["places"], found.parameters["photon"]["points"]) << name;
     const double expected = mean_of(render(frame_of(scene::make_scene(name, {}), 24, 1024, plain)).film, "indirect.G");
     const double mean = mean_of(found.film, "indirect.G");

@@ -286,9 +286,9 @@ TEST(Needs, HaveOneNameABit) {
   EXPECT_EQ(needs.bits(), 1u);
   EXPECT_EQ(need_names().front(), "specular");
   needs = {};
-  needs.instances = true;
+  needs.diffuse_transmission = true;
   EXPECT_EQ(needs.bits(), 1u << (need_names().size() - 1));
-  EXPECT_EQ(need_names().back(), "instances");
+  EXPECT_EQ(need_names().back(), "diffuse_transmission");
   needs = {};
   needs.normal_maps = true;
   EXPECT_EQ(need_names()[std::countr_zero(needs.bits())], "normal_maps");
