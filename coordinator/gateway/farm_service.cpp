@@ -57,7 +57,7 @@ Status FarmService::UploadBlob(grpc::ServerContext* context, grpc::ServerReader<
   if (seat.before >= settings_.most_uploads)
     return {StatusCode::RESOURCE_EXHAUSTED, "this coordinator takes " + std::to_string(settings_.most_uploads) +
                                                 " uploads at the same time: try again"};
-  SilenceWatch::Call call(silence_, *context, std::chrono::duration<double>(settings_.silent_seconds));
+  SilenceWatch::Call call(silence_, *context, settings_.silent_seconds);
   pb::UploadBlobRequest part;
   if (!stream->Read(&part) || !part.has_header())
     return {StatusCode::INVALID_ARGUMENT, "an upload begins with its header"};
@@ -193,7 +193,7 @@ Status FarmService::CancelJob(grpc::ServerContext*, const pb::CancelJobRequest* 
 Status FarmService::WatchJob(grpc::ServerContext* context, const pb::WatchJobRequest* request,
                              grpc::ServerWriter<pb::Job>* stream) {
   using namespace std::chrono_literals;
-  SilenceWatch::Call call(silence_, *context, std::chrono::duration<double>(settings_.silent_seconds));
+  SilenceWatch::Call call(silence_, *context, settings_.silent_seconds);
   std::uint64_t seen = 0;
   while (!context->IsCancelled()) {
     // Silence of a second is broken, so that seconds and rates keep moving; a farm that goes away ends the wait.
@@ -268,7 +268,7 @@ Status FarmService::FetchFile(grpc::ServerContext* context, const pb::FetchFileR
     if (path.filename() != request->name()) continue;
     std::ifstream file(path, std::ios::binary | std::ios::ate);
     if (!file) return {StatusCode::INTERNAL, path.filename().string() + ": cannot open"};
-    SilenceWatch::Call call(silence_, *context, std::chrono::duration<double>(settings_.silent_seconds));
+    SilenceWatch::Call call(silence_, *context, settings_.silent_seconds);
     pb::FetchFileReply piece;
     piece.set_total_bytes(static_cast<std::uint64_t>(file.tellg()));
     std::uint64_t left = piece.total_bytes();

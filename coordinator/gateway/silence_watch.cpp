@@ -8,10 +8,10 @@ constexpr std::chrono::milliseconds look{500};
 
 }  // namespace
 
-SilenceWatch::Call::Call(SilenceWatch& watch, grpc::ServerContext& context, std::chrono::duration<double> patience)
+SilenceWatch::Call::Call(SilenceWatch& watch, grpc::ServerContext& context, double patience)
     : watch_(watch),
       context_(context),
-      patience_(std::chrono::duration_cast<Clock::duration>(patience)),
+      patience_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(patience))),
       due_(Clock::now() + patience_) {
   std::lock_guard lock(watch_.mutex_);
   watch_.calls_.insert(this);

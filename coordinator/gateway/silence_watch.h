@@ -26,10 +26,10 @@ class SilenceWatch {
  public:
   using Clock = std::chrono::steady_clock;
 
-  // A call that is cancelled when `patience` has gone by since it was made or heard() was called.
+  // A call that is cancelled when `patience` seconds have gone by since it was made or heard() was called.
   class Call {
    public:
-    Call(SilenceWatch& watch, grpc::ServerContext& context, std::chrono::duration<double> patience);
+    Call(SilenceWatch& watch, grpc::ServerContext& context, double patience);
     ~Call();
     Call(const Call&) = delete;
     Call& operator=(const Call&) = delete;

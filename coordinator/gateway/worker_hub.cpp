@@ -283,7 +283,7 @@ Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
   pb::WorkerMessage message;
   {
     // Who takes no seat yet holds a thread all the same.
-    const SilenceWatch::Call call(silence_, *context, std::chrono::duration<double>(settings_.hello_seconds));
+    const SilenceWatch::Call call(silence_, *context, settings_.hello_seconds);
     if (!stream->Read(&message)) return Status::OK;
   }
   const Seat seat(workers_);
@@ -362,7 +362,7 @@ Status WorkerHub::FetchBlob(grpc::ServerContext* context, const pb::FetchBlobReq
     std::uint64_t left = request->length() > 0 ? request->length() : blob->bytes() - request->offset();
     std::uint64_t offset = request->offset();
     Bytes bytes;
-    SilenceWatch::Call call(silence_, *context, std::chrono::duration<double>(settings_.silent_seconds));
+    SilenceWatch::Call call(silence_, *context, settings_.silent_seconds);
     pb::BlobPiece piece;
     piece.set_total_bytes(blob->bytes());
     do {

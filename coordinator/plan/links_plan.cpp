@@ -67,10 +67,6 @@ void check(const FrameSettings& settings) {
                        std::to_string(links.light_samples));
 }
 
-std::string numbered(const char* name, std::uint32_t number) {
-  return std::string(name) + "." + std::to_string(number);
-}
-
 std::uint32_t half_of(std::uint32_t vertices) {
   return vertices == GLEANER_NONE ? LINKS_USUAL_HALF : std::max(1u, vertices / 2);
 }
@@ -226,8 +222,8 @@ LinksParameters LinksPlan::element_parameters() const {
   p.elements = elements_;
   p.directions = 16;  // read by links_make alone
   p.samples = 16;
-  p.seed_low = static_cast<std::uint32_t>(settings_.seed);
-  p.seed_high = static_cast<std::uint32_t>(settings_.seed >> 32);
+  p.seed_low = low(settings_.seed);
+  p.seed_high = high(settings_.seed);
   return p;
 }
 
@@ -336,8 +332,8 @@ void LinksPlan::shade(const Artifact& gathered) {
   p.width = settings_.width;
   p.height = settings_.height;
   p.samples = std::min(std::bit_floor(settings_.spp), kMostShadeSamples);
-  p.seed_low = static_cast<std::uint32_t>(settings_.seed);
-  p.seed_high = static_cast<std::uint32_t>(settings_.seed >> 32);
+  p.seed_low = low(settings_.seed);
+  p.seed_high = high(settings_.seed);
   p.items_low = static_cast<std::uint32_t>(pixels());
   p.depth = settings_.depth;
   p.stride = 1;

@@ -107,8 +107,8 @@ void PathSampler::ask(Asked asked) {
   p.samples_per_item = chunk_samples_;
   p.last_item_samples = asked.last_item_samples;
   p.depth = settings_.depth;
-  p.seed_low = static_cast<std::uint32_t>(settings_.seed);
-  p.seed_high = static_cast<std::uint32_t>(settings_.seed >> 32);
+  p.seed_low = low(settings_.seed);
+  p.seed_high = high(settings_.seed);
   p.features = asked.features ? 1 : 0;
   p.items_low = static_cast<std::uint32_t>(asked.items);
   p.items_high = static_cast<std::uint32_t>(asked.items >> 32);

@@ -35,12 +35,6 @@ constexpr float kCutRatio = 1.2f;
 // Maps wait for each other, paths that read none for nothing: these fill what the others leave free.
 constexpr int kFirst = 1;
 
-std::uint32_t low(std::uint64_t value) { return static_cast<std::uint32_t>(value); }
-std::uint32_t high(std::uint64_t value) { return static_cast<std::uint32_t>(value >> 32); }
-std::string numbered(const char* name, std::uint64_t number) {
-  return std::string(name) + "." + std::to_string(number);
-}
-
 struct PhotonSettings {
   std::uint32_t count, caustics, passes, samples, clusters, rays, cut;
   double radius;  // m; 0: by the nearest photons
@@ -308,17 +302,8 @@ void PhotonPlan::ask_clusters(const Artifact& map) {
   p.iterations = kIterations;
   p.seed_low = low(settings_.seed);
   p.seed_high = high(settings_.seed);
-  const Artifact places = graph_.add(
-      {.name = "photon.clusters",
-       .kind = "photon_cluster",
-       .items = 1,
-       .solo = true,
-       .priority = kFirst,
-       .output = {.record_bytes = SPLAT_POINT_WORDS * 4,
-                  .counted = true,
-                  .most_records = static_cast<std::uint32_t>(std::min<std::uint64_t>(cache_.points(), 0xffffffffu)),
-                  .placement = Placement::retain}},
-      p, {{"points", points}});
+  const Artifact places =
+      graph_.add(cache_.choosing("photon.clusters", "photon_cluster", kFirst), p, {{"points", points}});
   graph_.when({places, cut_ ? cut_ : map}, [this, map, points, places] {
     gathered_ = checked_facts(map);
     clusters_ = places.facts<PhotonClusterFacts>();
@@ -334,30 +319,18 @@ void PhotonPlan::ask_clusters(const Artifact& map) {
 
 void PhotonPlan::gather_clusters(const Artifact& map, const Artifact& points, const Artifact& places) {
   PhotonClusterGatherParameters p{};
-  PathParameters& samples = p.records.samples;
-  samples.width = samples.height = samples.samples_per_item = samples.last_item_samples = 1;
-  samples.depth = settings_.depth;
-  samples.seed_low = low(settings_.seed);
-  samples.seed_high = high(settings_.seed);
-  samples.filter = PATH_CLASS_DIFFUSE | PATH_CLASS_CAUSTIC | PATH_CLASS_MIXED;
-  samples.clamp = limit();
-  p.records.records = static_cast<std::uint32_t>(clusters_.places);
-  p.records.polar = strata_.polar;
-  p.records.azimuthal = strata_.azimuthal;
+  p.records = cache_.gather_parameters(clusters_.places, strata_);
+  p.records.samples.filter = PATH_CLASS_DIFFUSE | PATH_CLASS_CAUSTIC | PATH_CLASS_MIXED;
+  p.records.samples.clamp = limit();
   p.estimate = estimate(kGatherNeighbours);
   p.cut_depth = cut_depth();
   std::vector<Graph::Input> inputs = light_of(map);
   inputs.push_back({"places", places});
-  const Artifact cache = graph_.add({.name = "photon.cluster_gather",
-                                     .kind = "photon_cluster_gather",
-                                     .items = clusters_.places,
-                                     .priority = kFirst,
-                                     .work = static_cast<double>(clusters_.places) * strata_.count(),
-                                     .output = {.record_bytes = CACHE_WORDS * 4, .placement = Placement::retain}},
-                                    p, std::move(inputs));
+  const Artifact cache = graph_.add(
+      PixelCache::gathering("photon.cluster_gather", "photon_cluster_gather", kFirst, clusters_.places, strata_), p,
+      std::move(inputs));
   const Artifact shaded = cache_.ask_shading(graph_, "photon", kFirst, points, cache);
-  graph_.on_preview(
-      shaded, [this](auto first, auto count, const Bytes& records) { cache_.draw(film_, first, count, records); });
+  cache_.preview(graph_, film_, shaded);
   graph_.when({shaded}, [this, shaded] { show_clusters(cache_.picture_of(shaded.records())); });
 }
 

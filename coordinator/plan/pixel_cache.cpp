@@ -4,8 +4,6 @@
 #include <bit>
 #include <cmath>
 
-#include "kernels/splat_records.h"
-
 namespace gleaner::coordinator {
 namespace {
 
@@ -68,8 +66,8 @@ Graph::Artifact PixelCache::ask_points(Graph& graph, const std::string& method, 
   p.height = settings_.height;
   p.samples = samples_;
   p.depth = settings_.depth;
-  p.seed_low = static_cast<std::uint32_t>(settings_.seed);
-  p.seed_high = static_cast<std::uint32_t>(settings_.seed >> 32);
+  p.seed_low = low(settings_.seed);
+  p.seed_high = high(settings_.seed);
   return graph.add({.name = method + ".points",
                     .kind = "splat_points",
                     .items = tiles(),
@@ -94,11 +92,47 @@ Graph::Artifact PixelCache::ask_shading(Graph& graph, const std::string& method,
                    p, {{"points", points, Extent::own_items}, {"cache", cache}});
 }
 
-void PixelCache::draw(Accumulator& film, std::uint64_t first, std::uint64_t count, const Bytes& records) const {
-  each_row(first, count, records, settings_.width, settings_.height,
-           [&film](std::uint64_t pixel, const float* rgb, std::uint32_t pixels) {
-             film.draw_pass(pixel, {rgb, std::size_t{3} * pixels});
-           });
+StageSpec PixelCache::choosing(const std::string& name, const char* kind, int priority) const {
+  return {.name = name,
+          .kind = kind,
+          .items = 1,
+          .solo = true,
+          .priority = priority,
+          .output = {.record_bytes = SPLAT_POINT_WORDS * 4,
+                     .counted = true,
+                     .most_records = low(std::min<std::uint64_t>(points(), 0xffffffffu)),
+                     .placement = Placement::retain}};
+}
+
+StageSpec PixelCache::gathering(const std::string& name, const char* kind, int priority, std::uint64_t records,
+                                const Strata& strata) {
+  return {.name = name,
+          .kind = kind,
+          .items = records,
+          .priority = priority,
+          .work = static_cast<double>(records) * strata.count(),
+          .output = {.record_bytes = CACHE_WORDS * 4, .placement = Placement::retain}};
+}
+
+SplatGatherParameters PixelCache::gather_parameters(std::uint64_t records, const Strata& strata) const {
+  SplatGatherParameters p{};
+  p.samples.width = p.samples.height = p.samples.samples_per_item = p.samples.last_item_samples = 1;
+  p.samples.depth = settings_.depth;
+  p.samples.seed_low = low(settings_.seed);
+  p.samples.seed_high = high(settings_.seed);
+  p.records = low(records);
+  p.polar = strata.polar;
+  p.azimuthal = strata.azimuthal;
+  return p;
+}
+
+void PixelCache::preview(Graph& graph, Accumulator& film, const Graph::Artifact& shaded) const {
+  graph.on_preview(shaded, [this, &film](auto first, auto count, const Bytes& records) {
+    each_row(first, count, records, settings_.width, settings_.height,
+             [&film](std::uint64_t pixel, const float* rgb, std::uint32_t pixels) {
+               film.draw_pass(pixel, {rgb, std::size_t{3} * pixels});
+             });
+  });
 }
 
 std::vector<float> PixelCache::picture_of(const Bytes& records) const {

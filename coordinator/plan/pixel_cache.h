@@ -8,6 +8,7 @@
 
 #include "coordinator/film/accumulator.h"
 #include "coordinator/plan/graph.h"
+#include "kernels/splat_records.h"
 
 namespace gleaner::coordinator {
 
@@ -37,8 +38,16 @@ class PixelCache {
   Graph::Artifact ask_shading(Graph& graph, const std::string& method, int priority, const Graph::Artifact& points,
                               const Graph::Artifact& cache) const;
 
-  // Of shaded tiles: to the preview, and as a picture (RGB of each pixel).
-  void draw(Accumulator& film, std::uint64_t first, std::uint64_t count, const Bytes& records) const;
+  // The solo stage that chooses, among the points, where light is gathered.
+  StageSpec choosing(const std::string& name, const char* kind, int priority) const;
+  // The stage that gathers at so many places, and its parameters: filter and clamp are the method's.
+  static StageSpec gathering(const std::string& name, const char* kind, int priority, std::uint64_t records,
+                             const Strata& strata);
+  kernels::SplatGatherParameters gather_parameters(std::uint64_t records, const Strata& strata) const;
+
+  // The live preview shows the tiles while they are shaded.
+  void preview(Graph& graph, Accumulator& film, const Graph::Artifact& shaded) const;
+  // Of shaded tiles, RGB of each pixel.
   std::vector<float> picture_of(const Bytes& records) const;
 
  private:

@@ -1,9 +1,7 @@
 #include "coordinator/plan/splat_plan.h"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <nlohmann/json.hpp>
 
@@ -83,13 +81,11 @@ class SplatPlan final : public GraphPlan {
     return most && settings_.depth ? std::min(most, settings_.depth) : std::max(most, settings_.depth);
   }
 
-  double gather_work(double records) const { return records * strata_.count(); }
   double own_work() const;
 
   void begin() override;
   Artifact ask_places(const Artifact& points);
   void gather(const Artifact& points, const Artifact& places);
-  void shade(const Artifact& points, const Artifact& cache);
 
   FrameSettings settings_;
   SplatSettings splat_;
@@ -133,7 +129,7 @@ double SplatPlan::own_work() const {
   const double records = chosen_
                              ? static_cast<double>(facts_.records)
                              : usual_records(static_cast<double>(cache_.points()) / cache_.samples(), splat_.accuracy);
-  return cache_.work() + gather_work(records);
+  return cache_.work() + records * strata_.count();
 }
 
 Artifact SplatPlan::ask_places(const Artifact& points) {
@@ -146,44 +142,18 @@ Artifact SplatPlan::ask_places(const Artifact& points) {
   p.probe_rays = std::min(kMostProbeRays, (splat_.rays + 15) / 16 * 16);
   p.least_radius = kLeastRadius;
   p.most_radius = std::max(kLeastRadius, kMostRadiusOfWidth * static_cast<float>(settings_.width));
-  return graph_.add(
-      {.name = "splat.select",
-       .kind = "splat_select",
-       .items = 1,
-       .solo = true,
-       .priority = kFirst,
-       .output = {.record_bytes = SPLAT_POINT_WORDS * 4,
-                  .counted = true,
-                  .most_records = static_cast<std::uint32_t>(std::min<std::uint64_t>(cache_.points(), 0xffffffffu)),
-                  .placement = Placement::retain}},
-      p, {{"points", points}});
+  return graph_.add(cache_.choosing("splat.select", "splat_select", kFirst), p, {{"points", points}});
 }
 
 void SplatPlan::gather(const Artifact& points, const Artifact& places) {
-  SplatGatherParameters p{};
-  p.samples.width = p.samples.height = p.samples.samples_per_item = p.samples.last_item_samples = 1;
+  SplatGatherParameters p = cache_.gather_parameters(facts_.records, strata_);
   p.samples.depth = depth();
-  p.samples.seed_low = static_cast<std::uint32_t>(settings_.seed);
-  p.samples.seed_high = static_cast<std::uint32_t>(settings_.seed >> 32);
   p.samples.filter = PATH_CLASS_IRRADIANCE;
   p.samples.clamp = std::numeric_limits<float>::infinity();
-  p.records = static_cast<std::uint32_t>(facts_.records);
-  p.polar = strata_.polar;
-  p.azimuthal = strata_.azimuthal;
-  const Artifact cache = graph_.add({.name = "splat.gather",
-                                     .kind = "splat_gather",
-                                     .items = facts_.records,
-                                     .priority = kFirst,
-                                     .work = gather_work(static_cast<double>(facts_.records)),
-                                     .output = {.record_bytes = CACHE_WORDS * 4, .placement = Placement::retain}},
-                                    p, {{"places", places}});
-  shade(points, cache);
-}
-
-void SplatPlan::shade(const Artifact& points, const Artifact& cache) {
+  const Artifact cache = graph_.add(
+      PixelCache::gathering("splat.gather", "splat_gather", kFirst, facts_.records, strata_), p, {{"places", places}});
   const Artifact shaded = cache_.ask_shading(graph_, "splat", kFirst, points, cache);
-  graph_.on_preview(
-      shaded, [this](auto first, auto count, const Bytes& records) { cache_.draw(film_, first, count, records); });
+  cache_.preview(graph_, film_, shaded);
   graph_.when({shaded}, [this, shaded] { film_.add_pass(cache_.picture_of(shaded.records())); });
 }
 

@@ -101,6 +101,15 @@ struct StageSpec {
   StageOutput output;
 };
 
+// The words of a number of 64 bits, as stages' parameters have it.
+inline std::uint32_t low(std::uint64_t number) { return static_cast<std::uint32_t>(number); }
+inline std::uint32_t high(std::uint64_t number) { return static_cast<std::uint32_t>(number >> 32); }
+
+// Names of stages that a method asks for several times.
+inline std::string numbered(const std::string& name, std::uint64_t number) {
+  return name + "." + std::to_string(number);
+}
+
 // Its predicted cost, in samples of a path tracer.
 inline double work_of(const StageSpec& stage) { return stage.work > 0 ? stage.work : static_cast<double>(stage.items); }
 

@@ -53,12 +53,6 @@ constexpr float kUnbounded = std::numeric_limits<float>::infinity();
 constexpr Placement kRetain = Placement::retain;
 constexpr Extent kOwnItems = Extent::own_items;
 
-std::uint32_t low(std::uint64_t seed) { return static_cast<std::uint32_t>(seed); }
-std::uint32_t high(std::uint64_t seed) { return static_cast<std::uint32_t>(seed >> 32); }
-std::string numbered(const char* name, std::uint64_t number) {
-  return std::string(name) + "." + std::to_string(number);
-}
-
 StageOutput retained(std::size_t record_bytes, bool reusable) {
   return {.record_bytes = static_cast<std::uint32_t>(record_bytes), .placement = kRetain, .reusable = reusable};
 }

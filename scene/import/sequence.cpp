@@ -1,7 +1,6 @@
 #include "scene/import/sequence.h"
 
 #include <algorithm>
-#include <cstring>
 #include <filesystem>
 #include <system_error>
 #include <utility>
@@ -13,11 +12,6 @@ namespace gleaner::scene {
 namespace fs = std::filesystem;
 
 namespace {
-
-template <typename Record>
-bool same_bytes(const std::vector<Record>& a, const std::vector<Record>& b) {
-  return a.size() == b.size() && (a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(Record)) == 0);
-}
 
 // All but where the vertices are and how they face.
 bool same_mesh(const Scene& a, const Scene& b) {

@@ -57,11 +57,6 @@ void replace(const std::vector<std::uint32_t>& indices, const std::vector<Record
   }
 }
 
-template <typename Value>
-bool same_bytes(const std::vector<Value>& a, const std::vector<Value>& b) {
-  return a.size() == b.size() && (a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(Value)) == 0);
-}
-
 // Whether both states say the same of a mesh. `before` may be empty: nothing was shown.
 bool is_same_pose(const PosedMesh& mesh, const FrameState& before, const FrameState& state) {
   if (before.matrices.size() != state.matrices.size()) return false;
@@ -182,10 +177,8 @@ std::vector<std::uint32_t> PosedScene::pose(const FrameState& state, const std::
   std::vector<std::uint32_t> moved;
   for (const PosedMesh& mesh : rig.meshes) {
     if (is_same_pose(mesh, *state_, state)) continue;
-    const std::vector<Mesh>& meshes = base_->meshes;
-    const std::uint32_t end = mesh.first_triangle + mesh.triangle_count;
-    for (std::uint32_t m = mesh_of(*base_, mesh); m < meshes.size() && meshes[m].first_triangle < end; ++m)
-      if (meshes[m].triangle_count > 0 && (moved.empty() || moved.back() != m)) moved.push_back(m);
+    for (const std::uint32_t m : meshes_of(*base_, mesh))
+      if (base_->meshes[m].triangle_count > 0 && (moved.empty() || moved.back() != m)) moved.push_back(m);
     in_runs(mesh.vertex_count, threads, [&](std::size_t first, std::size_t count) {
       pose_vertices(rig, mesh, state, first, count, mutable_->positions, mutable_->normals);
     });

@@ -77,11 +77,9 @@ class RigChecker {
     for (std::size_t i = m.first_influence; i < m.first_influence + influences; ++i)
       if (rig_.joints[i] >= m.matrix_count)
         fail(item("rig.joints", i), "a joint below " + std::to_string(m.matrix_count), std::to_string(rig_.joints[i]));
-    if (m.triangle_count > 0)
-      for (std::uint32_t k = mesh_of(scene_, m);
-           k < scene_.meshes.size() && scene_.meshes[k].first_triangle < m.first_triangle + m.triangle_count; ++k)
-        if (!scene_.meshes[k].deforming)
-          fail(name + ".triangles", "triangles of meshes that deform", item("meshes", k) + ", which does not");
+    for (const std::uint32_t k : meshes_of(scene_, m))
+      if (!scene_.meshes[k].deforming)
+        fail(name + ".triangles", "triangles of meshes that deform", item("meshes", k) + ", which does not");
     for (std::size_t t = m.first_target; t < m.first_target + m.target_count; ++t)
       for (const gl_uint first : {rig_.targets[t].positions, rig_.targets[t].normals})
         if (first != GLEANER_NONE)
@@ -122,19 +120,21 @@ class RigChecker {
 
 }  // namespace
 
-std::uint32_t mesh_of(const Scene& scene, const PosedMesh& posed) {
+std::vector<std::uint32_t> meshes_of(const Scene& scene, const PosedMesh& posed) {
+  std::vector<std::uint32_t> found;
+  if (posed.triangle_count == 0) return found;
   const auto after = std::upper_bound(scene.meshes.begin(), scene.meshes.end(), posed.first_triangle,
                                       [](std::uint32_t t, const Mesh& mesh) { return t < mesh.first_triangle; });
   // Of meshes that begin at one triangle, all but the last are empty.
-  return after == scene.meshes.begin() ? 0 : static_cast<std::uint32_t>(after - scene.meshes.begin() - 1);
+  auto m = after == scene.meshes.begin() ? 0 : static_cast<std::uint32_t>(after - scene.meshes.begin() - 1);
+  const std::uint32_t end = posed.first_triangle + posed.triangle_count;
+  for (; m < scene.meshes.size() && scene.meshes[m].first_triangle < end; ++m) found.push_back(m);
+  return found;
 }
 
 void mark_deforming(Scene& scene) {
   for (const PosedMesh& posed : scene.rig.meshes)
-    if (posed.triangle_count > 0)
-      for (std::uint32_t m = mesh_of(scene, posed);
-           m < scene.meshes.size() && scene.meshes[m].first_triangle < posed.first_triangle + posed.triangle_count; ++m)
-        scene.meshes[m].deforming = true;
+    for (const std::uint32_t m : meshes_of(scene, posed)) scene.meshes[m].deforming = true;
 }
 
 void validate_rig(const Scene& scene, const std::string& file) { RigChecker(scene, file).run(); }

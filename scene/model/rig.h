@@ -45,7 +45,7 @@ struct Rig {
 struct Scene;
 // Marks the meshes that the scene's rig poses as such that deform (Mesh::deforming): who makes a rig calls it last.
 void mark_deforming(Scene& scene);
-// The scene's mesh that holds the posed mesh's triangles. Of one without triangles: any.
-std::uint32_t mesh_of(const Scene& scene, const PosedMesh& posed);
+// The scene's meshes that hold the posed mesh's triangles, rising. Of one without triangles: none.
+std::vector<std::uint32_t> meshes_of(const Scene& scene, const PosedMesh& posed);
 
 }  // namespace gleaner::scene

@@ -4,6 +4,7 @@
 
 #include <array>
 #include <cstdint>
+#include <cstring>
 #include <string>
 #include <vector>
 
@@ -123,6 +124,12 @@ struct Bounds {
   std::array<float, 3> lower{}, upper{};
 };
 Bounds bounds_of(const Scene& scene);
+
+// Whether two arrays of records are the same to the bit.
+template <typename Record>
+bool same_bytes(const std::vector<Record>& a, const std::vector<Record>& b) {
+  return a.size() == b.size() && (a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(Record)) == 0);
+}
 
 // White and rough, of no specular lobe and without textures; alpha 1, cutoff 0.5, ior 1.5.
 Material blank_material();

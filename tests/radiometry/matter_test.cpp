@@ -309,36 +309,46 @@ TEST(Matter, NoMethodCarriesPunctualLightThroughSolids) {
 
 // --- Frosted glass ---
 
-// Light samples and scattered rays through rough glass, thin and solid, add up to what scattered rays alone find.
+// Beneath what `build` adds, a floor under a lamp: light samples and scattered rays add up to what scattered rays alone
+// find, where the lamp is a surface that takes no light samples.
+void expect_lit_alike(const std::string& name, const std::function<void(SceneBuilder&)>& build, double least_p) {
+  double mean[2], error[2];
+  for (const bool unlit : {false, true}) {
+    SceneBuilder b("lit alike");
+    build(b);
+    Material light = scene::emitter(grey(1));
+    if (unlit) {
+      light = scene::lambert(grey(1));
+      light.flags |= GLEANER_MATERIAL_UNLIT;
+    }
+    b.mesh("lamp");
+    b.quad({-0.7, 1.4, -0.7}, {0.7, 1.4, -0.7}, {0.7, 1.4, 0.7}, {-0.7, 1.4, 0.7}, b.material("lamp", light));
+    const Sample seen = floor_picture(b, 512, TraceKind::automatic, 6).mean(1);
+    mean[unlit] = seen.mean;
+    error[unlit] = seen.standard_error();
+  }
+  const double t = (mean[0] - mean[1]) / std::hypot(error[0], error[1]);
+  std::printf("  %s: %.5f +- %.5f with light samples, %.5f +- %.5f without, t = %.2f\n", name.c_str(), mean[0],
+              error[0], mean[1], error[1], t);
+  EXPECT_GE(student_p(t, 511), least_p) << name;
+  EXPECT_LT(error[0], error[1]) << name << ": light samples are worth nothing";
+  EXPECT_LT(std::hypot(error[0], error[1]), 0.03 * mean[1]) << name << ": too noisy to prove anything";
+}
+
+// Thin and solid.
 TEST(Matter, RoughGlassIsLitAlike) {
   for (const bool solid : {false, true})
     for (const double roughness : {0.3, 0.7}) {
-      double mean[2], error[2];
-      for (const bool unlit : {false, true}) {
-        SceneBuilder b("frosted");
+      const auto build = [&](SceneBuilder& b) {
         b.mesh("glass");
         const Material glass = solid ? scene::solid_glass(1.5, roughness) : pane(grey(0.9), roughness);
         if (solid)
           b.box({0, 0.6, 0}, {2, 0.2, 2}, 0, b.material("glass", glass));
         else
           level(b, 0.6, b.material("glass", glass), 2);
-        Material light = scene::emitter(grey(1));
-        if (unlit) {
-          light = scene::lambert(grey(1));
-          light.flags |= GLEANER_MATERIAL_UNLIT;
-        }
-        b.mesh("lamp");
-        b.quad({-0.7, 1.4, -0.7}, {0.7, 1.4, -0.7}, {0.7, 1.4, 0.7}, {-0.7, 1.4, 0.7}, b.material("lamp", light));
-        const Sample seen = floor_picture(b, 512, TraceKind::automatic, 6).mean(1);
-        mean[unlit] = seen.mean;
-        error[unlit] = seen.standard_error();
-      }
-      const double t = (mean[0] - mean[1]) / std::hypot(error[0], error[1]);
-      std::printf("  %s, roughness %.1f: %.5f +- %.5f with light samples, %.5f +- %.5f without, t = %.2f\n",
-                  solid ? "solid" : "sheet", roughness, mean[0], error[0], mean[1], error[1], t);
-      EXPECT_GE(student_p(t, 511), sidak(kFamily, 4));
-      EXPECT_LT(error[0], error[1]) << "light samples are worth nothing";
-      EXPECT_LT(std::hypot(error[0], error[1]), 0.03 * mean[1]) << "too noisy to prove anything";
+      };
+      expect_lit_alike((solid ? "solid, roughness " : "sheet, roughness ") + std::to_string(roughness), build,
+                       sidak(kFamily, 4));
     }
 }
 
@@ -617,30 +627,12 @@ TEST(Matter, LightShinesThroughSheets) {
   }
 }
 
-// Light samples through a glossy sheet, and scattered rays, add up to what scattered rays alone find.
 TEST(Matter, SheetsThatShineAreLitAlike) {
-  double mean[2], error[2];
-  for (const bool unlit : {false, true}) {
-    SceneBuilder b("lampshade");
+  const auto build = [](SceneBuilder& b) {
     b.mesh("shade");
     level(b, 0.6, b.material("shade", shining(scene::dielectric(grey(0.5), 0.3), 0.7, 0.9)), 2);
-    Material light = scene::emitter(grey(1));
-    if (unlit) {
-      light = scene::lambert(grey(1));
-      light.flags |= GLEANER_MATERIAL_UNLIT;
-    }
-    b.mesh("lamp");
-    b.quad({-0.7, 1.4, -0.7}, {0.7, 1.4, -0.7}, {0.7, 1.4, 0.7}, {-0.7, 1.4, 0.7}, b.material("lamp", light));
-    const Sample seen = floor_picture(b, 512, TraceKind::automatic, 6).mean(1);
-    mean[unlit] = seen.mean;
-    error[unlit] = seen.standard_error();
-  }
-  const double t = (mean[0] - mean[1]) / std::hypot(error[0], error[1]);
-  std::printf("  %.5f +- %.5f with light samples, %.5f +- %.5f without, t = %.2f\n", mean[0], error[0], mean[1],
-              error[1], t);
-  EXPECT_GE(student_p(t, 511), kFamily);
-  EXPECT_LT(error[0], error[1]) << "light samples are worth nothing";
-  EXPECT_LT(std::hypot(error[0], error[1]), 0.03 * mean[1]) << "too noisy to prove anything";
+  };
+  expect_lit_alike("glossy sheet that light shines through", build, kFamily);
 }
 
 TEST(Matter, PaperWindowByPathAndVpl) {

@@ -354,7 +354,7 @@ TEST(Photon, CutIsRefinedWhereItIsOff) {
   EXPECT_LT(cut.median_radius(), radius);
   irradiance.assign(cut.size(), {});
   for (std::size_t i = 0; i < cut.size(); ++i) irradiance[i][1] = static_cast<float>(i);
-  const std::vector<std::uint32_t> rows = cut.rows(irradiance);
+  const std::vector<std::uint32_t> rows = cut.rows(cut.places(), irradiance);
   ASSERT_EQ(rows.size(), std::size_t{map[MAP_NODES]} * CUT_WORDS);
   std::size_t leaves = 0;
   for (std::size_t row = 0; row < rows.size() / CUT_WORDS; ++row) {

@@ -27,6 +27,15 @@ constexpr double kHalf = 0.70710678118654752;  // of a quarter turn's quaternion
 class Gltf : public testing::Test {
  protected:
   Scene read(const GltfFile& file) { return import_text(folder_, "scene.glb", file.glb()); }
+  // A triangle with texture coordinates, and a texture.
+  GltfFile textured_file() {
+    GltfFile file = triangle_file();
+    file.primitive()["attributes"]["TEXCOORD_0"] = file.add<float>({0, 0, 1, 0, 0, 1}, 5126, "VEC2");
+    folder_.write_image("t.png", 1, 1, 4, {1, 1, 1, 1});
+    file.json["images"] = {{{"uri", "t.png"}}};
+    file.json["textures"] = {{{"source", 0}}};
+    return file;
+  }
   // As far as a test sees: without the warning about the missing camera.
   std::vector<std::string> warnings(const Scene& scene) {
     std::vector<std::string> all;
@@ -415,11 +424,7 @@ TEST_F(Gltf, Materials) {
 }
 
 TEST_F(Gltf, CoatSheenGrainAndFilm) {
-  GltfFile file = triangle_file();
-  file.primitive()["attributes"]["TEXCOORD_0"] = file.add<float>({0, 0, 1, 0, 0, 1}, 5126, "VEC2");
-  folder_.write_image("t.png", 1, 1, 4, {1, 1, 1, 1});
-  file.json["images"] = {{{"uri", "t.png"}}};
-  file.json["textures"] = {{{"source", 0}}};
+  GltfFile file = textured_file();
   const json texture = {{"index", 0}};
   json coated, woven, brushed, oily, off;
   coated["extensions"]["KHR_materials_clearcoat"] = {{"clearcoatFactor", 0.5},
@@ -503,11 +508,7 @@ TEST_F(Gltf, PrimitivesWithoutMaterialGetTheDefault) {
 }
 
 TEST_F(Gltf, LightShinesThrough) {
-  GltfFile file = triangle_file();
-  file.primitive()["attributes"]["TEXCOORD_0"] = file.add<float>({0, 0, 1, 0, 0, 1}, 5126, "VEC2");
-  folder_.write_image("t.png", 1, 1, 4, {1, 1, 1, 1});
-  file.json["images"] = {{{"uri", "t.png"}}};
-  file.json["textures"] = {{{"source", 0}}};
+  GltfFile file = textured_file();
   const json texture = {{"index", 0}};
   json leaf, off;
   leaf["extensions"]["KHR_materials_diffuse_transmission"] = {{"diffuseTransmissionFactor", 0.25},

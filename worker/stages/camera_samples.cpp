@@ -81,7 +81,7 @@ void resolve(const StageRun& run, cl::CommandQueue& queue, const SamplePart& par
 
 }  // namespace
 
-void check_sample_parameters(const StageRun& run, const PathParameters& p) {
+void check_sample_parameters(const StageRun& run, const PathParameters& p, std::uint32_t classes) {
   run.check_film(p.camera, p.width, p.height);
   if (!std::has_single_bit(p.samples_per_item) || p.samples_per_item > GLEANER_PATH_MAX_ITEM_SAMPLES)
     throw Error::bad_input(run.where(), "samples_per_item",
@@ -90,12 +90,10 @@ void check_sample_parameters(const StageRun& run, const PathParameters& p) {
   if (p.last_item_samples == 0 || p.last_item_samples > p.samples_per_item)
     throw Error::bad_input(run.where(), "last_item_samples", "1 to samples_per_item",
                            std::to_string(p.last_item_samples));
-  if (p.filter & ~(PATH_CLASSES | PATH_CLASS_LAYER) && p.filter != PATH_CLASS_RADIOSITY &&
-      p.filter != PATH_CLASS_IRRADIANCE)
+  if (p.filter & ~classes && p.filter != PATH_CLASS_RADIOSITY && p.filter != PATH_CLASS_IRRADIANCE)
     throw Error::bad_input(run.where(), "filter",
-                           "classes of light, up to " + std::to_string(PATH_CLASSES) + " with or without " +
-                               std::to_string(PATH_CLASS_LAYER) + ", or " + std::to_string(PATH_CLASS_RADIOSITY) +
-                               " or " + std::to_string(PATH_CLASS_IRRADIANCE),
+                           "classes of light within " + std::to_string(classes) + ", or " +
+                               std::to_string(PATH_CLASS_RADIOSITY) + " or " + std::to_string(PATH_CLASS_IRRADIANCE),
                            std::to_string(p.filter));
   if (p.filter && !(p.clamp > 0))
     throw Error::bad_input(run.where(), "clamp", "a number above 0", std::to_string(p.clamp));

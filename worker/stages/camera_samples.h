@@ -15,8 +15,10 @@
 
 namespace gleaner::worker {
 
-// Throws Error::bad_input for parameters that are out of range, and for a batch that is not of the stage.
-void check_sample_parameters(const StageRun& run, const kernels::PathParameters& parameters);
+// Throws Error::bad_input for parameters that are out of range, and for a batch that is not of the stage. `classes`: of
+// light, PATH_CLASS_..., that the stage's filter may leave out.
+void check_sample_parameters(const StageRun& run, const kernels::PathParameters& parameters,
+                             std::uint32_t classes = PATH_CLASSES);
 
 // Items that run together, and the buffers that their host threads share.
 struct SamplePart {

@@ -1,7 +1,5 @@
 #include "worker/stages/path_stage.h"
 
-#include "scene/model/error.h"
-
 namespace gleaner::worker {
 
 using kernels::PathParameters;
@@ -31,8 +29,6 @@ std::uint32_t PathThread::step(const RayRange& range, std::uint32_t fresh) {
 BatchResult run_path_stage(const StageRun& run) {
   const auto p = run.parameters<PathParameters>();
   check_sample_parameters(run, p);
-  if (p.filter & PATH_CLASS_LAYER)
-    throw Error::bad_input(run.where(), "filter", "no light of photon maps' clusters", std::to_string(p.filter));
   return run_samples(run, p, run.build("path.cl", p.filter ? " -D PATH_FILTER=" + std::to_string(p.filter) : ""),
                      [&](const SamplePart& part, WorkQueue& work, unsigned index) {
                        return std::make_unique<PathThread>(part, run.workspace, work, index);

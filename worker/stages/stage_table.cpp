@@ -42,13 +42,8 @@ const std::vector<StageKind>& stage_table() {
        run_photon_trace_stage,
        {"kernels/photon/trace.cl"},
        {},
-       // With both maps and clusters.
-       {{.file = "kernels/splat/points.cl"},
-        {.file = "kernels/cluster.cl", .options = " -D FUZZINESS=1 -D WITH_NORMALS", .plain = true},
-        {.file = "kernels/photon/cluster_gather.cl", .options = " -D PATH_FILTER=7"},
-        {.file = "kernels/photon/gather.cl", .options = " -D PATH_FILTER=71"},
-        {.file = "kernels/photon/caustics.cl"},
-        {.file = "kernels/splat/shade.cl"}}},
+       // With both maps, and without clusters.
+       {{.file = "kernels/photon/gather.cl", .options = " -D PATH_FILTER=7"}, {.file = "kernels/photon/caustics.cl"}}},
       {"photon_map", on_host<build_photon_map>, {}, {{.name = "photons"}}},
       {"photon_gather",
        run_photon_gather_stage,

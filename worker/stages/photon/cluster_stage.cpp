@@ -86,8 +86,7 @@ std::vector<ClusterSample> cluster(const StageRun& run, const PhotonClusterParam
   places.reserve(data.members.size());
   for (const ClusterMember& member : data.members) places.push_back(member.screen);
   const std::uint64_t key = wide(p.seed_high, p.seed_low);
-  const std::vector<std::uint32_t> seeds =
-      seeds_by_variation(data.rows, kDatumWords, std::move(places), p.clusters, key);
+  const std::vector<std::uint32_t> seeds = seeds_by_variation(data.rows, kDatumWords, places, p.clusters, key);
   constexpr ClusterMetric metric = ClusterMetric::distance_and_normal;
   KMeans means(run, data.rows, kDatumWords,
                {.clusters = static_cast<std::uint32_t>(seeds.size()),

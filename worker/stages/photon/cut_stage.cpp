@@ -26,6 +26,11 @@ using Irradiance = std::vector<std::array<float, 3>>;
 constexpr std::uint32_t kPlaces = 1u << 12;
 constexpr std::size_t kSlotWords = FILTERED_SLOT_WORDS;
 
+// Of the clusters' gather, as that stage builds it: compiled once for both.
+std::string gather_options() {
+  return " -D PATH_FILTER=" + std::to_string(PATH_CLASS_DIFFUSE | PATH_CLASS_CAUSTIC | PATH_CLASS_MIXED);
+}
+
 PhotonCutParameters read_parameters(const StageRun& run) {
   const auto p = run.parameters<PhotonCutParameters>();
   if (p.nodes == 0 || p.nodes > PHOTON_MOST_CUT)
@@ -54,7 +59,7 @@ class Estimates {
       : queue_(run.device.make_queue()),
         reads_(run.workspace.take("cut.reads", std::size_t{kPlaces} * READ_WORDS * 4)),
         slots_(run.workspace.take("cut.slots", (std::size_t{kPlaces} + 1) * kSlotWords * 4)),
-        read_(run.device, run.build("cluster_gather.cl", " -D PATH_FILTER=7"), "photon_read") {
+        read_(run.device, run.build("cluster_gather.cl", gather_options()), "photon_read") {
     run.scene.set_arguments(read_);
     map.set_arguments(read_, "map");
     no_cut().set_arguments(read_);
@@ -120,14 +125,16 @@ BatchResult run_photon_cut_stage(const StageRun& run) {
   Estimates estimates(run, p, *map);
   PhotonCutFacts facts;
   cut.choose(p.nodes);
-  Irradiance irradiance = estimates.at(cut.places());
+  std::vector<CutPlace> places = cut.places();
+  Irradiance irradiance = estimates.at(places);
   for (std::uint32_t round = 0; round < p.rounds; ++round) {
     const std::size_t opened = cut.refine(irradiance, p.ratio);
     if (opened == 0) break;
     facts.opened += opened;
-    irradiance = estimates.at(cut.places());
+    places = cut.places();
+    irradiance = estimates.at(places);
   }
-  const std::vector<std::uint32_t> rows = cut.rows(irradiance);
+  const std::vector<std::uint32_t> rows = cut.rows(places, irradiance);
   facts.nodes = cut.size();
   facts.radius = cut.median_radius();
   BatchResult result;

@@ -14,7 +14,7 @@ using kernels::PhotonGatherParameters;
 
 PhotonGatherParameters read_parameters(const StageRun& run) {
   const auto p = run.parameters<PhotonGatherParameters>();
-  check_sample_parameters(run, p.samples);
+  check_sample_parameters(run, p.samples, PATH_CLASSES | PATH_CLASS_LAYER);
   check_photon_gather(run, p.samples);
   check_photon_estimate(run, p.estimate);
   return p;

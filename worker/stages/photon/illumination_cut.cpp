@@ -147,12 +147,12 @@ double IlluminationCut::median_radius() const {
   return double{*middle};
 }
 
-std::vector<std::uint32_t> IlluminationCut::rows(const std::vector<std::array<float, 3>>& irradiance) const {
+std::vector<std::uint32_t> IlluminationCut::rows(const std::vector<CutPlace>& places,
+                                                 const std::vector<std::array<float, 3>>& irradiance) const {
   std::vector<std::uint32_t> rows;
   rows.reserve(2 * cut_.size() * CUT_WORDS);
-  const std::vector<CutPlace> all = places();
   std::size_t next = 0;
-  write(0, irradiance, all, next, rows);
+  write(0, irradiance, places, next, rows);
   return rows;
 }
 

@@ -26,12 +26,12 @@ class IlluminationCut {
   std::size_t refine(const std::vector<std::array<float, 3>>& irradiance, double ratio);
 
   std::size_t size() const { return cut_.size(); }
-  double rough_irradiance(std::size_t i) const {
-    return irradiance(cut_[i]);
-  }                              // of one of places(), eq. 3, all colours
+  // Of one of places(), by eq. 3, all colours.
+  double rough_irradiance(std::size_t i) const { return irradiance(cut_[i]); }
   double median_radius() const;  // m
-  // Rows of CUT_WORDS: the tree down to the cut.
-  std::vector<std::uint32_t> rows(const std::vector<std::array<float, 3>>& irradiance) const;
+  // Rows of CUT_WORDS: the tree down to the cut. `places`: places().
+  std::vector<std::uint32_t> rows(const std::vector<CutPlace>& places,
+                                  const std::vector<std::array<float, 3>>& irradiance) const;
 
  private:
   std::uint32_t word(std::size_t node, unsigned word) const;

@@ -22,7 +22,7 @@ std::uint64_t morton2(std::uint32_t x, std::uint32_t y) {
 
 class Quadtree {
  public:
-  Quadtree(std::span<const float> data, std::size_t stride, const std::vector<ScreenPoint>& points, std::uint64_t key)
+  Quadtree(std::span<const float> data, std::size_t stride, std::span<const ScreenPoint> points, std::uint64_t key)
       : data_(data), stride_(stride), key_(key) {
     points_.reserve(points.size());
     for (const ScreenPoint& point : points) points_.push_back({morton2(point.x, point.y), point.row});
@@ -135,7 +135,7 @@ class Quadtree {
 }  // namespace
 
 std::vector<std::uint32_t> seeds_by_variation(std::span<const float> data, std::size_t stride,
-                                              std::vector<ScreenPoint> points, std::uint32_t clusters,
+                                              std::span<const ScreenPoint> points, std::uint32_t clusters,
                                               std::uint64_t key) {
   return Quadtree(data, stride, points, key).seeds(clusters);
 }

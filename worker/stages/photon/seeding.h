@@ -17,7 +17,7 @@ struct ScreenPoint {
 // one seed takes one of its points at random, by `key`. `data`: rows of `stride` words, position (multiplied by alpha)
 // and normal first.
 std::vector<std::uint32_t> seeds_by_variation(std::span<const float> data, std::size_t stride,
-                                              std::vector<ScreenPoint> points, std::uint32_t clusters,
+                                              std::span<const ScreenPoint> points, std::uint32_t clusters,
                                               std::uint64_t key);
 
 }  // namespace gleaner::worker
