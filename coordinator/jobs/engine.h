@@ -99,8 +99,9 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   std::shared_ptr<Job> find(const std::string& id) const;  // mutex held
   std::shared_ptr<Job> accept(const JobRequest& request);  // checks it
   void start_queued();                                     // mutex held
-  bool has_memory_for(const Job& job) const;               // mutex held
-  std::string why_queued(const Job& job) const;            // mutex held
+  std::uint64_t posing_memory(const JobRequest& request);
+  bool has_memory_for(const Job& job) const;     // mutex held
+  std::string why_queued(const Job& job) const;  // mutex held
   // Mutex held. The job has ended: it is shown so, its leases are revoked, the next one may start. What it held is
   // handed out, to be destroyed where the mutex is not held.
   JobRemains end_job(Job& job, JobState state, const std::string& message);
@@ -252,15 +253,18 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   // Why the output is not what the lease asks for; empty: it is. Without the mutex: it reads all of it.
   static std::string misfit(const RunningStage& stage, const Lease& lease, const BatchOutput& output);
   // What of a batch needs its digest: the journal, and what is computed again. The lock is held before and after.
-  void put_on_record(const std::shared_ptr<RunningStage>& stage, WorkerId id, const Lease& lease, const Bytes& image,
-                     bool rechecked, std::unique_lock<std::mutex>& lock);
+  // Returns where the batch lies in the stage's file, if it does.
+  std::optional<std::uint64_t> put_on_record(const std::shared_ptr<RunningStage>& stage, WorkerId id,
+                                             const Lease& lease, const Bytes& image, bool rechecked,
+                                             std::unique_lock<std::mutex>& lock);
   // Mutex held. Puts an accepted batch where its stage's records go.
   void collect(const std::shared_ptr<RunningStage>& stage, const Lease& lease, const Bytes& records,
                std::unique_lock<std::mutex>& lock);
   void collect_counted(const std::shared_ptr<RunningStage>& stage, const Lease& lease, Bytes image);
   void keep(const std::shared_ptr<RunningStage>& stage, Worker& worker, const Lease& lease,
             const BatchOutput::Retained& part);
-  void stream_in(RunningStage& stage, const Lease& lease, Bytes records, std::unique_lock<std::mutex>& lock);
+  void stream_in(RunningStage& stage, const Lease& lease, Bytes records, std::optional<std::uint64_t> on_file,
+                 std::unique_lock<std::mutex>& lock);
   void account(RunningStage& stage, const Worker& worker, const Lease& lease, const BatchCost& cost,
                std::size_t bytes);  // mutex held
   void failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::string& message, bool input_unavailable);

@@ -44,6 +44,7 @@ struct FarmSettings {
   unsigned frames_at_once = 8;
   bool preview = true;                                     // accepted batches are drawn as they come
   std::uint64_t artifact_bytes = std::uint64_t{32} << 30;  // largest result of a stage
+  std::uint64_t arrived_bytes = std::uint64_t{32} << 20;   // of a stage's records that wait for its plan
   std::uint64_t kept_bytes = std::uint64_t{512} << 20;     // of stages' records that later frames may use again
   std::uint64_t retained_bytes = std::uint64_t{8} << 30;  // the same of those that workers retain, all workers together
   // Predicted bytes of the plans that run at the same time: a job that needs more than all of it is refused, one that

@@ -97,6 +97,7 @@ struct WorkerStatus {
 struct FarmTotals {
   std::uint64_t batches_accepted = 0, batches_failed = 0, batches_expired = 0;
   std::uint64_t items_accepted = 0, frames_written = 0;
+  std::uint64_t batches_read_back = 0;  // that waited for their turn on disk
   std::uint64_t batches_rechecked = 0, liars_found = 0;
   double result_lock_seconds = 0;  // for which results held the farm's lock
 };

@@ -36,6 +36,15 @@ std::shared_ptr<Job> Farm::Impl::find(const std::string& id) const {
   return found == jobs.end() ? nullptr : found->second;
 }
 
+// A frame of a scene that moves holds its base and, while it is summarized, a posed copy.
+std::uint64_t Farm::Impl::posing_memory(const JobRequest& request) {
+  std::uint64_t largest = 0;
+  for (const FrameScene& scene : request.scenes)
+    if (!scene.state_blob.empty())
+      if (const auto base = blobs.source(scene.scene_blob)) largest = std::max(largest, base->bytes());
+  return 2 * largest;
+}
+
 std::shared_ptr<Job> Farm::Impl::accept(const JobRequest& request) {
   const std::string frames = std::to_string(request.first_frame) + "-" + std::to_string(request.last_frame);
   if (request.frame_step == 0 || request.last_frame < request.first_frame || frames_of(request) > most_frames)
@@ -60,7 +69,7 @@ std::shared_ptr<Job> Farm::Impl::accept(const JobRequest& request) {
     scenes.resize(1);
   // What a trajectory's frames share is made for one scene.
   if (!request.cameras.empty() && scenes.size() == 1) job->request.settings.trajectory = trajectory_of(request.cameras);
-  job->memory = settings.check(settings_of(job->request, 0), request.scenes.front().summary);
+  job->memory = settings.check(settings_of(job->request, 0), request.scenes.front().summary) + posing_memory(request);
   if (job->memory > settings.memory_bytes)
     throw Error::usage("a frame of " + std::to_string(request.settings.width) + "x" +
                        std::to_string(request.settings.height) + " pixels by " + request.settings.method + " needs " +

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "coordinator/jobs/engine.h"
+#include "coordinator/journal/record_file.h"
 
 namespace gleaner::coordinator {
 
@@ -16,7 +17,6 @@ constexpr std::size_t most_nonfinite_items = 16;  // in a report
 constexpr std::size_t most_facts_bytes = std::size_t{64} << 10;
 constexpr std::uint64_t count_bytes = 4;
 constexpr Seconds unavailable_for = 60;  // that inputs may lack, beyond the time in which a lost worker is noticed
-constexpr std::uint64_t most_arrived = std::uint64_t{32} << 20;  // bytes of a stage that wait for its plan
 
 // Sums of a film's samples must stay finite: a record beyond is no light.
 constexpr int most_exponent = 108;
@@ -138,10 +138,12 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutp
     changed(*stage->frame->job);
   }
   held.stop();
-  if (stage->recheck || stage->file || rechecked) put_on_record(stage, id, lease, output.image, rechecked, lock);
+  std::optional<std::uint64_t> on_file;
+  if (stage->recheck || stage->file || rechecked)
+    on_file = put_on_record(stage, id, lease, output.image, rechecked, lock);
   if (stage->recheck) return outcome.verdict;
   if (stage->streamed())
-    stream_in(*stage, lease, std::move(output.image), lock);
+    stream_in(*stage, lease, std::move(output.image), on_file, lock);
   else if (stage->retained())
     keep(stage, worker->second, lease, *output.part);
   else if (stage->spec.output.counted)
@@ -151,8 +153,9 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutp
   return outcome.verdict;
 }
 
-void Farm::Impl::put_on_record(const std::shared_ptr<RunningStage>& stage, WorkerId id, const Lease& lease,
-                               const Bytes& image, bool rechecked, std::unique_lock<std::mutex>& lock) {
+std::optional<std::uint64_t> Farm::Impl::put_on_record(const std::shared_ptr<RunningStage>& stage, WorkerId id,
+                                                       const Lease& lease, const Bytes& image, bool rechecked,
+                                                       std::unique_lock<std::mutex>& lock) {
   ++stage->writers;  // the stage is not whole before this batch is put away
   const Bytes facts = stage->facts;
   lock.unlock();
@@ -161,11 +164,14 @@ void Farm::Impl::put_on_record(const std::shared_ptr<RunningStage>& stage, Worke
   if (stage->file) range = store(*stage, lease, image, facts, digest);
   lock.lock();
   --stage->writers;
-  if (stage->delivered) return;  // the frame is over, or begins again
+  if (stage->delivered) return std::nullopt;  // the frame is over, or begins again
+  std::optional<std::uint64_t> offset;
+  if (range) offset = range->offset;
   if (range) remember(*stage, id, std::move(*range));
   if (rechecked) recheck(stage, id, lease, digest);
   if (stage->recheck)
     if (const auto worker = workers.find(id); worker != workers.end()) take_recheck(stage, worker->second, digest);
+  return offset;
 }
 
 void Farm::Impl::collect_counted(const std::shared_ptr<RunningStage>& stage, const Lease& lease, Bytes image) {
@@ -213,13 +219,26 @@ void Farm::Impl::collect(const std::shared_ptr<RunningStage>& stage, const Lease
   stage->frame->events.notify_all();
 }
 
-void Farm::Impl::stream_in(RunningStage& stage, const Lease& lease, Bytes records, std::unique_lock<std::mutex>& lock) {
+void Farm::Impl::stream_in(RunningStage& stage, const Lease& lease, Bytes records, std::optional<std::uint64_t> on_file,
+                           std::unique_lock<std::mutex>& lock) {
   Stopwatch held(totals.result_lock_seconds);
-  stage.arrived.put({lease.first, lease.count, std::move(records)});
+  ArrivedRecords::Batch batch{lease.first, lease.count, std::move(records)};
+  const bool full = stage.arrived.bytes() + batch.records.size() > settings.arrived_bytes;
+  if (on_file && full && !stage.arrived.ready() && lease.first != stage.arrived.given()) {
+    // It waits for a batch that is late, and lies in a file anyway: a slow worker costs the coordinator no memory.
+    batch.read = [file = stage.file, offset = *on_file, bytes = batch.records.size()] {
+      return file->read(offset, bytes);
+    };
+    batch.records = {};
+    ++totals.batches_read_back;
+  }
+  stage.arrived.put(std::move(batch));
   stage.frame->events.notify_all();
   // A plan that takes records in more slowly than they arrive holds their workers up; one that waits for a batch that
   // has not arrived does not, or that batch might never come.
-  const auto room = [&] { return stage.delivered || !stage.arrived.ready() || stage.arrived.bytes() <= most_arrived; };
+  const auto room = [&] {
+    return stage.delivered || !stage.arrived.ready() || stage.arrived.bytes() <= settings.arrived_bytes;
+  };
   if (room()) return;
   held.stop();
   const WorkerId id = lease.worker;

@@ -473,17 +473,6 @@ TEST_F(FarmEngine, ATimeLimitEndsTheFrameWithWhatThereIs) {
   EXPECT_EQ(report(farm, job)["time_limit"]["reached"], false);
 }
 
-// Offers of a whole stage, which the worker holds without answering.
-std::vector<Offered> all_of(ScriptedWorker& worker, const std::string& stage, std::size_t batches) {
-  std::vector<Offered> offers;
-  while (offers.size() < batches) {
-    auto offer = worker.next();
-    if (!offer || offer->work->stage != stage) break;
-    offers.push_back(*offer);
-  }
-  return offers;
-}
-
 TEST_F(FarmEngine, StreamedRecordsReachThePlanInItemOrderWhateverOrderTheyArriveIn) {
   FarmSettings many = settings(128);
   many.scheduler.in_flight = 16;

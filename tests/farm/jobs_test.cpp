@@ -198,6 +198,19 @@ TEST_F(FarmJobs, AFrameThatNeedsMoreMemoryThanThereIsIsRefused) {
   EXPECT_TRUE(farm.list().empty());
 }
 
+TEST_F(FarmJobs, AFrameThatMovesHoldsItsSceneToo) {
+  FarmSettings farm_settings = settings();
+  farm_settings.check = [](const FrameSettings&, const SceneSummary&) { return std::uint64_t{100}; };
+  farm_settings.memory_bytes = 1000;
+  Farm farm(farm_settings, blobs_);
+  JobRequest still = request();
+  still.scenes.front().scene_blob = blobs_.put(scene::Bytes(800));
+  JobRequest moving = still;
+  moving.scenes.front().state_blob = blobs_.put(scene::Bytes(10));
+  EXPECT_THROW(farm.submit(moving), Error) << "the base, and a copy of it";
+  EXPECT_NO_THROW(farm.cancel(farm.submit(still)));
+}
+
 TEST_F(FarmJobs, AJobWaitsForTheMemoryOfThoseThatRun) {
   FarmSettings farm_settings = settings();
   farm_settings.active_jobs = 2;

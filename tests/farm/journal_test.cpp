@@ -52,6 +52,27 @@ class FarmJournal : public FarmEngine {
   }
 };
 
+// Records that come long before their turn wait on disk, where the journal put them, and not in memory.
+TEST_F(FarmJournal, WhatWaitsForALateBatchIsReadBack) {
+  FarmSettings many = journaled(128);
+  many.scheduler.in_flight = 16;
+  many.arrived_bytes = 1;
+  Farm farm(many, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  JobRequest streamed = request();
+  streamed.settings.set["stream"] = std::string("1");
+  const std::string job = farm.submit(streamed);
+  for (const Offered& offer : all_of(worker, "scatter", 16)) worker.deliver(offer, worker.compute(offer, blobs_));
+  const std::vector<Offered> gathers = all_of(worker, "gather", 4);
+  ASSERT_THAT(gathers, SizeIs(4));
+  for (const std::size_t i : {2u, 1u, 3u, 0u}) worker.deliver(gathers[i], worker.compute(gathers[i], blobs_));
+  const JobStatus status = end_of(farm, job);
+  ASSERT_EQ(status.state, JobState::done) << status.message;
+  EXPECT_EQ(report(farm, job)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+  EXPECT_EQ(farm.totals().batches_read_back, 3u);
+}
+
 TEST_F(FarmJournal, AnEndedJobIsListedWithItsFiles) {
   std::string done, cancelled;
   {

@@ -116,6 +116,17 @@ class FarmEngine : public testing::Test {
     }
   }
 
+  // Offers of a whole stage, which the worker holds without answering.
+  static std::vector<Offered> all_of(ScriptedWorker& worker, const std::string& stage, std::size_t batches) {
+    std::vector<Offered> offers;
+    while (offers.size() < batches) {
+      auto offer = worker.next();
+      if (!offer || offer->work->stage != stage) break;
+      offers.push_back(*offer);
+    }
+    return offers;
+  }
+
   nlohmann::json report(Farm& farm, const std::string& job, const std::string& extension = ".json",
                         std::size_t skip = 0) {
     for (const auto& path : farm.files(job)) {
