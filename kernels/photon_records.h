@@ -160,6 +160,13 @@ struct PhotonClusterFacts {
   double reach = 0;          // m: the median
 };
 
+// Stage kind "photon_cluster_smooth" (input "records", of stage kind "photon_cluster_gather"); solo. One item: as many
+// rows of the cache as there are records.
+struct PhotonClusterSmoothParameters {
+  std::uint32_t reserved[4] = {};
+};
+static_assert(sizeof(PhotonClusterSmoothParameters) == 16);
+
 // Stage kind "photon_cut" (input "map"); solo. One item: the rows of a cut.
 struct PhotonCutParameters {
   std::uint32_t nodes = 0;   // of the coarse cut

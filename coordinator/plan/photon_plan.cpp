@@ -30,7 +30,7 @@ constexpr std::uint32_t kGlobalPass = 0, kGuidePass = 1, kFirstPass = 2;
 // Rays of a shading cluster's sample, and turns of k-means.
 constexpr std::uint32_t kUsualRays = 384, kIterations = 6;
 // Photons of the estimates at a cut's nodes, rounds of its refinement, and the ratio of section 3.3.
-constexpr std::uint32_t kUsualCut = 0, kCutNeighbours = 64, kCutRounds = 4;
+constexpr std::uint32_t kUsualCut = 0, kCutNeighbours = 24, kCutRounds = 4;
 constexpr float kCutRatio = 1.2f;
 // Maps wait for each other, paths that read none for nothing: these fill what the others leave free.
 constexpr int kFirst = 1;
@@ -326,9 +326,19 @@ void PhotonPlan::gather_clusters(const Artifact& map, const Artifact& points, co
   p.cut_depth = cut_depth();
   std::vector<Graph::Input> inputs = light_of(map);
   inputs.push_back({"places", places});
-  const Artifact cache = graph_.add(
+  const Artifact records = graph_.add(
       PixelCache::gathering("photon.cluster_gather", "photon_cluster_gather", kFirst, clusters_.places, strata_), p,
       std::move(inputs));
+  const Artifact cache = graph_.add({.name = "photon.cluster_smooth",
+                                     .kind = "photon_cluster_smooth",
+                                     .items = 1,
+                                     .solo = true,
+                                     .priority = kFirst,
+                                     .output = {.record_bytes = CACHE_WORDS * 4,
+                                                .counted = true,
+                                                .most_records = low(clusters_.places),
+                                                .placement = Placement::retain}},
+                                    PhotonClusterSmoothParameters{}, {{"records", records}});
   const Artifact shaded = cache_.ask_shading(graph_, "photon", kFirst, points, cache);
   cache_.preview(graph_, film_, shaded);
   graph_.when({shaded}, [this, shaded] { show_clusters(cache_.picture_of(shaded.records())); });

@@ -58,6 +58,7 @@ const std::vector<StageKind>& stage_table() {
        run_photon_cluster_gather_stage,
        {"kernels/photon/cluster_gather.cl"},
        {{.name = "places"}, {.name = "map"}, {.name = "cut", .required = false}}},
+      {"photon_cluster_smooth", on_host<smooth_photon_clusters>, {}, {{.name = "records"}}},
       {"photon_cut", run_photon_cut_stage, {"kernels/photon/cluster_gather.cl"}, {{.name = "map"}}},
       {"vpl_trace",
        run_vpl_trace_stage,

@@ -11,22 +11,19 @@
 namespace gleaner::worker {
 namespace {
 
-// Weights by normals are never less than these by distance, where normals hardly turn.
-constexpr float kLeastTurn = 0.1f;
-
-// R_j is the harmonic mean of the rays' lengths (section 3.4). It is no less than the sample's reach, and small enough
-// that where normals agree the record reaches at most twice as far.
+// R_j is the harmonic mean of the rays' lengths (section 3.4); where they meet nothing, as far as the record may reach.
+// How far it is read, stage photon_cluster_smooth decides.
 CacheRecord cluster_record(const SplatPoint& place, const HemisphereGrid& grid,
                            std::span<const HemisphereSample> samples) {
   const float reach = place.factor[0], turn = place.factor[1];
   float nearness = 0;
   for (const HemisphereSample& sample : samples) nearness += sample.nearness;
-  const float most = reach / std::max(turn, kLeastTurn);
+  const float most = 100 * reach, mean = static_cast<float>(samples.size()) / nearness;
   SplatPoint sized = place;
-  float& radius = sized.factor[0];
-  radius = nearness > 0 ? std::clamp(static_cast<float>(samples.size()) / nearness, std::min(reach, most), most) : most;
-  sized.factor[1] = reach / radius + turn;
-  return cache_record(sized, grid, samples);
+  sized.factor[0] = mean < most ? mean : most;
+  CacheRecord record = cache_record(sized, grid, samples);
+  record.spare = {reach, turn, 0};
+  return record;
 }
 
 }  // namespace
