@@ -29,7 +29,9 @@ FN float cut_irradiance(global const float* cut, uint nodes, const MapPlace* p, 
     if (falloff <= 0.0f) continue;
     float cosine = n[CUT_NORMAL] * p->nx + n[CUT_NORMAL + 1u] * p->ny + n[CUT_NORMAL + 2u] * p->nz;
     if (cosine <= MAP_LEAST_COSINE) continue;
-    float weight = falloff * cosine;
+    // Over r_p^2: nodes have nearly equal power, so that dark ones are wide, and would darken what is bright beside
+    // them.
+    float weight = falloff * cosine * nearness;
     weights += weight;
     r += weight * n[CUT_IRRADIANCE];
     g += weight * n[CUT_IRRADIANCE + 1u];

@@ -24,6 +24,8 @@ using Irradiance = std::vector<std::array<float, 3>>;
 
 // Places a launch.
 constexpr std::uint32_t kPlaces = 1u << 12;
+// Photons of a node at which its irradiance is estimated.
+constexpr std::uint32_t kNodePlaces = 8;
 constexpr std::size_t kSlotWords = FILTERED_SLOT_WORDS;
 
 // Of the clusters' gather, as that stage builds it: compiled once for both.
@@ -115,6 +117,32 @@ class Estimates {
   Kernel read_;
 };
 
+// A node's mean over its area, from estimates at its photons: these lie the denser the brighter it is, so that each
+// counts by one over its estimate.
+Irradiance node_means(const IlluminationCut& cut, const std::vector<CutPlace>& places, Estimates& estimates) {
+  std::vector<CutPlace> spread;
+  std::vector<std::size_t> ends;
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    const std::vector<CutPlace> of_node = cut.spread(i, places[i], kNodePlaces);
+    spread.insert(spread.end(), of_node.begin(), of_node.end());
+    ends.push_back(spread.size());
+  }
+  const Irradiance all = estimates.at(spread);
+  Irradiance means(places.size());
+  std::size_t at = 0;
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    double sum[3] = {}, weights = 0;
+    for (; at < ends[i]; ++at) {
+      const double bright = double{all[at][0]} + all[at][1] + all[at][2];
+      if (!(bright > 0)) continue;
+      for (std::size_t k = 0; k < 3; ++k) sum[k] += double{all[at][k]} / bright;
+      weights += 1 / bright;
+    }
+    for (std::size_t k = 0; k < 3; ++k) means[i][k] = static_cast<float>(weights > 0 ? sum[k] / weights : 0);
+  }
+  return means;
+}
+
 }  // namespace
 
 BatchResult run_photon_cut_stage(const StageRun& run) {
@@ -134,7 +162,7 @@ BatchResult run_photon_cut_stage(const StageRun& run) {
     places = cut.places();
     irradiance = estimates.at(places);
   }
-  const std::vector<std::uint32_t> rows = cut.rows(places, irradiance);
+  const std::vector<std::uint32_t> rows = cut.rows(places, node_means(cut, places, estimates));
   facts.nodes = cut.size();
   facts.radius = cut.median_radius();
   BatchResult result;

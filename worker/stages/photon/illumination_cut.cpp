@@ -14,6 +14,12 @@ namespace gleaner::worker {
 namespace {
 
 constexpr float kLeastRadius = 1e-6f;  // m
+constexpr float kFar = 1e18f;          // m: what lies farther away is no photon (kernels/photon_records.h)
+constexpr float kAlike = 0.7f;         // least cosine between normals of one surface: MAP_LEAST_COSINE of the kernels
+
+float cosine(const std::array<float, 3>& a, const std::array<float, 3>& b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
 
 float component(std::uint32_t bits, unsigned width) {
   const float most = static_cast<float>((1u << width) - 1u);
@@ -94,24 +100,58 @@ double IlluminationCut::irradiance(std::size_t node) const {
   return power_[node] / (r * r);
 }
 
+template <typename See>
+void IlluminationCut::each_photon(std::size_t node, See see) const {
+  for (std::size_t below = node; below < word(node, NODE_SKIP); ++below) {
+    if (!leaf(below)) continue;
+    for (unsigned lane = 0; lane < RAY_BLOCK; ++lane)
+      if (photon(word(below, NODE_BLOCK), lane, 0) < kFar) see(word(below, NODE_BLOCK), lane);
+  }
+}
+
+std::array<float, 3> IlluminationCut::normal(std::uint32_t block, unsigned lane) const {
+  return unpack_unit(std::bit_cast<std::uint32_t>(photon(block, lane, PHOTON_SURFACE)), 12);
+}
+
 CutPlace IlluminationCut::place(std::size_t node) const {
   std::array<float, 3> middle{};
   for (unsigned k = 0; k < 3; ++k) middle[k] = (real(node, NODE_LOWER + k) + real(node, NODE_UPPER + k)) / 2;
   CutPlace best{};
   double nearest = std::numeric_limits<double>::infinity();
-  for (std::size_t below = node; below < word(node, NODE_SKIP); ++below) {
-    if (!leaf(below)) continue;
-    const std::uint32_t block = word(below, NODE_BLOCK);
-    for (unsigned lane = 0; lane < RAY_BLOCK; ++lane) {
-      double off = 0;
-      for (unsigned k = 0; k < 3; ++k) off += std::pow(double{photon(block, lane, k)} - middle[k], 2);
-      if (!(off < nearest)) continue;
-      nearest = off;
-      best.position = {photon(block, lane, 0), photon(block, lane, 1), photon(block, lane, 2)};
-      best.normal = unpack_unit(std::bit_cast<std::uint32_t>(photon(block, lane, PHOTON_SURFACE)), 12);
-    }
-  }
+  each_photon(node, [&](std::uint32_t block, unsigned lane) {
+    double off = 0;
+    for (unsigned k = 0; k < 3; ++k) off += std::pow(double{photon(block, lane, k)} - middle[k], 2);
+    if (!(off < nearest)) return;
+    nearest = off;
+    best.position = {photon(block, lane, 0), photon(block, lane, 1), photon(block, lane, 2)};
+    best.normal = normal(block, lane);
+  });
   return best;
+}
+
+std::vector<CutPlace> IlluminationCut::spread(std::size_t i, const CutPlace& place, std::uint32_t most) const {
+  std::vector<CutPlace> alike;
+  each_photon(cut_[i], [&](std::uint32_t block, unsigned lane) {
+    const CutPlace other = {{photon(block, lane, 0), photon(block, lane, 1), photon(block, lane, 2)},
+                            normal(block, lane)};
+    if (cosine(other.normal, place.normal) > kAlike && other.position != place.position) alike.push_back(other);
+  });
+  std::vector<CutPlace> places{place};
+  const std::size_t wanted = std::min<std::size_t>(most - 1, alike.size());
+  for (std::size_t k = 0; k < wanted; ++k) places.push_back(alike[(2 * k + 1) * alike.size() / (2 * wanted)]);
+  return places;
+}
+
+bool IlluminationCut::bent(std::size_t node) const {
+  bool first = true, unlike = false;
+  std::array<float, 3> one{};
+  each_photon(node, [&](std::uint32_t block, unsigned lane) {
+    const std::array<float, 3> n = normal(block, lane);
+    if (first) one = n;
+    first = false;
+    unlike = unlike || cosine(n, one) < kAlike;
+  });
+  return unlike;
 }
 
 std::vector<CutPlace> IlluminationCut::places() const {
@@ -127,7 +167,7 @@ std::size_t IlluminationCut::refine(const std::vector<std::array<float, 3>>& irr
     const std::size_t node = cut_[i];
     const double rough = this->irradiance(node);
     const double exact = double{irradiance[i][0]} + irradiance[i][1] + irradiance[i][2];
-    if (leaf(node) || !(std::abs(exact - rough) > ratio * rough)) {
+    if (leaf(node) || !(std::abs(exact - rough) > ratio * rough || bent(node))) {
       refined.push_back(cut_[i]);
       continue;
     }

@@ -21,8 +21,10 @@ class IlluminationCut {
   // The coarse cut: from the root on, the node of most power is opened, until there are `nodes`.
   void choose(std::uint32_t nodes);
   std::vector<CutPlace> places() const;  // of the cut's nodes, in the tree's order
-  // Opens nodes whose irradiance, RGB of each of places(), differs from eq. 3's by more than `ratio` of that. Returns
-  // how many.
+  // Of one of places(): places of photons on its surface all over the node, at most `most`, itself among them.
+  std::vector<CutPlace> spread(std::size_t i, const CutPlace& place, std::uint32_t most) const;
+  // Opens nodes whose irradiance, RGB of each of places(), differs from eq. 3's by more than `ratio` of that, and nodes
+  // of several surfaces that face elsewhere. Returns how many.
   std::size_t refine(const std::vector<std::array<float, 3>>& irradiance, double ratio);
 
   std::size_t size() const { return cut_.size(); }
@@ -42,6 +44,11 @@ class IlluminationCut {
   float radius(std::size_t node) const;  // r_p of eq. 3 and 4: the longest side of its box
   double irradiance(std::size_t node) const;
   CutPlace place(std::size_t node) const;
+  bool bent(std::size_t node) const;  // whether its photons' normals are unlike
+  std::array<float, 3> normal(std::uint32_t block, unsigned lane) const;
+  // Calls see(block, lane) for each photon of a node.
+  template <typename See>
+  void each_photon(std::size_t node, See see) const;
   std::size_t write(std::size_t node, const std::vector<std::array<float, 3>>& irradiance,
                     const std::vector<CutPlace>& places, std::size_t& next, std::vector<std::uint32_t>& rows) const;
 
