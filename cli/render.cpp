@@ -7,6 +7,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
+#include <future>
 #include <iostream>
 #include <memory>
 
@@ -135,21 +136,24 @@ int render(const RenderOptions& options) {
   check_folder(options.report);
   EmbeddedSettings settings;
   settings.workers = options.workers;
-  settings.device.compiler = kernel_compiler();
   settings.device.device = options.device;
   settings.device.trace = worker::parse_trace_kind(options.trace);
   settings.device.compiler = kernel_compiler();
   settings.batch_items = options.batch_items;
 
   Signals signals;
-  LoadedFrame frame = load_frame(options.frame);
-  settings.paths = [&, number = frame.numbered](const std::string&, std::uint32_t at) {
+  bool number = false;
+  settings.paths = [&](const std::string&, std::uint32_t at) {
     FramePaths paths;
     paths.exr = numbered(options.output, number, at);
     paths.png = fs::path(paths.exr).replace_extension(".png");
     paths.report = numbered(options.report, number, at);
     return paths;
   };
+  // Devices take their time to open, and so does a scene.
+  auto opening = std::async(std::launch::async, [&] { return std::make_unique<EmbeddedFarm>(settings); });
+  LoadedFrame frame = load_frame(options.frame);
+  number = frame.numbered;
   coordinator::JobRequest request;
   request.scene_name = frame.scene_name;
   request.camera_name = frame.camera_name;
@@ -160,10 +164,10 @@ int render(const RenderOptions& options) {
   request.cameras = frame.cameras;
   request.exposure_stops = options.frame.exposure_stops;
   request.time_limit = options.frame.time_limit;
-  // What no plan takes is refused before devices are opened.
   coordinator::check_settings(request.settings, coordinator::summarize(frame.scene));
 
-  EmbeddedFarm embedded(settings);
+  const std::unique_ptr<EmbeddedFarm> farm = opening.get();
+  EmbeddedFarm& embedded = *farm;
   if (!frame.moving) {
     const LentScene lent(embedded, std::exchange(frame.scene, {}));
     request.scenes = {lent.blobs()};
