@@ -10,6 +10,7 @@
 #include "import_files.h"
 #include "scene/import/import.h"
 #include "scene/library/bake.h"
+#include "scene/model/error.h"
 #include "scene/model/needs.h"
 
 namespace gleaner::scene {
@@ -108,6 +109,16 @@ TEST_F(ImportInstances, OfOneNodeAreChosenAlike) {
   EXPECT_EQ(read(file).instances.size(), 51u);
   places(50);
   EXPECT_TRUE(read(file).instances.empty());
+}
+
+// EXT_mesh_gpu_instancing: attributes of the file's own count as well.
+TEST_F(ImportInstances, AreAsManyAsAnyAttributeSays) {
+  GltfFile file = strip_file(2, 1);
+  json& attributes = file.json["nodes"][0]["extensions"]["EXT_mesh_gpu_instancing"]["attributes"];
+  attributes = {{"_ID", file.add<float>({1, 2, 3}, 5126, "SCALAR")}};
+  EXPECT_EQ(read(file).triangle_count(), 6u);
+  attributes["TRANSLATION"] = file.add<float>({0, 0, 0, 1, 0, 0}, 5126, "VEC3");
+  EXPECT_THROW(read(file), Error) << "two places, three numbers";
 }
 
 // Meshes that emit, and those that bound a solid that light passes, are copied; a thin pane is not.
