@@ -10,6 +10,7 @@
 #include "import_files.h"
 #include "scene/import/import.h"
 #include "scene/library/bake.h"
+#include "scene/model/blob.h"
 #include "scene/model/error.h"
 #include "scene/model/needs.h"
 
@@ -318,6 +319,30 @@ TEST_F(MovingInstances, ThatBecomeTooFlatHaveAScene) {
   const Scene own = scene->scene_at(1);
   EXPECT_TRUE(own.instances.empty());
   EXPECT_EQ(own.triangle_count(), 10u);
+}
+
+// A blob whose rig names instances or matrices that are not there, or an instance twice.
+TEST_F(MovingInstances, ThatDoNotFitAreRefused) {
+  GltfFile file = strip_file(10, 2);
+  for (const std::size_t i : {0u, 1u}) animate(file, node(i, "translation"), {0, 0, 0, 1, 0, 0}, "VEC3");
+  const Scene good = open(file)->base();
+  const auto refused = [&](const std::vector<PosedInstance>& instances) -> std::string {
+    Scene scene = good;
+    scene.rig.instances = instances;
+    try {
+      parse_scene(serialize(scene), "blob");
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::bad_input);
+      return error.what();
+    }
+    return "";
+  };
+  EXPECT_EQ(refused(good.rig.instances), "");
+  using testing::HasSubstr;
+  EXPECT_THAT(refused({{0, 0}, {2, 1}}),
+              HasSubstr("rig.instances[1].instance: expected an instance from 1 on, below 2"));
+  EXPECT_THAT(refused({{0, 0}, {0, 1}}), HasSubstr("rig.instances[1].instance"));
+  EXPECT_THAT(refused({{0, 0}, {1, 2}}), HasSubstr("rig.instances[1].matrix: expected a matrix below 2, found 2"));
 }
 
 }  // namespace
