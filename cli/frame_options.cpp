@@ -237,7 +237,7 @@ LoadedFrame load_frame(const FrameOptions& options) {
     frame.scene = std::move(frame.moving->base());
     frame.moving = nullptr;
   }
-  frame.scene_name = printable(std::filesystem::path(options.files.scene).filename().string());
+  frame.scene_name = printable(std::filesystem::path(options.files.scene).filename().string(), most_name_bytes);
   words.insert(words.end(), frame.scene.warnings.begin(), frame.scene.warnings.end());
   scene::NamedCamera camera = choose_camera(options, frame.scene, words);
   frame.camera_name = camera.name;
@@ -255,7 +255,7 @@ LoadedFrame load_frame(const FrameOptions& options) {
     words.push_back(options.files.scene + ": no light; the picture will be black (--environment FILE lights a scene)");
   for (const std::string& sentence : scene::lost_light(needs)) words.push_back(options.files.scene + ": " + sentence);
   if (!options.quiet)
-    for (const std::string& word : words) std::cerr << "gleaner: " << word << "\n";
+    for (const std::string& word : words) std::cerr << "gleaner: " << printable_lines(word) << "\n";
   return frame;
 }
 

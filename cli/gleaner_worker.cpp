@@ -12,6 +12,7 @@
 #include "cli/signals.h"
 #include "gleaner/version.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 #include "worker/agent/agent.h"
 
 namespace gleaner::cli {
@@ -48,7 +49,7 @@ int work(const WorkerOptions& options) {
   choice.compiler = kernel_compiler();
   choice.trace = worker::parse_trace_kind(options.trace);
   auto runner = worker::open_device(choice);
-  log->info("device " + runner->info().name + ", traces with " + runner->info().tracer);
+  log->info("device " + printable(runner->info().name) + ", traces with " + runner->info().tracer);
   worker::AgentSettings settings;
   settings.name = options.name.empty() ? default_name() : options.name;
   settings.cache_bytes = static_cast<std::uint64_t>(options.cache_gib * 1024 * 1024 * 1024);
@@ -57,8 +58,9 @@ int work(const WorkerOptions& options) {
                    : options.peers == "off" ? std::string()
                                             : options.peers;
   settings.give_up_seconds = options.give_up_seconds;
-  settings.log = [log](const std::string& line) { log->info(line); };
-  worker::Agent agent(worker::dial(options.coordinator), std::move(runner), settings);
+  settings.log = [log](const std::string& line) { log->info(printable(line)); };
+  settings.keys = keys_of({});
+  worker::Agent agent(worker::dial(options.coordinator, settings.keys.get()), std::move(runner), settings);
   signals.watch([&] {
     log->info("leaving when the batch that runs is done");
     agent.stop();
@@ -81,6 +83,7 @@ int main(int argc, char** argv) {
   WorkerOptions options;
   app.add_option("--coordinator", options.coordinator, "HOST:PORT (default: $GLEANER_COORDINATOR)")
       ->envname("GLEANER_COORDINATOR");
+  add_keys_option(app);
   app.add_option("--device", options.device,
                  "OpenCL device, as `gleaner devices` counts (default: the first GPU, else the first)");
   app.add_option("--threads", options.threads, "of a CPU device (default: all)")->check(CLI::NonNegativeNumber);

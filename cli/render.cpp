@@ -7,8 +7,11 @@
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
+#include <future>
 #include <iostream>
 #include <memory>
+#include <optional>
+#include <string>
 
 #include "cli/commands.h"
 #include "cli/embedded.h"
@@ -115,16 +118,29 @@ void render_states(EmbeddedFarm& embedded, scene::Scene base, const std::vector<
   render_job(embedded.farm(), request, signals, quiet);
 }
 
-// A job a frame: no more than one scene is in memory.
+// A job a frame: no more than one scene is in memory. A frame that fails does not end the others; when all have had
+// their turn, throws an error of the first failure's kind.
 void render_own_scenes(EmbeddedFarm& embedded, const LoadedFrame& frame, const std::vector<FrameLook>& looks,
                        coordinator::JobRequest& request, Signals& signals, bool quiet) {
+  std::optional<Error> first;
+  std::uint32_t failed = 0;
   for (std::uint32_t i = 0; i < frame.frames(); ++i) {
     request.first_frame = request.last_frame = frame.number(i);
     request.settings.camera = looks[i].camera;
-    const LentScene lent(embedded, frame.moving->scene_at(looks[i].seconds));
-    request.scenes = {lent.blobs()};
-    render_job(embedded.farm(), request, signals, quiet);
+    try {
+      const LentScene lent(embedded, frame.moving->scene_at(looks[i].seconds));
+      request.scenes = {lent.blobs()};
+      render_job(embedded.farm(), request, signals, quiet);
+    } catch (const Error& error) {
+      if (signals.raised()) throw;
+      const std::string words = "frame " + std::to_string(frame.number(i)) + ": " + error.what();
+      if (++failed == 1) first.emplace(error.kind(), words);
+      std::cerr << "gleaner: warning: " << words << "\n";
+    }
   }
+  if (first)
+    throw Error(first->kind(), std::to_string(failed) + " of " + std::to_string(frame.frames()) +
+                                   " frames failed; first " + first->what());
 }
 
 int render(const RenderOptions& options) {
@@ -135,21 +151,24 @@ int render(const RenderOptions& options) {
   check_folder(options.report);
   EmbeddedSettings settings;
   settings.workers = options.workers;
-  settings.device.compiler = kernel_compiler();
   settings.device.device = options.device;
   settings.device.trace = worker::parse_trace_kind(options.trace);
   settings.device.compiler = kernel_compiler();
   settings.batch_items = options.batch_items;
 
   Signals signals;
-  LoadedFrame frame = load_frame(options.frame);
-  settings.paths = [&, number = frame.numbered](const std::string&, std::uint32_t at) {
+  bool number = false;
+  settings.paths = [&](const std::string&, std::uint32_t at) {
     FramePaths paths;
     paths.exr = numbered(options.output, number, at);
     paths.png = fs::path(paths.exr).replace_extension(".png");
     paths.report = numbered(options.report, number, at);
     return paths;
   };
+  // Devices take their time to open, and so does a scene.
+  auto opening = std::async(std::launch::async, [&] { return std::make_unique<EmbeddedFarm>(settings); });
+  LoadedFrame frame = load_frame(options.frame);
+  number = frame.numbered;
   coordinator::JobRequest request;
   request.scene_name = frame.scene_name;
   request.camera_name = frame.camera_name;
@@ -160,10 +179,10 @@ int render(const RenderOptions& options) {
   request.cameras = frame.cameras;
   request.exposure_stops = options.frame.exposure_stops;
   request.time_limit = options.frame.time_limit;
-  // What no plan takes is refused before devices are opened.
   coordinator::check_settings(request.settings, coordinator::summarize(frame.scene));
 
-  EmbeddedFarm embedded(settings);
+  const std::unique_ptr<EmbeddedFarm> farm = opening.get();
+  EmbeddedFarm& embedded = *farm;
   if (!frame.moving) {
     const LentScene lent(embedded, std::exchange(frame.scene, {}));
     request.scenes = {lent.blobs()};

@@ -60,7 +60,7 @@ int submit(const SubmitOptions& options) {
   coordinator::make_plan(frame.settings, coordinator::summarize(frame.scene));
   gleaner::v1::SubmitJobRequest request;
   request.set_scene_name(frame.scene_name);
-  request.set_camera_name(printable(frame.camera_name));
+  request.set_camera_name(printable(frame.camera_name, most_name_bytes));
   *request.mutable_settings() = gateway::to_proto(frame.settings);
   request.mutable_settings()->set_time_limit_seconds(options.frame.time_limit);
   request.set_first_frame(frame.first_frame);

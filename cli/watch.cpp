@@ -17,6 +17,7 @@
 #include "cli/status_words.h"
 #include "coordinator/film/atomic_file.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 
 namespace gleaner::cli {
 
@@ -135,7 +136,7 @@ class Watch {
   void say(const std::string& words) {
     if (options_.quiet) return;
     progress_.clear();
-    std::cerr << "gleaner: " << words << std::endl;
+    std::cerr << "gleaner: " << printable_lines(words) << std::endl;
   }
 
  private:

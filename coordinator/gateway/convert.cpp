@@ -221,7 +221,7 @@ pb::Device to_proto(const DeviceDescription& device) {
 }
 
 DeviceDescription from_proto(const pb::Device& device) {
-  auto text = [](const std::string& words) { return printable(words.substr(0, 256)); };
+  auto text = [](const std::string& words) { return printable(words, most_name_bytes); };
   return {.name = text(device.name()),
           .platform = text(device.platform()),
           .driver = text(device.driver()),

@@ -142,13 +142,14 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
                   "blob id: expected 64 lower-case hexadecimal digits, found \"" + id.substr(0, 80) + "\""};
         if (!blobs_.has(id)) return {StatusCode::FAILED_PRECONDITION, "blob " + id + " must be uploaded first"};
       }
-    if (request->scene_name().empty() || request->scene_name().size() > 256 || request->camera_name().size() > 256)
+    if (request->scene_name().empty() || request->scene_name().size() > most_name_bytes ||
+        request->camera_name().size() > most_name_bytes)
       return {StatusCode::INVALID_ARGUMENT, "scene_name, camera_name: expected at most 256 bytes, and a scene name"};
     if (!std::isfinite(request->exposure_stops()) || std::abs(request->exposure_stops()) > 100)
       return {StatusCode::INVALID_ARGUMENT, "exposure_stops: expected -100 to 100"};
     JobRequest job;
-    job.scene_name = printable(request->scene_name());
-    job.camera_name = printable(request->camera_name());
+    job.scene_name = printable(request->scene_name(), most_name_bytes);
+    job.camera_name = printable(request->camera_name(), most_name_bytes);
     job.settings = from_proto(request->settings());
     job.exposure_stops = request->exposure_stops();
     job.time_limit = request->settings().time_limit_seconds();

@@ -14,6 +14,7 @@
 #include "proto/packing.h"
 #include "proto/sha256.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 
 namespace gleaner::gateway {
 
@@ -26,15 +27,11 @@ namespace {
 
 constexpr std::chrono::seconds last_words{2};  // for a write that is under way when a session ends
 
-// A worker's words end up on terminals and in other messages: what is not plain text is left out, and so is what is too
-// long.
-std::string printable(const std::string& words) {
-  std::string text = words.substr(0, 4096);
-  std::replace_if(
-      text.begin(), text.end(), [](unsigned char c) { return c == '\n'; }, ' ');
-  std::replace_if(
-      text.begin(), text.end(), [](unsigned char c) { return c < 0x20 || c > 0x7e; }, '?');
-  return text;
+// A worker's words end up on terminals and in other messages. They may have lines, which are made one.
+std::string said_by_worker(std::string words) {
+  constexpr std::size_t most_bytes = 4096;
+  std::replace(words.begin(), words.end(), '\n', ' ');
+  return printable(words, most_bytes);
 }
 
 Status no_such_reader() { return {StatusCode::PERMISSION_DENIED, "no lease of this worker reads the artifact"}; }
@@ -319,7 +316,7 @@ Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
           break;
         case pb::WorkerMessage::kFailed:
           farm_.failed(worker, message.failed().lease(), message.failed().epoch(),
-                       printable(message.failed().message()), message.failed().input_unavailable());
+                       said_by_worker(message.failed().message()), message.failed().input_unavailable());
           break;
         case pb::WorkerMessage::kHeartbeat:
           farm_.heard(worker);
@@ -456,7 +453,7 @@ Status WorkerHub::DeliverPart(grpc::ServerContext*, const pb::DeliverPartRequest
   if (!worker) return {StatusCode::PERMISSION_DENIED, "no connected worker has this token"};
   if (request->data().size() > piece_bytes) return {StatusCode::INVALID_ARGUMENT, "a piece is at most 1 MiB"};
   farm_.heard(*worker);
-  if (!relay_.deliver(*worker, request->request(), request->data(), printable(request->error())))
+  if (!relay_.deliver(*worker, request->request(), request->data(), said_by_worker(request->error())))
     return {StatusCode::NOT_FOUND, "nobody waits for it"};
   return Status::OK;
 }

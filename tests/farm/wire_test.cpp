@@ -340,6 +340,7 @@ TEST_F(Wire, NamesOfStrangersAreOneLineOfText) {
   words.mutable_hello()->mutable_device()->set_name(std::string(255, 'a') + "\u00e9");
   words.mutable_hello()->mutable_device()->set_driver("\x1b[2Jgone\nworker eve joined");
   words.mutable_hello()->mutable_device()->set_version("\u009b2J");
+  words.mutable_hello()->mutable_device()->set_platform(std::string(100, '\n') + "\u202e");
   ClientContext context, list;
   auto stream = workers_->Work(&context);
   pb::HubMessage welcome;
@@ -352,9 +353,10 @@ TEST_F(Wire, NamesOfStrangersAreOneLineOfText) {
   ASSERT_TRUE(status.ok()) << status.error_message();
   ASSERT_EQ(reply.workers_size(), 1);
   const pb::Device& device = reply.workers(0).device();
-  EXPECT_EQ(device.name(), std::string(255, 'a') + "\\xc3");
+  EXPECT_EQ(device.name(), std::string(255, 'a'));  // no half of a character
   EXPECT_EQ(device.driver(), "\\x1b[2Jgone\\x0aworker eve joined");
   EXPECT_EQ(device.version(), "\\xc2\\x9b2J");
+  EXPECT_EQ(device.platform().size(), 4 * 64u);  // escaped, it is no longer than names may be
 
   pb::SubmitJobRequest request = farm_.good_request();
   request.set_scene_name("a\nb\x1b[31m.glb");

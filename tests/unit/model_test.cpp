@@ -11,6 +11,7 @@
 #include "model_scene.h"
 #include "scene/model/albedo.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 #include "scene/model/scene.h"
 
 namespace gleaner::scene {
@@ -484,6 +485,26 @@ TEST(FramingCamera, SeesEveryCorner) {
 TEST(FramingCamera, StandsBeforeNothing) {
   Scene empty;
   expect_right_handed(framing_camera(empty).camera);
+}
+
+TEST(Names, BytesThatAreNoTextAreSpelledOut) {
+  EXPECT_EQ(printable("caf\u00e9 \xe9 \xff"), "caf\u00e9 \\xe9 \\xff");
+  EXPECT_EQ(printable(std::string_view("a\0b", 3)), "a\\x00b");
+}
+
+TEST(Names, CharactersThatATerminalObeysAreSpelledOut) {
+  EXPECT_EQ(printable("\x1b[31mred\x7f"), "\\x1b[31mred\\x7f");
+  EXPECT_EQ(printable("\u009b2J"), "\\xc2\\x9b2J");
+  EXPECT_EQ(printable("gpj.\u202eexe"), "gpj.\\xe2\\x80\\xaeexe");  // turns the line around
+  EXPECT_EQ(printable("one\u2028two"), "one\\xe2\\x80\\xa8two");
+  EXPECT_EQ(printable("two\nlines\u00a0\u20ac"), "two\\x0alines\u00a0\u20ac");
+  EXPECT_EQ(printable_lines("two\nlines\x1b\n"), "two\nlines\\x1b\n");
+}
+
+TEST(Names, LongOnesAreCutBetweenCharacters) {
+  EXPECT_EQ(printable("abcd\u00e9", 5), "abcd");
+  EXPECT_EQ(printable("abcd\u00e9", 6), "abcd\u00e9");
+  EXPECT_EQ(printable("abc\n", 5), "abc");  // no half of "\x0a"
 }
 
 }  // namespace
