@@ -28,7 +28,7 @@ constexpr double kShrinkage = 2.0 / 3;
 // The guide's photons are those of a pass that is none.
 constexpr std::uint32_t kGlobalPass = 0, kGuidePass = 1, kFirstPass = 2;
 // Rays of a shading cluster's sample, and turns of k-means.
-constexpr std::uint32_t kUsualRays = 384, kIterations = 6;
+constexpr std::uint32_t kUsualRays = 1024, kIterations = 6;
 // Photons of the estimates at a cut's nodes, rounds of its refinement, and the ratio of section 3.3.
 constexpr std::uint32_t kUsualCut = 0, kCutNeighbours = 24, kCutRounds = 4;
 constexpr float kCutRatio = 1.2f;
@@ -497,7 +497,7 @@ Method photon_method() {
           {"photon.cut", whole, 0, PHOTON_MOST_CUT, "0",
            "nodes of the map's tree that are read in place of its photons, before they are refined; 0: photons are "
            "read"},
-          {"photon.gather_rays", whole, 0, SPLAT_MOST_RAYS / 2, "384",
+          {"photon.gather_rays", whole, 0, SPLAT_MOST_RAYS / 2, "1024",
            "rays of each cluster's sample point; 0: no clusters"},
           {"photon.radius", real, 0, 1e9, "0",
            "metres: of density estimates (of caustics: of the first pass); 0: as wide as the nearest photons lie"},

@@ -25,7 +25,7 @@ namespace {
 
 // A neighbour counts up to this part of the smaller R of both, and no farther away than so many times what its record
 // reaches. More: less noise, and less detail where light changes fast.
-constexpr float kSmoothing = 0.4f, kMostReach = 3;
+constexpr float kSmoothing = 0.2f, kMostReach = 3;
 // Rounds in which R learns of R_j.
 constexpr int kClampRounds = 3;
 // Bounds of the radius that weighs a record: of its reach, and by normals that hardly turn.
