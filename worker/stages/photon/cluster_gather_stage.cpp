@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "worker/stages/photon/gather_thread.h"
 #include "worker/stages/photon/stages.h"
@@ -16,12 +17,14 @@ namespace {
 CacheRecord cluster_record(const SplatPoint& place, const HemisphereGrid& grid,
                            std::span<const HemisphereSample> samples) {
   const float reach = place.factor[0], turn = place.factor[1];
-  float nearness = 0;
+  float nearness = std::numeric_limits<float>::min();  // of rays that all meet nothing
   for (const HemisphereSample& sample : samples) nearness += sample.nearness;
   const float most = 100 * reach, mean = static_cast<float>(samples.size()) / nearness;
   SplatPoint sized = place;
-  sized.factor[0] = mean < most ? mean : most;
+  // Gradients are bounded by the radius: over all of the record's reach they shall not exceed its irradiance by much.
+  sized.factor[0] = std::clamp(mean, reach, most);
   CacheRecord record = cache_record(sized, grid, samples);
+  record.radius = std::min(mean, most);
   record.spare = {reach, turn, 0};
   return record;
 }
