@@ -112,6 +112,16 @@ TEST_F(ImportInstances, OfOneNodeAreChosenAlike) {
   EXPECT_TRUE(read(file).instances.empty());
 }
 
+// EXT_mesh_gpu_instancing: attributes of the file's own count as well.
+TEST_F(ImportInstances, AreAsManyAsAnyAttributeSays) {
+  GltfFile file = strip_file(2, 1);
+  json& attributes = file.json["nodes"][0]["extensions"]["EXT_mesh_gpu_instancing"]["attributes"];
+  attributes = {{"_ID", file.add<float>({1, 2, 3}, 5126, "SCALAR")}};
+  EXPECT_EQ(read(file).triangle_count(), 6u);
+  attributes["TRANSLATION"] = file.add<float>({0, 0, 0, 1, 0, 0}, 5126, "VEC3");
+  EXPECT_THROW(read(file), Error) << "two places, three numbers";
+}
+
 // Meshes that emit, and those that bound a solid that light passes, are copied; a thin pane is not.
 TEST_F(ImportInstances, AreNotMadeOfLampsAndSolids) {
   GltfFile file = strip_file(1000, 60);
