@@ -18,6 +18,7 @@
 #include "cli/progress.h"
 #include "cli/signals.h"
 #include "scene/bvh/build.h"
+#include "scene/import/sequence.h"
 #include "scene/model/error.h"
 
 namespace gleaner::cli {
@@ -39,9 +40,11 @@ struct RenderOptions {
   std::uint64_t batch_items = 0;
 };
 
-// OUT.exr, or OUT_0007.exr where frames are numbered.
+// OUT.exr, or OUT_0007.exr where frames are numbered; OUT.####.exr says where the number goes.
 fs::path numbered(const fs::path& path, bool number, std::uint32_t frame) {
   if (!number || path.empty()) return path;
+  if (const std::string name = path.filename().string(); name.find('#') != std::string::npos)
+    return path.parent_path() / scene::file_of_frame(name, frame);
   char text[16];
   std::snprintf(text, sizeof text, "_%04u", frame);
   return path.parent_path() / (path.stem().string() + text + path.extension().string());
@@ -121,6 +124,7 @@ void render_own_scenes(EmbeddedFarm& embedded, const LoadedFrame& frame, const s
                        coordinator::JobRequest& request, Signals& signals, bool quiet) {
   for (std::uint32_t i = 0; i < frame.frames(); ++i) {
     request.first_frame = request.last_frame = frame.number(i);
+    request.numbers.clear();
     request.settings.camera = looks[i].camera;
     const LentScene lent(embedded, frame.moving->scene_at(looks[i].seconds));
     request.scenes = {lent.blobs()};
@@ -158,9 +162,10 @@ int render(const RenderOptions& options) {
   request.scene_name = frame.scene_name;
   request.camera_name = frame.camera_name;
   request.settings = frame.settings;
-  request.first_frame = frame.first_frame;
-  request.last_frame = frame.last_frame;
-  request.frame_step = frame.frame_step;
+  request.first_frame = frame.frame_numbers.first;
+  request.last_frame = frame.frame_numbers.last;
+  request.frame_step = frame.frame_numbers.step;
+  request.numbers = frame.frame_numbers.list;
   request.cameras = frame.cameras;
   request.exposure_stops = options.frame.exposure_stops;
   request.time_limit = options.frame.time_limit;
@@ -190,7 +195,9 @@ void add_render(CLI::App& app, Run& run) {
   auto options = std::make_shared<RenderOptions>();
   CLI::App* command = app.add_subcommand("render", "Render a scene here and now");
   add_frame_options(*command, options->frame);
-  command->add_option("-o,--output", options->output, "OUT.exr; a PNG is written beside it")->required();
+  command
+      ->add_option("-o,--output", options->output, "OUT.exr, or OUT.####.exr with --frames; a PNG is written beside it")
+      ->required();
   command->add_option("--workers", options->workers, "workers of the embedded farm")
       ->capture_default_str()
       ->check(CLI::Range(1u, 256u));

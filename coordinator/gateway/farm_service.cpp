@@ -21,7 +21,8 @@ using grpc::StatusCode;
 
 namespace {
 
-constexpr int most_ids = 1024;  // in one MissingBlobs call
+constexpr int most_ids = 1024;              // in one MissingBlobs call
+constexpr std::size_t most_awaited = 1000;  // jobs that one may wait for
 
 Status no_job(const std::string& id) { return {StatusCode::NOT_FOUND, "no job " + id.substr(0, 80)}; }
 
@@ -36,6 +37,22 @@ Bytes read_file(const fs::path& path) {
 }
 
 std::string text_of(const Bytes& bytes) { return {reinterpret_cast<const char*>(bytes.data()), bytes.size()}; }
+
+// Which job it is, and when it is its turn.
+void take_order(const pb::SubmitJobRequest& request, JobRequest& job) {
+  const auto check = [](const std::string& field, const std::string& word) {
+    if (word.size() > most_name_bytes) throw Error::bad_input("request", field, "at most 256 bytes");
+  };
+  check("name", request.name());
+  check("request_id", request.request_id());
+  if (static_cast<std::size_t>(request.after_size()) > most_awaited)
+    throw Error::bad_input("request", "after", "at most " + std::to_string(most_awaited) + " jobs");
+  for (const std::string& other : request.after()) check("after", other);
+  job.name = printable(request.name(), most_name_bytes);
+  job.priority = request.priority();
+  job.after.assign(request.after().begin(), request.after().end());
+  job.request_id = request.request_id();
+}
 
 }  // namespace
 
@@ -160,6 +177,8 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
       job.last_frame = request->last_frame();
     }
     if (request->frame_step() != 0) job.frame_step = request->frame_step();
+    job.numbers.assign(request->frame_numbers().begin(), request->frame_numbers().end());
+    take_order(*request, job);
     for (const pb::Camera& camera : request->frame_cameras()) job.cameras.push_back(from_proto(camera));
     std::set<std::string> checked;
     for (FrameScene& scene : scenes) {
@@ -189,6 +208,22 @@ Status FarmService::CancelJob(grpc::ServerContext*, const pb::CancelJobRequest* 
   if (!status) return no_job(request->job());
   *reply = to_proto(*status);
   return Status::OK;
+}
+
+Status FarmService::PauseJob(grpc::ServerContext*, const pb::PauseJobRequest* request, pb::Job* reply) {
+  auto status = farm_.pause(request->job(), !request->resume());
+  if (!status) return no_job(request->job());
+  *reply = to_proto(*status);
+  return Status::OK;
+}
+
+Status FarmService::RetryJob(grpc::ServerContext*, const pb::RetryJobRequest* request, pb::Job* reply) {
+  return guarded([&]() -> Status {
+    auto status = farm_.retry(request->job());
+    if (!status) return no_job(request->job());
+    *reply = to_proto(*status);
+    return Status::OK;
+  });
 }
 
 Status FarmService::WatchJob(grpc::ServerContext* context, const pb::WatchJobRequest* request,
@@ -289,6 +324,12 @@ Status FarmService::FetchFile(grpc::ServerContext* context, const pb::FetchFileR
 
 Status FarmService::ListWorkers(grpc::ServerContext*, const pb::ListWorkersRequest*, pb::ListWorkersReply* reply) {
   for (const WorkerStatus& status : farm_.workers()) *reply->add_workers() = to_proto(status);
+  return Status::OK;
+}
+
+Status FarmService::DrainWorker(grpc::ServerContext*, const pb::DrainWorkerRequest* request, pb::DrainWorkerReply*) {
+  if (!farm_.drain(request->worker()))
+    return {StatusCode::NOT_FOUND, "no worker " + printable(request->worker(), most_name_bytes) + " is connected"};
   return Status::OK;
 }
 

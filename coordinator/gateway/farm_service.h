@@ -29,6 +29,9 @@ class FarmService final : public pb::Farm::Service {
   grpc::Status ListJobs(grpc::ServerContext*, const pb::ListJobsRequest*, pb::ListJobsReply*) override;
   grpc::Status GetJob(grpc::ServerContext*, const pb::GetJobRequest*, pb::Job*) override;
   grpc::Status CancelJob(grpc::ServerContext*, const pb::CancelJobRequest*, pb::Job*) override;
+  grpc::Status PauseJob(grpc::ServerContext*, const pb::PauseJobRequest*, pb::Job*) override;
+  grpc::Status RetryJob(grpc::ServerContext*, const pb::RetryJobRequest*, pb::Job*) override;
+  grpc::Status DrainWorker(grpc::ServerContext*, const pb::DrainWorkerRequest*, pb::DrainWorkerReply*) override;
   grpc::Status WatchJob(grpc::ServerContext*, const pb::WatchJobRequest*, grpc::ServerWriter<pb::Job>*) override;
   grpc::Status GetPreview(grpc::ServerContext*, const pb::GetPreviewRequest*, pb::GetPreviewReply*) override;
   grpc::Status Why(grpc::ServerContext*, const pb::WhyRequest*, pb::WhyReply*) override;

@@ -141,6 +141,7 @@ std::optional<std::vector<std::string>> Farm::why(const std::string& id) const {
   if (!job) return std::nullopt;
   std::vector<std::string> reasons;
   if (job->state == JobState::queued) reasons.push_back(impl_->why_queued(*job));
+  if (job->state == JobState::running && job->paused) return std::vector{impl_->why_queued(*job)};
   if (job->state == JobState::running && impl_->workers.empty()) reasons.push_back("no worker is connected");
   std::size_t compared = 0;
   for (const auto& [place, frame] : job->frames) {

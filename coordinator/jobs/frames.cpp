@@ -51,7 +51,7 @@ bool Farm::Impl::begin_frame(const std::shared_ptr<Job>& job) {
     ++job->next;
     ++frame->left;
   }
-  frame->scene = scene_of(job->request, frame_at(job->request, frame->place));
+  frame->scene = scene_of(job->request, frame->place);
   frame->settings = settings_of(job->request, frame->place);
   frame->memory = job->memory;
   memory_taken += frame->memory;
@@ -67,12 +67,13 @@ bool Farm::Impl::begin_frame(const std::shared_ptr<Job>& job) {
 }
 
 bool Farm::Impl::may_begin_another(const Job& job) const {
-  if (job.cancel || job.frames.empty() || job.next >= frames_of(job.request)) return false;
+  if (job.cancel || job.paused || job.frames.empty() || job.next >= frames_of(job.request)) return false;
   // A frame with a time limit has the farm for that time.
   if (job.request.time_limit > 0) return false;
   if (job.frames.size() >= std::min<std::size_t>(settings.frames_at_once, workers.size())) return false;
   // Memory for which a job waits is left to it.
-  if (!queue.empty() && running.size() < settings.active_jobs && !has_memory_for(*queue.front())) return false;
+  if (const auto waiting = next_queued(); waiting && active() < settings.active_jobs && !has_memory_for(*waiting))
+    return false;
   return has_memory_for(job);
 }
 
@@ -150,6 +151,8 @@ bool Farm::Impl::frame_over(Frame& frame, const std::string& failure) {
   --frame.left;
   if (frame.left > 0) ++frame.place;
   update_progress(job, frame.begun);
+  // What it has cost so far; who cancelled it was told that it ends so.
+  journal_changed(job, job.cancel && !stopping ? JobState::cancelled : job.state);
   changed(job);
   return frame.left > 0;
 }
@@ -224,6 +227,14 @@ JobRemains Farm::Impl::frame_ended(const std::shared_ptr<Frame>& frame, const st
   const bool others = !job->frames.empty();
   if (others) start_queued();  // a job that waited for this memory comes before a further frame
   const bool stops = job->cancel || stopping || (others && !may_begin_another(*job));
+  if (!stops && !others && job->paused && job->frames_over() < frames_of(job->request)) {
+    std::erase(running, job);
+    job->state = JobState::queued;
+    put_in_queue(job);
+    changed(*job);
+    start_queued();
+    return remains;
+  }
   const bool goes_on = !stops && begin_frame(job);
   if (!goes_on && !others) {
     JobState state = JobState::done;

@@ -94,7 +94,7 @@ bool Farm::Impl::ask_another(Frame& frame, const RunningStage& like, std::unique
                            .tile = static_cast<std::uint32_t>(items.count),  // in one piece
                            .solo = stage->spec.solo,
                            .at_once = true,
-                           .priority = stage->spec.priority + 1,
+                           .priority = with_priority(stage->spec.priority + 1, stage->frame->job->request),
                            .preferred = {},
                            .only = {{items.first, items.count}},
                            .avoid = stage->avoid,

@@ -172,6 +172,17 @@ void Farm::leave(WorkerId worker) {
   impl_->lose(worker, "");
 }
 
+bool Farm::drain(const std::string& name) {
+  WorkerId id = 0;
+  {
+    std::lock_guard lock(impl_->mutex);
+    for (const auto& [worker_id, worker] : impl_->workers)
+      if (worker.name == name) id = worker_id;
+  }
+  if (id != 0) drain(id);
+  return id != 0;
+}
+
 void Farm::drain(WorkerId id) {
   std::lock_guard lock(impl_->mutex);
   auto worker = impl_->workers.find(id);
