@@ -6,7 +6,9 @@
 #include <algorithm>
 #include <chrono>
 
+#include "cli/program.h"
 #include "coordinator/gateway/convert.h"
+#include "proto/credentials.h"
 #include "scene/model/error.h"
 
 namespace gleaner::cli {
@@ -29,6 +31,7 @@ void set_deadline(grpc::ClientContext& context) {
 void add_coordinator_option(CLI::App& command, std::string& address) {
   command.add_option("--coordinator", address, "HOST:PORT (default: $GLEANER_COORDINATOR)")
       ->envname("GLEANER_COORDINATOR");
+  add_keys_option(command);
 }
 
 Client::Client(const std::string& address) : address_(address) {
@@ -40,9 +43,13 @@ Client::Client(const std::string& address) : address_(address) {
   // Who calls again has waits of its own.
   arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 500);
   arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 1000);
-  auto channel = grpc::CreateCustomChannel(address_, grpc::InsecureChannelCredentials(), arguments);
+  const std::shared_ptr<const Keys> keys = keys_of({});
+  const auto credentials = channel_credentials(keys.get(), Role::coordinate, arguments);
+  auto channel = grpc::CreateCustomChannel(address_, credentials, arguments);
   if (!channel->WaitForConnected(std::chrono::system_clock::now() + connect_patience))
-    throw Error::connection("no coordinator answers at " + address_);
+    throw Error::connection("no coordinator answers at " + address_ +
+                            (keys ? ", or not one of this farm (keys of " + keys->folder.string() + ")"
+                                  : std::string(", or none that takes connections without keys (--keys)")));
   stub_ = pb::Farm::NewStub(channel);
 }
 

@@ -17,7 +17,7 @@ class App;
 
 namespace gleaner::cli {
 
-// --coordinator HOST:PORT, or $GLEANER_COORDINATOR.
+// --coordinator HOST:PORT, or $GLEANER_COORDINATOR; and --keys.
 void add_coordinator_option(CLI::App& command, std::string& address);
 
 class Client {

@@ -33,5 +33,6 @@ void add_info(CLI::App& app, Run& run);
 void add_compare(CLI::App& app, Run& run);
 void add_scene(CLI::App& app, Run& run);
 void add_devices(CLI::App& app, Run& run);
+void add_keys(CLI::App& app, Run& run);
 
 }  // namespace gleaner::cli

@@ -58,9 +58,11 @@ struct CoordinatorOptions {
 // Who reaches a listener can do everything: in the clear it is for this machine's own, unless the user says otherwise.
 void refuse_strangers(const std::string& option, const std::string& listen) {
   if (!gateway::is_loopback(gateway::parse_listen_address(option, listen)))
-    throw Error::usage(option + " " + listen +
-                       " is open to other machines, and the connection is neither encrypted nor authenticated: "
-                       "listen on 127.0.0.1, or say --insecure on a network that you trust");
+    throw Error::usage(
+        option + " " + listen +
+        " is open to other machines, and the connection is neither encrypted nor authenticated: "
+        "give --keys (gleaner keys init makes them), listen on 127.0.0.1, or say --insecure on a network that "
+        "you trust");
 }
 
 // For health checks: cheaper to start than `gleaner`. The farm itself must answer, not its sockets alone.
@@ -75,8 +77,9 @@ void give_back_large_memory() { ::mallopt(M_MMAP_THRESHOLD, 512 << 10); }
 
 int coordinate(const CoordinatorOptions& options) {
   if (options.data.empty()) throw Error::usage("--data is required: a folder of blobs and pictures");
+  const std::shared_ptr<const Keys> keys = keys_of({});
   if (!options.insecure) {
-    refuse_strangers("--listen", options.listen);
+    if (!keys) refuse_strangers("--listen", options.listen);
     if (!options.http.empty()) refuse_strangers("--http", options.http);
   }
   Signals signals;
@@ -110,6 +113,7 @@ int coordinate(const CoordinatorOptions& options) {
   Farm farm(settings, blobs);
   gateway::ServerSettings server_settings;
   server_settings.listen = options.listen;
+  server_settings.keys = keys;
   server_settings.upload_bytes = static_cast<std::uint64_t>(options.upload_gib * gib);
   gateway::Server server(farm, blobs, server_settings);
   std::optional<gateway::HttpServer> http;
@@ -148,6 +152,7 @@ int main(int argc, char** argv) {
   app.add_option("--listen", options.listen, "HOST:PORT; port 0 takes a free one. Prints HOST:PORT on standard output")
       ->capture_default_str();
   app.add_option("--http", options.http, "HOST:PORT of /healthz and /metrics (default: none)");
+  add_keys_option(app);
   app.add_flag("--insecure", options.insecure,
                "other machines may reach the listeners, without encryption or authentication");
   app.add_option("--data", options.data, "folder of blobs and pictures; made where it is not there; required");

@@ -59,7 +59,8 @@ int work(const WorkerOptions& options) {
                                             : options.peers;
   settings.give_up_seconds = options.give_up_seconds;
   settings.log = [log](const std::string& line) { log->info(printable(line)); };
-  worker::Agent agent(worker::dial(options.coordinator), std::move(runner), settings);
+  settings.keys = keys_of({});
+  worker::Agent agent(worker::dial(options.coordinator, settings.keys.get()), std::move(runner), settings);
   signals.watch([&] {
     log->info("leaving when the batch that runs is done");
     agent.stop();
@@ -82,6 +83,7 @@ int main(int argc, char** argv) {
   WorkerOptions options;
   app.add_option("--coordinator", options.coordinator, "HOST:PORT (default: $GLEANER_COORDINATOR)")
       ->envname("GLEANER_COORDINATOR");
+  add_keys_option(app);
   app.add_option("--device", options.device,
                  "OpenCL device, as `gleaner devices` counts (default: the first GPU, else the first)");
   app.add_option("--threads", options.threads, "of a CPU device (default: all)")->check(CLI::NonNegativeNumber);

@@ -13,6 +13,12 @@
 
 namespace gleaner::cli {
 
+void add_keys_option(CLI::App& command) {
+  command.add_option_function<std::string>(
+      "--keys", [](const std::string& folder) { ::setenv("GLEANER_KEYS", folder.c_str(), 1); },
+      "folder of this caller's keys, made by `gleaner keys` (default: $GLEANER_KEYS)");
+}
+
 int run_program(CLI::App& app, int argc, char** argv, const std::function<int()>& run) {
   // A file beyond the limit of its size (ulimit -f) is then an error of write(), as a full disk is, and not the end.
   std::signal(SIGXFSZ, SIG_IGN);

@@ -472,6 +472,44 @@ TEST_F(Farm, OtherMachinesAreLetInOnlyWhereTheUserSaysSo) {
   EXPECT_EQ(Process({coordinator}, folder("no-data")).wait(), 2);
 }
 
+// With keys that `gleaner keys` made, on all of this machine's addresses; workers fetch from each other by them too.
+TEST_F(Farm, KeysMakeAFarmOfEncryptedConnections) {
+  const std::string authority = folder("authority").string(), all = folder("all").string();
+  ASSERT_EQ(run({"keys", "init", authority}).status, 0);
+  ASSERT_EQ(
+      run({"keys", "issue", authority, "all", "-o", all, "--role", "coordinate", "--role", "work", "--role", "submit"})
+          .status,
+      0);
+  EXPECT_THAT(run({"keys", "list", authority}).out, HasSubstr("coordinate,work,submit"));
+  EXPECT_EQ(run({"keys", "issue", authority, "king", "--role", "king"}).status, 2);
+  EXPECT_EQ(run({"keys", "issue", folder("nowhere").string(), "anna", "--role", "submit"}).status, 3);
+
+  ::setenv("GLEANER_KEYS", all.c_str(), 1);
+  method_ = "vpl";
+  {
+    ProcessFarm farm(folder("farm"), programs);
+    farm.add_worker("w0");
+    farm.add_worker("w1");
+    const json report = farm.finish(farm.submit(frame(16)));
+    EXPECT_EQ(report["pixels_sha256"], embedded_sha256(16));
+    EXPECT_THAT(farm.gleaner({"workers"}).out, HasSubstr("w1"));
+    ::unsetenv("GLEANER_KEYS");
+    const Ran stranger = farm.gleaner({"list"});
+    EXPECT_EQ(stranger.status, 4);
+    EXPECT_THAT(stranger.err, HasSubstr("--keys"));
+    EXPECT_EQ(farm.gleaner({"list", "--keys", all}).status, 0);
+    const Ran none = farm.gleaner({"list", "--keys", folder("nowhere").string()});
+    EXPECT_EQ(none.status, 3);
+    EXPECT_THAT(none.err, HasSubstr("authority.crt"));
+  }
+  ::unsetenv("GLEANER_KEYS");
+  method_ = "path";
+  Process open({(programs / "gleaner-coordinator").string(), "--listen", "0.0.0.0:0", "--data", folder("open").string(),
+                "--keys", authority + "/coordinator"},
+               folder("open-log"));
+  EXPECT_TRUE(eventually([&] { return open.out().find('\n') != std::string::npos; }, 20)) << open.err();
+}
+
 TEST_F(Farm, ATimeLimitIsKeptAndSaid) {
   std::vector<std::string> words = frame(1000000);
   std::string out = folder("limited.exr").string(), report_file = folder("limited.json").string();

@@ -140,7 +140,7 @@ std::string usual_peers(const std::string& coordinator) {
   return {};
 }
 
-std::shared_ptr<grpc::Channel> dial(const std::string& address) {
+std::shared_ptr<grpc::Channel> dial(const std::string& address, const Keys* keys) {
   grpc::ChannelArguments arguments;
   arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 15000);
   arguments.SetInt(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10000);
@@ -151,7 +151,8 @@ std::shared_ptr<grpc::Channel> dial(const std::string& address) {
   arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, static_cast<int>(first_backoff_seconds * 1000));
   arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 1000);
   arguments.SetMaxReceiveMessageSize(static_cast<int>(4 * piece_bytes));
-  return grpc::CreateCustomChannel(address, grpc::InsecureChannelCredentials(), arguments);
+  const auto credentials = channel_credentials(keys, Role::coordinate, arguments);
+  return grpc::CreateCustomChannel(address, credentials, arguments);
 }
 
 struct Agent::Impl {
@@ -164,11 +165,11 @@ struct Agent::Impl {
         owner(parts->new_owner()),
         cache(std::make_shared<ByteCache>(settings.cache_bytes)),
         blobs(channel, settings.pack),
-        part_client(channel, parts, cache, [this](const pb::WrongPart& wrong) { report(wrong); }),
+        part_client(channel, parts, cache, settings.keys, [this](const pb::WrongPart& wrong) { report(wrong); }),
         inputs(blobs, part_client, cache),
         responder(channel, parts) {
     if (!settings.log) settings.log = [](const std::string&) {};
-    if (!settings.peers.empty()) peers = std::make_unique<PeerServer>(settings.peers, parts);
+    if (!settings.peers.empty()) peers = std::make_unique<PeerServer>(settings.peers, parts, settings.keys);
   }
 
   void run() {
