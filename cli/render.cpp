@@ -78,8 +78,16 @@ class LentScene {
   coordinator::Blob scene_, bvh_;
 };
 
-// Submits a job and waits for its end. Throws Error::failed where it was cancelled or has failed.
-void render_job(coordinator::Farm& farm, const coordinator::JobRequest& request, Signals& signals, bool quiet) {
+std::string cancelled(std::uint64_t written) {
+  return written == 0 ? "cancelled; nothing was written"
+                      : "cancelled; " + std::to_string(written) + (written == 1 ? " frame was" : " frames were") +
+                            " written before";
+}
+
+// Submits a job and waits for its end. Throws Error::failed where it was cancelled or has failed. `written_before`:
+// frames, by other jobs.
+void render_job(coordinator::Farm& farm, const coordinator::JobRequest& request, Signals& signals, bool quiet,
+                std::uint64_t written_before = 0) {
   const std::string job = farm.submit(request);
   signals.watch([&] { farm.cancel(job); });
 
@@ -92,11 +100,12 @@ void render_job(coordinator::Farm& farm, const coordinator::JobRequest& request,
   } while (!ended(status.state));
   progress.clear();
   signals.watch({});
+  const std::uint64_t written = written_before + status.frames_done;
   if (status.state == JobState::cancelled && !farm.end(grace)) {
-    std::cerr << "gleaner: error: cancelled; nothing was written\n";
+    std::cerr << "gleaner: error: " << cancelled(written) << "\n";
     std::_Exit(static_cast<int>(ErrorKind::failed));  // a plan still computes, with what main's end would destroy
   }
-  if (status.state == JobState::cancelled) throw Error::failed("cancelled; nothing was written");
+  if (status.state == JobState::cancelled) throw Error::failed(cancelled(written));
   if (!quiet)
     for (const fs::path& file : farm.files(job)) std::cerr << "gleaner: wrote " << file.string() << "\n";
   if (status.state == JobState::failed) throw Error::failed(status.message);
@@ -128,7 +137,7 @@ void render_own_scenes(EmbeddedFarm& embedded, const LoadedFrame& frame, const s
     request.settings.camera = looks[i].camera;
     const LentScene lent(embedded, frame.moving->scene_at(looks[i].seconds));
     request.scenes = {lent.blobs()};
-    render_job(embedded.farm(), request, signals, quiet);
+    render_job(embedded.farm(), request, signals, quiet, i);
   }
 }
 

@@ -73,10 +73,32 @@ gleaner::v1::FrameScene upload(Client& client, const scene::Scene& scene) {
   return blobs;
 }
 
+constexpr std::size_t states_at_once = 256;          // that the coordinator is asked for
+constexpr std::size_t most_message_bytes = 1 << 20;  // of a request; it takes 2 MiB
+
+// What is too much for a message is sent as a blob.
+void put_frames_apart(Client& client, gleaner::v1::SubmitJobRequest& request) {
+  if (request.ByteSizeLong() <= most_message_bytes) return;
+  gleaner::v1::JobFrames frames;
+  frames.mutable_cameras()->Swap(request.mutable_frame_cameras());
+  frames.mutable_scenes()->Swap(request.mutable_frame_scenes());
+  scene::Bytes bytes(frames.ByteSizeLong());
+  frames.SerializeToArray(bytes.data(), static_cast<int>(bytes.size()));
+  request.set_frames_blob(coordinator::sha256_hex(bytes));
+  client.upload_missing({{request.frames_blob(), &bytes}});
+}
+
 // The base once, then a state a frame; frames that no state of the base shows have scenes of their own.
 void add_moving_frames(Client& client, const FrameOptions& options, const LoadedFrame& frame,
                        gleaner::v1::SubmitJobRequest& request) {
   std::optional<gleaner::v1::FrameScene> base;
+  std::vector<std::pair<std::string, scene::Bytes>> states;
+  const auto send_states = [&] {
+    std::vector<std::pair<std::string, const scene::Bytes*>> blobs;
+    for (const auto& [id, bytes] : states) blobs.emplace_back(id, &bytes);
+    if (!blobs.empty()) client.upload_missing(blobs);
+    states.clear();
+  };
   for (std::uint32_t i = 0; i < frame.frames(); ++i) {
     const FrameLook look = look_of(options, frame, frame.number(i));
     *request.add_frame_cameras() = gateway::to_proto(look.camera);
@@ -88,10 +110,12 @@ void add_moving_frames(Client& client, const FrameOptions& options, const Loaded
     gleaner::v1::FrameScene& shown = *request.add_frame_scenes();
     shown = *base;
     if (look.state->empty()) continue;
-    const scene::Bytes state = scene::serialize(*look.state);
+    scene::Bytes state = scene::serialize(*look.state);
     shown.set_state_blob(coordinator::sha256_hex(state));
-    client.upload_missing({{shown.state_blob(), &state}});
+    states.emplace_back(shown.state_blob(), std::move(state));
+    if (states.size() == states_at_once) send_states();
   }
+  send_states();
 }
 
 int submit(const SubmitOptions& options) {
@@ -126,6 +150,7 @@ int submit(const SubmitOptions& options) {
     request.set_scene_blob(blobs.scene_blob());
     request.set_bvh_blob(blobs.bvh_blob());
   }
+  put_frames_apart(client, request);
   const std::string job = client.submit(request);
   std::cout << job << std::endl;
   return options.wait ? wait_for(job, options) : 0;

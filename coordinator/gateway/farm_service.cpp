@@ -21,7 +21,8 @@ using grpc::StatusCode;
 
 namespace {
 
-constexpr int most_ids = 1024;              // in one MissingBlobs call
+constexpr int most_ids = 1024;  // in one MissingBlobs call
+constexpr std::uint64_t most_frames_bytes = std::uint64_t{64} << 20;
 constexpr std::size_t most_awaited = 1000;  // jobs that one may wait for
 
 Status no_job(const std::string& id) { return {StatusCode::NOT_FOUND, "no job " + id.substr(0, 80)}; }
@@ -128,6 +129,26 @@ SceneSummary FarmService::summary_of(const std::string& scene_blob, const std::s
   return summaries_[scene_blob] = summary;
 }
 
+pb::JobFrames FarmService::frames_of(const pb::SubmitJobRequest& request) {
+  pb::JobFrames frames;
+  const std::string& id = request.frames_blob();
+  if (id.empty()) {
+    *frames.mutable_cameras() = request.frame_cameras();
+    *frames.mutable_scenes() = request.frame_scenes();
+    return frames;
+  }
+  if (!is_sha256_hex(id)) throw Error::bad_input("request", "frames_blob", "64 lower-case hexadecimal digits");
+  const auto source = blobs_.source(id);
+  if (!source) throw Error::bad_input("blob " + id, "", "to be uploaded first");
+  if (source->bytes() > most_frames_bytes)
+    throw Error::bad_input("blob " + id, "", "at most " + std::to_string(most_frames_bytes) + " bytes of frames",
+                           std::to_string(source->bytes()));
+  const Blob blob = blobs_.get(id);
+  if (!blob || !frames.ParseFromArray(blob->data(), static_cast<int>(blob->size())))
+    throw Error::bad_input("blob " + id, "", "the frames of a job");
+  return frames;
+}
+
 void FarmService::check_state(const FrameScene& scene) {
   const Blob blob = blobs_.get(scene.state_blob);
   const std::string origin = "state blob " + scene.state_blob;
@@ -138,8 +159,10 @@ void FarmService::check_state(const FrameScene& scene) {
 
 Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* request, pb::SubmitJobReply* reply) {
   return guarded([&]() -> Status {
-    if (const std::uint64_t most = most_frames; static_cast<std::uint64_t>(request->frame_scenes_size()) > most)
-      return {StatusCode::INVALID_ARGUMENT, "frame_scenes: expected at most " + std::to_string(most)};
+    const pb::JobFrames frames = frames_of(*request);
+    const std::uint64_t most = most_frames;
+    if (static_cast<std::uint64_t>(std::max(frames.scenes_size(), frames.cameras_size())) > most)
+      return {StatusCode::INVALID_ARGUMENT, "frame_scenes, frame_cameras: expected at most " + std::to_string(most)};
     std::vector<FrameScene> scenes;
     const auto add = [&](const std::string& scene_blob, const std::string& bvh_blob, const std::string& state_blob) {
       FrameScene& scene = scenes.emplace_back();
@@ -147,8 +170,7 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
       scene.bvh_blob = bvh_blob;
       scene.state_blob = state_blob;
     };
-    for (const pb::FrameScene& scene : request->frame_scenes())
-      add(scene.scene_blob(), scene.bvh_blob(), scene.state_blob());
+    for (const pb::FrameScene& scene : frames.scenes()) add(scene.scene_blob(), scene.bvh_blob(), scene.state_blob());
     if (scenes.empty()) add(request->scene_blob(), request->bvh_blob(), {});
     for (const FrameScene& scene : scenes)
       for (const std::string* each : {&scene.scene_blob, &scene.bvh_blob, &scene.state_blob}) {
@@ -179,7 +201,7 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
     if (request->frame_step() != 0) job.frame_step = request->frame_step();
     job.numbers.assign(request->frame_numbers().begin(), request->frame_numbers().end());
     take_order(*request, job);
-    for (const pb::Camera& camera : request->frame_cameras()) job.cameras.push_back(from_proto(camera));
+    for (const pb::Camera& camera : frames.cameras()) job.cameras.push_back(from_proto(camera));
     std::set<std::string> checked;
     for (FrameScene& scene : scenes) {
       scene.summary = summary_of(scene.scene_blob, job.scene_name);

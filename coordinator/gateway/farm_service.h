@@ -44,6 +44,8 @@ class FarmService final : public pb::Farm::Service {
   // The last preview that was shown of a job that runs: what is shown while its plan computes.
   std::string remember_preview(const std::string& job, std::string png);
   // Throws Error::bad_input where the frame's state is none, or not one of its base.
+  // What the request says of each frame, in itself or in a blob.
+  pb::JobFrames frames_of(const pb::SubmitJobRequest& request);
   void check_state(const coordinator::FrameScene& scene);
   coordinator::SceneSummary summary_of(const std::string& scene_blob, const std::string& scene_name);
 

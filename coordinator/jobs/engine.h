@@ -119,9 +119,10 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void forget_ended();         // mutex held; those beyond the bounds
 
   // Frames side by side (frames.cpp; mutex held). Each frame that runs has a thread, which alone calls its plan.
-  // Begins the first of the job's frames that wait; false: none waits.
+  // Begins the first of the job's frames that wait; false: none waits, or no thread can be started for it.
   bool begin_frame(const std::shared_ptr<Job>& job);
-  bool may_begin_another(const Job& job) const;  // beside those that run
+  void wait_again(const std::shared_ptr<Job>& job);  // in the queue: it runs no frame, and has some to come
+  bool may_begin_another(const Job& job) const;      // beside those that run
   std::shared_ptr<Job> job_for_another_frame() const;
   bool further_frame_comes() const;  // one that was begun has no stage yet, or one may be begun
   // When workers will have been idle for so long that a further frame is begun; none: no frame may be.
@@ -256,8 +257,9 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void drop_hopeless_rechecks();  // a worker is gone
   std::set<WorkerId> witnesses(const Recheck& recheck) const;
   void distrust(WorkerId liar, const std::string& why);
-  void await_rechecks(Frame& frame);  // the frame's thread
-  void start_over(Frame& frame);      // the frame's thread; with what honest workers made of it
+  void await_rechecks(Frame& frame);    // the frame's thread
+  void give_up_rechecks(Frame& frame);  // those that nobody answers in time, of a frame that waits for nothing else
+  void start_over(Frame& frame);        // the frame's thread; with what honest workers made of it
 
   // Results (results.cpp).
   // Mutex held. The stage of the worker's lease, and the lease; null: there is none such.
@@ -314,6 +316,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   std::deque<std::shared_ptr<Job>> ended_jobs;     // the oldest end first
   std::vector<std::shared_ptr<Job>> running;       // in the order of their start
   Seconds last_frame_begun = 0;
+  bool said_no_thread = false;
   std::uint64_t memory_taken = 0;  // predicted, by plans that are there
   std::map<const Frame*, std::thread> threads;
   std::vector<std::thread> ended_threads;  // to be joined

@@ -8,6 +8,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "coordinator/artifacts/registry.h"
@@ -37,6 +38,7 @@ struct FarmSettings {
   // is given.
   std::function<std::uint64_t(const FrameSettings&, const SceneSummary&)> check;
   std::function<FramePaths(const std::string& job, std::uint32_t frame)> paths;  // folders are made
+  std::function<std::thread(std::function<void()>)> start_thread;                // of a frame; empty: std::thread
   std::function<void(const std::string&)> log;                                   // one line each; empty: silence
   unsigned active_jobs = 2;  // jobs that run at the same time: the second fills the first one's tail
   // Frames of a job that run side by side, where workers idle that fewer cannot feed: at most, and never more than

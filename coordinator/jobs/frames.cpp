@@ -6,6 +6,7 @@
 #include <iterator>
 #include <limits>
 #include <new>
+#include <system_error>
 #include <utility>
 
 #include "coordinator/jobs/engine.h"
@@ -62,8 +63,25 @@ bool Farm::Impl::begin_frame(const std::shared_ptr<Job>& job) {
   frame->waited_from = first ? job->accepted : frame->begun;
   frame->progress = FrameProgress(last_frame_begun);
   job->frames[frame->place] = frame;
-  threads.emplace(frame.get(), std::thread(&Impl::run, shared_from_this(), frame));
+  try {
+    threads.emplace(frame.get(), settings.start_thread([self = shared_from_this(), frame] { run(self, frame); }));
+  } catch (const std::system_error& error) {
+    if (!std::exchange(said_no_thread, true))
+      settings.log("job " + job->id + ": no thread for a frame (" + error.what() + "); it waits");
+    memory_taken -= frame->memory;
+    job->frames.erase(frame->place);
+    job->next = frame->place;
+    return false;
+  }
+  said_no_thread = false;
   return true;
+}
+
+void Farm::Impl::wait_again(const std::shared_ptr<Job>& job) {
+  std::erase(running, job);
+  job->state = JobState::queued;
+  put_in_queue(job);
+  changed(*job);
 }
 
 bool Farm::Impl::may_begin_another(const Job& job) const {
@@ -227,16 +245,10 @@ JobRemains Farm::Impl::frame_ended(const std::shared_ptr<Frame>& frame, const st
   const bool others = !job->frames.empty();
   if (others) start_queued();  // a job that waited for this memory comes before a further frame
   const bool stops = job->cancel || stopping || (others && !may_begin_another(*job));
-  if (!stops && !others && job->paused && job->frames_over() < frames_of(job->request)) {
-    std::erase(running, job);
-    job->state = JobState::queued;
-    put_in_queue(job);
-    changed(*job);
-    start_queued();
-    return remains;
-  }
-  const bool goes_on = !stops && begin_frame(job);
-  if (!goes_on && !others) {
+  const bool goes_on = !stops && !job->paused && begin_frame(job);
+  if (!goes_on && !others && !stops && job->frames_over() < frames_of(job->request)) {
+    wait_again(job);
+  } else if (!goes_on && !others) {
     JobState state = JobState::done;
     std::string message;
     // Who cancelled while the last frame was written was told that the job ends so.

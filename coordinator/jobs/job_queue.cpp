@@ -143,6 +143,10 @@ void Farm::Impl::start_queued() {
     update_progress(*job, job->started);
     changed(*job);
     if (begin_frame(job)) continue;
+    if (job->frames_over() < frames_of(job->request)) {
+      wait_again(job);
+      return;
+    }
     // The coordinator before this one died when all frames were over.
     const bool failed = job->failed.count() > 0;
     end_job(*job, failed ? JobState::failed : JobState::done, failed ? failures_of(*job) : "");

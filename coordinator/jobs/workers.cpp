@@ -138,6 +138,7 @@ void Farm::Impl::tick() {
   for (WorkerId id : silent) lose(id, "not heard of for " + std::to_string(static_cast<int>(settings.silence)) + " s");
   offer_to_unserved();
   begin_another_frame();
+  if (said_no_thread) start_queued();
 }
 
 Farm::Joined Farm::join(const WorkerHello& hello, std::shared_ptr<WorkerSession> session) {

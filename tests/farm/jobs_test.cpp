@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <system_error>
+
 #include "coordinator/jobs/kept_records.h"
 #include "tests/farm/scripted_farm.h"
 
@@ -417,6 +419,22 @@ TEST_F(FarmJobs, AJobAfterOneThatIsNotThereIsRefused) {
   lost.after = {};
   lost.numbers = {3, 3};
   EXPECT_THROW(farm.submit(lost), Error) << "a frame twice";
+}
+
+TEST_F(FarmJobs, AThreadThatCannotStartIsWaitedFor) {
+  FarmSettings farm_settings = settings();
+  std::atomic<int> refused{2};
+  farm_settings.start_thread = [&](std::function<void()> what) {
+    if (refused-- > 0) throw std::system_error(std::make_error_code(std::errc::resource_unavailable_try_again));
+    return std::thread(std::move(what));
+  };
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  const std::string job = farm.submit(request());
+  EXPECT_EQ(farm.status(job)->state, JobState::queued);
+  serve(farm, worker, job);
+  EXPECT_EQ(end_of(farm, job).state, JobState::done) << end_of(farm, job).message;
 }
 
 }  // namespace
