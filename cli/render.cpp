@@ -10,6 +10,8 @@
 #include <future>
 #include <iostream>
 #include <memory>
+#include <optional>
+#include <string>
 
 #include "cli/commands.h"
 #include "cli/embedded.h"
@@ -20,6 +22,7 @@
 #include "scene/bvh/build.h"
 #include "scene/import/sequence.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 
 namespace gleaner::cli {
 
@@ -128,17 +131,30 @@ void render_states(EmbeddedFarm& embedded, scene::Scene base, const std::vector<
   render_job(embedded.farm(), request, signals, quiet);
 }
 
-// A job a frame: no more than one scene is in memory.
+// A job a frame: no more than one scene is in memory. A frame that fails does not end the others; when all have had
+// their turn, throws an error of the first failure's kind.
 void render_own_scenes(EmbeddedFarm& embedded, const LoadedFrame& frame, const std::vector<FrameLook>& looks,
                        coordinator::JobRequest& request, Signals& signals, bool quiet) {
+  std::optional<Error> first;
+  std::uint32_t failed = 0;
   for (std::uint32_t i = 0; i < frame.frames(); ++i) {
     request.first_frame = request.last_frame = frame.number(i);
     request.numbers.clear();
     request.settings.camera = looks[i].camera;
-    const LentScene lent(embedded, frame.moving->scene_at(looks[i].seconds));
-    request.scenes = {lent.blobs()};
-    render_job(embedded.farm(), request, signals, quiet, i);
+    try {
+      const LentScene lent(embedded, frame.moving->scene_at(looks[i].seconds));
+      request.scenes = {lent.blobs()};
+      render_job(embedded.farm(), request, signals, quiet, i - failed);
+    } catch (const Error& error) {
+      if (signals.raised()) throw;
+      const std::string words = "frame " + std::to_string(frame.number(i)) + ": " + error.what();
+      if (++failed == 1) first.emplace(error.kind(), words);
+      std::cerr << "gleaner: warning: " << printable_lines(words) << "\n";
+    }
   }
+  if (first)
+    throw Error(first->kind(), std::to_string(failed) + " of " + std::to_string(frame.frames()) +
+                                   " frames failed; first " + first->what());
 }
 
 int render(const RenderOptions& options) {

@@ -44,6 +44,7 @@ enum SceneSection : std::uint32_t {
   kMorphDeltas,
   kJoints,
   kJointWeights,
+  kPosedInstances,
   kStateSizes,  // matrices, morph weights
   kMovingSceneSections
 };
@@ -94,7 +95,8 @@ class NameReader {
 namespace {
 
 std::uint64_t rig_bytes(const Rig& rig) {
-  return sizeof(PosedMesh) * rig.meshes.size() + sizeof(MorphTarget) * rig.targets.size() +
+  return sizeof(PosedMesh) * rig.meshes.size() + sizeof(PosedInstance) * rig.instances.size() +
+         sizeof(MorphTarget) * rig.targets.size() +
          4 * (rig.positions.size() + rig.normals.size() + rig.deltas.size() + rig.joints.size() +
               rig.joint_weights.size() + 2);
 }
@@ -107,13 +109,15 @@ void add_rig(SectionWriter& writer, const Rig& rig) {
   writer.add(kMorphDeltas, rig.deltas);
   writer.add(kJoints, rig.joints);
   writer.add(kJointWeights, rig.joint_weights);
+  writer.add(kPosedInstances, rig.instances);
   writer.add(kStateSizes, std::vector<std::uint32_t>{rig.matrices, rig.morph_weights});
 }
 
 Rig read_rig(const SectionReader& reader) {
   Rig rig;
   rig.meshes = reader.read<PosedMesh>(kPosedMeshes);
-  if (rig.meshes.empty()) reader.fail("posed meshes", "at least one", 0);
+  rig.instances = reader.read<PosedInstance>(kPosedInstances);
+  if (rig.empty()) reader.fail("posed meshes and instances", "at least one", 0);
   rig.positions = reader.read<float>(kRestPositions);
   rig.normals = reader.read<float>(kRestNormals);
   rig.targets = reader.read<MorphTarget>(kMorphTargets);

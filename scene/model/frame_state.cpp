@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "scene/model/error.h"
+#include "scene/model/instances.h"
 #include "scene/model/limits.h"
 #include "scene/model/pose.h"
 #include "scene/model/sections.h"
@@ -143,6 +144,7 @@ PosedScene::PosedScene(std::shared_ptr<const Scene> base) : base_(std::move(base
   mutable_ = std::make_shared<Scene>(*base_);
   mutable_->rig = {};
   shown_ = mutable_;
+  if (!base_->rig.instances.empty()) instanced_boxes_ = boxes_of_instanced(*base_);
 }
 
 PosedScene::Changes PosedScene::show(const FrameState& state, const std::string& origin, unsigned threads) {
@@ -152,6 +154,7 @@ PosedScene::Changes PosedScene::show(const FrameState& state, const std::string&
   const FrameState& before = state_ ? *state_ : state_.emplace();
   Changes changes;
   changes.meshes = pose(state, origin, threads);
+  place(state, origin);
   changes.lights = before.light_indices != state.light_indices || !same_bytes(before.lights, state.lights);
   if (changes.lights) {
     scene.lights = base.lights;
@@ -185,6 +188,17 @@ std::vector<std::uint32_t> PosedScene::pose(const FrameState& state, const std::
     validate_vertices(*mutable_, mesh.first_vertex, mesh.vertex_count, origin);
   }
   return moved;
+}
+
+void PosedScene::place(const FrameState& state, const std::string& origin) {
+  for (const PosedInstance& posed : base_->rig.instances) {
+    Instance& instance = mutable_->instances[posed.instance];
+    Instance moved = instance;
+    place_instance(state.matrices[posed.matrix].data(), moved.transform);
+    if (std::memcmp(&moved, &instance, sizeof moved) == 0) continue;
+    instance = moved;
+    validate_placement(*mutable_, posed.instance, instanced_boxes_[moved.mesh], origin);
+  }
 }
 
 FrameState changes(const Scene& base, const Scene& shown) {

@@ -18,7 +18,7 @@ namespace gleaner::scene {
 using Placement = std::array<double, 12>;
 
 struct FrameState {
-  std::vector<Placement> matrices;    // of the rig's meshes, see PosedMesh
+  std::vector<Placement> matrices;    // of the rig's meshes and instances, see PosedMesh and PosedInstance
   std::vector<double> morph_weights;  // of the rig's meshes
   // Lights and materials that take the place of the base's with these indices, which rise.
   std::vector<std::uint32_t> light_indices, material_indices;
@@ -67,10 +67,12 @@ class PosedScene {
 
  private:
   std::vector<std::uint32_t> pose(const FrameState& state, const std::string& origin, unsigned threads);
+  void place(const FrameState& state, const std::string& origin);
 
   std::shared_ptr<const Scene> base_;
   std::shared_ptr<Scene> mutable_;
   std::shared_ptr<const Scene> shown_;
+  std::vector<Bounds> instanced_boxes_;
   std::optional<FrameState> state_;  // that is shown
 };
 

@@ -94,6 +94,10 @@ std::optional<std::string> refused_transform(const gl_float (&transform)[12]) {
   return std::nullopt;
 }
 
+void place_instance(const double* rows, gl_float (&transform)[12]) {
+  for (int i = 0; i < 12; ++i) transform[i] = static_cast<float>(rows[i]);
+}
+
 std::vector<std::uint32_t> meshes_with_own_bvh(const Scene& scene) {
   std::vector<std::uint32_t> meshes;
   for (std::uint32_t m = 0; m < scene.meshes.size(); ++m)
@@ -128,6 +132,13 @@ Bounds bounds_of(const Scene& scene, const Mesh& mesh) {
     }
   }
   return bounds;
+}
+
+std::vector<Bounds> boxes_of_instanced(const Scene& scene) {
+  std::vector<Bounds> boxes(scene.meshes.size());
+  for (std::size_t m = 0; m < boxes.size(); ++m)
+    if (scene.meshes[m].instanced) boxes[m] = bounds_of(scene, scene.meshes[m]);
+  return boxes;
 }
 
 DerivedInstance derived(const gl_float (&transform)[12], const Bounds& mesh) {

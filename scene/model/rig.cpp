@@ -42,6 +42,7 @@ class RigChecker {
       triangles = std::uint64_t{rig_.meshes[i].first_triangle} + rig_.meshes[i].triangle_count;
     }
     corners();
+    instances();
   }
 
  private:
@@ -104,7 +105,21 @@ class RigChecker {
       each_corner(m.first_triangle + m.triangle_count, m.first_vertex, std::uint64_t{m.first_vertex} + m.vertex_count,
                   true);
     }
-    if (!rig_.empty()) each_corner(scene_.triangle_count(), 0, 0, false);
+    if (!rig_.meshes.empty()) each_corner(scene_.triangle_count(), 0, 0, false);
+  }
+
+  void instances() const {
+    for (std::size_t i = 0; i < rig_.instances.size(); ++i) {
+      const PosedInstance& posed = rig_.instances[i];
+      const std::uint32_t least = i == 0 ? 0 : rig_.instances[i - 1].instance + 1;
+      if (posed.instance < least || posed.instance >= scene_.instances.size())
+        fail(item("rig.instances", i) + ".instance",
+             "an instance from " + std::to_string(least) + " on, below " + std::to_string(scene_.instances.size()),
+             std::to_string(posed.instance));
+      if (posed.matrix >= rig_.matrices)
+        fail(item("rig.instances", i) + ".matrix", "a matrix below " + std::to_string(rig_.matrices),
+             std::to_string(posed.matrix));
+    }
   }
 
   bool is_posed(std::uint32_t vertex) const {

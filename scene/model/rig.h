@@ -29,17 +29,25 @@ struct PosedMesh {
 };
 GLEANER_SIZE(PosedMesh, 48);
 
+// An instance that moves as a whole: a pose gives its transform, rounded to single precision.
+struct PosedInstance {
+  gl_uint instance;  // of Scene::instances
+  gl_uint matrix;    // of FrameState::matrices
+};
+GLEANER_SIZE(PosedInstance, 8);
+
 struct Rig {
-  std::vector<PosedMesh> meshes;  // by first_vertex; neither vertices nor triangles are shared
-  std::vector<float> positions;   // 3 per rest vertex
-  std::vector<float> normals;     // the same; (0,0,0) = none
+  std::vector<PosedMesh> meshes;         // by first_vertex; neither vertices nor triangles are shared
+  std::vector<PosedInstance> instances;  // by instance, each once
+  std::vector<float> positions;          // 3 per rest vertex
+  std::vector<float> normals;            // the same; (0,0,0) = none
   std::vector<MorphTarget> targets;
   std::vector<float> deltas;
   std::vector<std::uint32_t> joints;  // below the mesh's matrix_count
   std::vector<float> joint_weights;   // where a vertex's sum is not positive, the mesh's first joint moves it alone
   std::uint32_t matrices = 0, morph_weights = 0;  // that a frame's state has
 
-  bool empty() const { return meshes.empty(); }
+  bool empty() const { return meshes.empty() && instances.empty(); }
 };
 
 struct Scene;

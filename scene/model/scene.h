@@ -147,9 +147,10 @@ void finish_materials(Scene& scene);
 // Throws Error::bad_input naming `file` and the element: non-finite vertices, indices and materials out of range,
 // arrays of the wrong length, too many triangles (2^27) or texels (2^32).
 void validate(const Scene& scene, const std::string& file);
-// The parts of it that ask after what a frame may change: so many vertices; the lights; the materials, with what their
-// meshes may not be made of.
+// The parts of it that ask after what a frame may change: so many vertices; where an instance stands, with the box
+// about its mesh; the lights; the materials, with what their meshes may not be made of.
 void validate_vertices(const Scene& scene, std::size_t first, std::size_t count, const std::string& file);
+void validate_placement(const Scene& scene, std::size_t instance, const Bounds& box, const std::string& file);
 void validate_lights(const Scene& scene, const std::string& file);
 void validate_materials(const Scene& scene, const std::string& file);
 // The part of it that asks after the scene's rig.

@@ -66,6 +66,18 @@ class Checker {
       if (scene_.meshes[m].instanced) instanced_mesh(m);
   }
 
+  // `box`: about the instance's mesh.
+  void place(std::size_t i, const Bounds& box) const {
+    const Instance& instance = scene_.instances[i];
+    if (const auto why = refused_transform(instance.transform))
+      fail(item("instances", i, "transform"), "a finite transform with an inverse of moderate size", *why);
+    const DerivedInstance d = derived(instance.transform, box);
+    for (int c = 0; c < 3; ++c)
+      if (!(d.lower[c] >= -kMaxCoordinate && d.upper[c] <= kMaxCoordinate))
+        fail(item("instances", i, "transform"), "a place within " + number(kMaxCoordinate) + " m",
+             number(static_cast<float>(d.lower[c])) + " to " + number(static_cast<float>(d.upper[c])));
+  }
+
  private:
   [[noreturn]] void fail(const std::string& element, const std::string& expected, const std::string& found) const {
     throw Error::bad_input(file_, element, expected, found);
@@ -151,11 +163,9 @@ class Checker {
     const Scene& s = scene_;
     if (s.instances.size() > kMaxInstances)
       fail("instances", "at most " + std::to_string(kMaxInstances), std::to_string(s.instances.size()));
-    std::vector<Bounds> boxes(s.meshes.size());
     std::vector<bool> placed(s.meshes.size());
     instanced_meshes();
-    for (std::size_t m = 0; m < s.meshes.size(); ++m)
-      if (s.meshes[m].instanced) boxes[m] = bounds_of(s, s.meshes[m]);
+    const std::vector<Bounds> boxes = boxes_of_instanced(s);
     for (std::size_t i = 0; i < s.instances.size(); ++i) {
       const Instance& instance = s.instances[i];
       if (instance.mesh >= s.meshes.size() || !s.meshes[instance.mesh].instanced)
@@ -164,13 +174,7 @@ class Checker {
       placed[instance.mesh] = true;
       if (std::any_of(instance.reserved, instance.reserved + 3, [](gl_uint word) { return word != 0; }))
         fail(item("instances", i, "reserved"), "zeros", "other words");
-      if (const auto why = refused_transform(instance.transform))
-        fail(item("instances", i, "transform"), "a finite transform with an inverse of moderate size", *why);
-      const DerivedInstance d = derived(instance.transform, boxes[instance.mesh]);
-      for (int c = 0; c < 3; ++c)
-        if (!(d.lower[c] >= -kMaxCoordinate && d.upper[c] <= kMaxCoordinate))
-          fail(item("instances", i, "transform"), "a place within " + number(kMaxCoordinate) + " m",
-               number(static_cast<float>(d.lower[c])) + " to " + number(static_cast<float>(d.upper[c])));
+      place(i, boxes[instance.mesh]);
     }
     for (std::size_t m = 0; m < s.meshes.size(); ++m)
       if (s.meshes[m].instanced && !placed[m]) fail(item("meshes", m), "an instance of it", "none");
@@ -365,6 +369,10 @@ void validate(const Scene& scene, const std::string& file) { Checker(scene, file
 
 void validate_vertices(const Scene& scene, std::size_t first, std::size_t count, const std::string& file) {
   Checker(scene, file).vertices(first, count);
+}
+
+void validate_placement(const Scene& scene, std::size_t instance, const Bounds& box, const std::string& file) {
+  Checker(scene, file).place(instance, box);
 }
 
 void validate_lights(const Scene& scene, const std::string& file) { Checker(scene, file).lights(); }

@@ -166,6 +166,16 @@ scene::Scene moving_box() {
   return base;
 }
 
+// The same, whose mesh moves as an instance.
+scene::Scene rigid_box() {
+  scene::Scene base = scene::make_scene("cornell-box", {});
+  base.meshes.back().instanced = true;
+  base.instances = {{{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}, static_cast<gl_uint>(base.meshes.size() - 1), {}}};
+  base.rig.instances = {{0, 0}};
+  base.rig.matrices = 1;
+  return base;
+}
+
 scene::FrameState moved_by(double x) {
   scene::FrameState state;
   state.matrices = {{1, 0, 0, x, 0, 1, 0, 0, 0, 0, 1, 0}};
@@ -208,8 +218,7 @@ std::vector<std::string> pixels(const scene::Scene& base, const std::vector<scen
 }
 
 // A base in a state is the picture of that scene alone, whatever frames came before and however many workers there are.
-TEST(FarmMovingScenes, StatesOfABaseAreThoseOfTheirScenes) {
-  const scene::Scene base = moving_box();
+void compare_states_with_their_scenes(const scene::Scene& base) {
   for (const char* method : {"path", "vpl", "ao"}) {
     JobRequest request = request_of(base);
     request.settings.method = method;
@@ -223,6 +232,10 @@ TEST(FarmMovingScenes, StatesOfABaseAreThoseOfTheirScenes) {
     EXPECT_EQ(pixels(base, states, request, 3), frames) << method;
   }
 }
+
+TEST(FarmMovingScenes, StatesOfABaseAreThoseOfTheirScenes) { compare_states_with_their_scenes(moving_box()); }
+
+TEST(FarmMovingScenes, StatesOfInstancesAreThoseOfTheirScenes) { compare_states_with_their_scenes(rigid_box()); }
 
 // What is seen of what stays while lights change, and is used again; no picture depends on that.
 TEST(FarmMovingScenes, SurfacesServeEveryLight) {

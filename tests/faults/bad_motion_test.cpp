@@ -33,9 +33,8 @@ class BadMotion : public testing::Test {
     ran.err = process.err();
     return ran;
   }
-  // `render` of the frames 1 to 3.
-  Ran render(const fs::path& scene) {
-    return gleaner({"render", scene.string(), "-o", picture().string(), "--frames", "1-3", "--fps", "2", "--size",
+  Ran render(const fs::path& scene, const std::string& frames = "1-3") {
+    return gleaner({"render", scene.string(), "-o", picture().string(), "--frames", frames, "--fps", "2", "--size",
                     "16x12", "--spp", "4", "--look-at", "0,0,4,0,0,0", "--report",
                     (folder_.path() / "report.json").string()});
   }
@@ -157,6 +156,17 @@ TEST_F(ObjSequence, AFileThatLacksEndsWithStatus3BeforeAnythingIsRendered) {
   EXPECT_EQ(ran.status, 3) << ran.err;
   EXPECT_THAT(ran.err, AllOf(HasSubstr("model_0002.obj"), HasSubstr("frame 2")));
   EXPECT_FALSE(any_picture());
+}
+
+// Where each frame is a scene of its own, what is wrong with one is found when its turn has come.
+TEST_F(ObjSequence, AFrameThatFailsDoesNotEndTheOthers) {
+  for (int frame = 1; frame <= 5; ++frame) write(frame, glowing(0.1 * frame, frame == 2 ? "v 0 -1 0\nf 1 2 4\n" : ""));
+  write(3, glowing(0.3, "f 1 2 9\n"));
+  const Ran ran = render(folder_.path() / "model_####.obj", "1-5");
+  EXPECT_EQ(ran.status, 3) << ran.err;
+  EXPECT_THAT(ran.err, AllOf(HasSubstr("1 of 5 frames failed; first frame 3: "), HasSubstr("model_0003.obj")));
+  for (int frame = 1; frame <= 5; ++frame)
+    EXPECT_EQ(fs::exists(folder_.path() / ("picture_000" + std::to_string(frame) + ".exr")), frame != 3) << frame;
 }
 
 TEST_F(ObjSequence, EachFrameIsItsFilesPicture) {

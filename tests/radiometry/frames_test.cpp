@@ -65,7 +65,16 @@ void add_targets(Scene& scene, scene::PosedMesh& posed) {
   }
 }
 
-// A room with a cloth that waves or is torn, a block that moves, and a lamp that does.
+// Makes a mesh an instance that a matrix of the state places, the state's last.
+void make_rigid(Scene& scene, const std::string& name) {
+  const auto mesh = std::ranges::find(scene.meshes, name, &scene::Mesh::name);
+  mesh->instanced = true;
+  scene.rig.instances.push_back({static_cast<gl_uint>(scene.instances.size()), scene.rig.matrices++});
+  scene.instances.push_back(
+      {{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}, static_cast<gl_uint>(mesh - scene.meshes.begin()), {}});
+}
+
+// A room with a cloth that waves or is torn, a block that moves, a lamp that does, and a toy that does as an instance.
 std::shared_ptr<const Scene> moving_room() {
   scene::SceneBuilder b("room");
   const auto grey = b.material("grey", scene::lambert(scene::grey(0.6)));
@@ -88,12 +97,19 @@ std::shared_ptr<const Scene> moving_room() {
            return Vec{0.08 * i - 1, 1.4 + 0.04 * std::sin(i), 0.08 * j - 1};
          },
          grey, {.smooth = true});
+  b.mesh("toy");
+  b.grid(8, 8,
+         [](std::uint32_t i, std::uint32_t j) {
+           return Vec{1 + 0.05 * i, 0.3 + 0.1 * std::sin(0.8 * j), 0.9 + 0.05 * j};
+         },
+         grey, {.smooth = true});
   b.point_light({-1, 1.8, 1}, {2, 2, 3});
   b.camera("front", {0, 1.5, 5}, {0, 1.2, 0}, 45, 24, 20);
   Scene scene = b.finish();
   add_posed(scene, "block");
   add_posed(scene, "lamp");
   add_targets(scene, add_posed(scene, "cloth"));
+  make_rigid(scene, "toy");
   mark_deforming(scene);
   validate(scene, "room");
   return std::make_shared<const Scene>(std::move(scene));
@@ -102,12 +118,14 @@ std::shared_ptr<const Scene> moving_room() {
 struct Pose {
   double block = 0, lamp = 0, wave = 0, torn = 0;
   float light = 0, red = 0;  // of the point light, 0: as it is; of the floor, alike
+  double toy = 0;            // turned by that angle, and shrunk
 };
 
 FrameState state_of(const Scene& base, const Pose& pose) {
   const auto moved = [](double x) { return scene::Placement{1, 0, 0, x, 0, 1, 0, 0, 0, 0, 1, 0}; };
   FrameState state;
-  state.matrices = {moved(pose.block), moved(pose.lamp), moved(0)};
+  const double c = std::cos(pose.toy), s = std::sin(pose.toy), h = 1 - 0.3 * pose.toy;
+  state.matrices = {moved(pose.block), moved(pose.lamp), moved(0), {c, 0, s, 0, 0, h, 0, 0.1, -s, 0, c, 0}};
   state.morph_weights = {pose.wave, pose.torn};
   if (pose.light > 0) {
     state.light_indices = {0};
@@ -129,7 +147,10 @@ const std::vector<Pose> kPoses = {{},
                                   {.block = 0.4, .lamp = 0.5, .torn = 1},
                                   {.wave = -0.7},
                                   // On the other side of the lamp that stands.
-                                  {.lamp = 2.9, .wave = -0.7}};
+                                  {.lamp = 2.9, .wave = -0.7},
+                                  // From then on the toy alone moves, at last mirrored.
+                                  {.lamp = 2.9, .wave = -0.7, .toy = 0.5},
+                                  {.lamp = 2.9, .wave = -0.7, .toy = 5}};
 
 class Frames : public ::testing::TestWithParam<worker::TraceKind> {
  protected:
@@ -217,12 +238,16 @@ TEST_P(Frames, FollowWhatMovesAlone) {
   EXPECT_EQ(meshes(4), (Names{"block", "lamp", "cloth rebuilt"}));
   EXPECT_EQ(meshes(5), (Names{"block", "lamp", "cloth"}));
   EXPECT_EQ(meshes(6), Names{"lamp"});
+  EXPECT_EQ(meshes(7), Names{});
+  EXPECT_GT(reports[7].top_level_seconds, 0);
+  EXPECT_LT(reports[7].written_bytes, 1024u) << "an instance's row, and no triangles";
+  EXPECT_GT(reports[7].written_bytes, 0u);
   EXPECT_GT(reports[0].load_seconds, 0);
   for (std::size_t pose = 1; pose < reports.size(); ++pose) EXPECT_EQ(reports[pose].load_seconds, 0) << pose;
   // A light and a colour: neither triangles nor textures.
   EXPECT_LT(reports[3].written_bytes, 16384u);
   EXPECT_GT(reports[3].written_bytes, 0u);
-  EXPECT_EQ(on->load_frame("6", "base", state_of(*base_, kPoses[6])).meshes.size(), 0u) << "held";
+  EXPECT_EQ(on->load_frame("8", "base", state_of(*base_, kPoses[8])).top_level_seconds, 0) << "held";
 }
 
 // Frames that run side by side take turns on a worker: each gets a place of its own.
@@ -247,6 +272,11 @@ TEST_P(Frames, ThatDoNotFitLeaveNoTrace) {
   bad.matrices[1][3] = 1e30;
   EXPECT_THROW(on->load_frame("bad", "base", bad), Error);
   EXPECT_FALSE(on->holds_scene("bad"));
+  for (const double scale : {0.0, 1e30}) {
+    bad = state_of(*base_, kPoses[2]);
+    bad.matrices[3][5] = scale;
+    EXPECT_THROW(on->load_frame("bad", "base", bad), Error) << scale;
+  }
   bad = state_of(*base_, kPoses[2]);
   bad.matrices.pop_back();
   EXPECT_THROW(on->load_frame("bad", "base", bad), Error);

@@ -7,7 +7,9 @@ foreach(subject gltf gltf_bad animation motion sequence deform instances compres
                LIBRARIES gleaner_import OpenImageIO::OpenImageIO nlohmann_json::nlohmann_json)
 endforeach()
 target_link_libraries(test_import_compression PRIVATE meshoptimizer::meshoptimizer ${DRACO_LIBRARY})
-target_link_libraries(test_import_instances PRIVATE gleaner_library)
+foreach(subject animation motion instances)
+  target_link_libraries(test_import_${subject} PRIVATE gleaner_library)
+endforeach()
 if(TARGET gleaner_library)
   gleaner_test(NAME import_oracle SOURCES import_oracle_test.cpp import_files.cpp
                LIBRARIES gleaner_import gleaner_library OpenImageIO::OpenImageIO nlohmann_json::nlohmann_json)

@@ -8,6 +8,7 @@
 
 #include "import_files.h"
 #include "scene/import/import.h"
+#include "scene/library/bake.h"
 #include "scene/model/error.h"
 #include "scene/model/frame_state.h"
 
@@ -48,7 +49,7 @@ class Animation : public testing::Test {
   }
   // Where the second corner, (1, 0, 0) at rest, is.
   Floats corner(double seconds, const std::string& animation = "all") {
-    const Scene scene = at(seconds, animation);
+    const Scene scene = baked(at(seconds, animation));
     return {scene.positions.begin() + 3, scene.positions.begin() + 6};
   }
   // What is said of a file that is refused.
@@ -124,26 +125,35 @@ TEST_F(Animation, FollowsPointers) {
 }
 
 // The corner at ten times against the same computed here, in double precision, by other formulas: a turn about an axis
-// by its angle, then a parent's move.
+// by its angle, then a parent's move. As an instance, and vertex by vertex.
 TEST_F(Animation, BaseAndStateStandWhereTheyShould) {
   animate("rotation", {0, 1}, {0, 0, 0, 1, 0, 0, kHalf, kHalf}, "VEC4");
   animate("translation", {0, 2}, {1, 0, 0, 1, 8, 0}, "VEC3");
-  MovingScene file(folder_.write("scene.glb", file_.glb()));
-  ASSERT_TRUE(file.moves());
-  const Bytes blob = serialize(file.base());
-  const Scene base = parse_scene(blob, "base");
-  for (int k = 0; k < 10; ++k) {
-    const double seconds = 0.25 * k, angle = std::min(seconds, 1.0) * std::acos(-1.0) / 2;
-    const auto frame = file.at(seconds);
-    ASSERT_TRUE(frame);
-    const Bytes bytes = serialize(frame->state);
-    EXPECT_LT(bytes.size(), 65536u);
-    const Scene shown = posed(base, parse_frame_state(bytes, "state"), "frame");
-    EXPECT_NEAR(shown.positions[3], 1 + std::cos(angle), 1e-5) << seconds;
-    EXPECT_NEAR(shown.positions[4], std::sin(angle) + 4 * std::min(seconds, 2.0), 1e-5 * 9) << seconds;
-    EXPECT_EQ(shown.positions, at(seconds).positions) << "a scene of its own";
-    EXPECT_EQ(shown.normals, at(seconds).normals);
-    EXPECT_EQ(serialize(file.at(seconds)->state), bytes) << "whatever was asked for before";
+  for (const bool instances : {true, false}) {
+    ImportOptions options;
+    options.instances = instances;
+    MovingScene file(folder_.write("scene.glb", file_.glb()), options);
+    ASSERT_TRUE(file.moves());
+    const Bytes blob = serialize(file.base());
+    const Scene base = parse_scene(blob, "base");
+    ASSERT_EQ(base.rig.instances.size(), instances ? 1u : 0u);
+    ASSERT_EQ(base.rig.meshes.size(), instances ? 0u : 1u);
+    for (int k = 0; k < 10; ++k) {
+      const double seconds = 0.25 * k, angle = std::min(seconds, 1.0) * std::acos(-1.0) / 2;
+      const auto frame = file.at(seconds);
+      ASSERT_TRUE(frame);
+      const Bytes bytes = serialize(frame->state);
+      EXPECT_LT(bytes.size(), 65536u);
+      const Scene shown = posed(base, parse_frame_state(bytes, "state"), "frame"), placed = baked(shown);
+      EXPECT_NEAR(placed.positions[3], 1 + std::cos(angle), 1e-5) << seconds;
+      EXPECT_NEAR(placed.positions[4], std::sin(angle) + 4 * std::min(seconds, 2.0), 1e-5 * 9) << seconds;
+      options.seconds = seconds;
+      const Scene own = import_scene(folder_.write("scene.glb", file_.glb()), options);
+      EXPECT_EQ(shown.positions, own.positions) << "a scene of its own";
+      EXPECT_EQ(shown.normals, own.normals);
+      EXPECT_TRUE(same_bytes(shown.instances, own.instances));
+      EXPECT_EQ(serialize(file.at(seconds)->state), bytes) << "whatever was asked for before";
+    }
   }
 }
 
@@ -167,7 +177,8 @@ TEST_F(Animation, StatesThatDoNotFitAreRefused) {
   EXPECT_EQ(refused([](FrameState&) {}), "");
   EXPECT_THAT(refused([](FrameState& s) { s.matrices.clear(); }), HasSubstr("matrices: expected 1"));
   EXPECT_THAT(refused([](FrameState& s) { s.matrices[0][3] = NAN; }), HasSubstr("matrices[0]: expected a finite"));
-  EXPECT_THAT(refused([](FrameState& s) { s.matrices[0][3] = 1e20; }), HasSubstr("positions"));
+  EXPECT_THAT(refused([](FrameState& s) { s.matrices[0][3] = 1e20; }), HasSubstr("instances[0].transform"));
+  EXPECT_THAT(refused([](FrameState& s) { s.matrices[0][0] = 0; }), HasSubstr("instances[0].transform"));
   EXPECT_THAT(refused([](FrameState& s) { s.morph_weights = {1}; }), HasSubstr("morph_weights: expected 0"));
   EXPECT_THAT(refused([](FrameState& s) {
                 s.light_indices = {0};

@@ -3,7 +3,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
+#include <memory>
 
 #include "import_files.h"
 #include "scene/import/import.h"
@@ -137,6 +139,174 @@ TEST_F(ImportInstances, LeaveOutPlacesThatCannotShareTheMesh) {
   const Scene morphed = read(file);
   EXPECT_EQ(morphed.instances.size(), 59u);
   EXPECT_EQ(morphed.triangle_count(), 2000u);
+}
+
+// Files of which nodes move.
+class MovingInstances : public ImportInstances {
+ protected:
+  // Adds an animation of a value that the file has; one second a key.
+  void animate(GltfFile& file, const json& target, const std::vector<float>& values, const std::string& type,
+               const std::string& interpolation = "LINEAR") {
+    const std::size_t width = type == "SCALAR" ? 1 : type == "VEC3" ? 3 : 4;
+    std::vector<float> times;
+    for (std::size_t k = 0; k < values.size() / width / (interpolation == "CUBICSPLINE" ? 3 : 1); ++k)
+      times.push_back(static_cast<float>(k));
+    file.json["animations"].push_back({{"channels", {{{"sampler", 0}, {"target", target}}}},
+                                       {"samplers",
+                                        {{{"input", file.add(times, 5126, "SCALAR")},
+                                          {"output", file.add(values, 5126, type)},
+                                          {"interpolation", interpolation}}}}});
+  }
+  static json node(std::size_t index, const std::string& path) { return {{"node", index}, {"path", path}}; }
+  static json pointer(const std::string& to) {
+    return {{"path", "pointer"}, {"extensions", {{"KHR_animation_pointer", {{"pointer", to}}}}}};
+  }
+  // A strip whose node travels.
+  GltfFile travelling() {
+    GltfFile file = strip_file(10, 1);
+    animate(file, node(0, "translation"), {0, 0, 0, 1, 2, 3}, "VEC3");
+    return file;
+  }
+
+  std::unique_ptr<MovingScene> open(const GltfFile& file, bool instances = true) {
+    ImportOptions options;
+    options.instances = instances;
+    return std::make_unique<MovingScene>(folder_.write("scene.glb", file.glb()), options);
+  }
+  // Instances and meshes that the animations move, as "2 instances, 1 mesh" would be: {2, 1}.
+  std::array<std::size_t, 2> moved(const GltfFile& file) {
+    const auto scene = open(file);
+    return {scene->base().rig.instances.size(), scene->base().rig.meshes.size()};
+  }
+  // How far the instances are from copies, posed vertex by vertex, at that time; NaN: no state of the base shows it.
+  double apart(const GltfFile& file, double seconds) {
+    double most = 0;
+    std::vector<Scene> shown;
+    for (const bool instances : {true, false}) {
+      const auto scene = open(file, instances);
+      if (instances && !scene->at(seconds)) return NAN;
+      shown.push_back(baked(scene->scene_at(seconds)));
+    }
+    EXPECT_EQ(shown[0].indices.size(), shown[1].indices.size());
+    for (std::size_t i = 0; i < shown[0].indices.size(); ++i)
+      for (std::size_t k = 0; k < 3; ++k) {
+        const std::size_t a = 3 * std::size_t{shown[0].indices[i]} + k, b = 3 * std::size_t{shown[1].indices[i]} + k;
+        // A scene of its own may have an origin of its own.
+        const double origins = shown[0].origin[k] - shown[1].origin[k];
+        most = std::max({most, std::abs(shown[0].positions[a] - shown[1].positions[b] + origins),
+                         std::abs(double{shown[0].normals[a]} - shown[1].normals[b])});
+      }
+    return most;
+  }
+
+  using Moved = std::array<std::size_t, 2>;
+};
+
+TEST_F(MovingInstances, AreWhatMovesAsAWhole) {
+  EXPECT_EQ(moved(travelling()), (Moved{1, 0}));
+  EXPECT_LT(apart(travelling(), 0.7), 2e-6);
+  // Below a node that moves; one that repeats its mesh.
+  GltfFile file = travelling();
+  file.json["nodes"].push_back(file.json["nodes"][0]);
+  file.json["nodes"][0].erase("mesh");
+  file.json["nodes"][0]["children"] = {1};
+  EXPECT_EQ(moved(file), (Moved{1, 0}));
+  json& attributes = file.json["nodes"][1]["extensions"]["EXT_mesh_gpu_instancing"]["attributes"];
+  attributes["TRANSLATION"] = file.add(std::vector<float>{0, 0, 0, 1, 0, 0, 0, 5, 0}, 5126, "VEC3");
+  EXPECT_EQ(moved(file), (Moved{3, 0}));
+  EXPECT_LT(apart(file, 0.7), 5e-6);
+  // A shape that morphs by the mesh's own weights, which stand.
+  file = travelling();
+  file.primitive()["targets"] = {{{"POSITION", file.primitive()["attributes"]["NORMAL"]}}};
+  file.json["meshes"][0]["weights"] = {0.5};
+  EXPECT_EQ(moved(file), (Moved{1, 0}));
+}
+
+// What moves shares its mesh with what moves; what stands is copied unless that pays.
+TEST_F(MovingInstances, ShareMeshes) {
+  GltfFile file = strip_file(10, 4);
+  for (const std::size_t i : {1u, 3u}) animate(file, node(i, "rotation"), {0, 0, 0, 1, 0, 0.6f, 0, 0.8f}, "VEC4");
+  const auto scene = open(file);
+  EXPECT_EQ(scene->base().rig.instances.size(), 2u);
+  EXPECT_EQ(scene->base().instances.size(), 2u);
+  EXPECT_EQ(scene->base().triangle_count(), 30u) << "two copies, and one mesh for both instances";
+  GltfFile large = strip_file(1000, 60);
+  animate(large, node(7, "translation"), {0, 0, 0, 1, 0, 0}, "VEC3");
+  const auto shared = open(large);
+  EXPECT_EQ(shared->base().instances.size(), 60u);
+  ASSERT_EQ(shared->base().rig.instances.size(), 1u);
+  EXPECT_EQ(shared->base().rig.instances[0].instance, 7u);
+  EXPECT_EQ(shared->base().triangle_count(), 1000u);
+}
+
+TEST_F(MovingInstances, AreNothingThatShinesOrChangesItsShape) {
+  GltfFile file = travelling();
+  file.json["materials"][0]["emissiveFactor"] = {1, 1, 1};
+  EXPECT_EQ(moved(file), (Moved{0, 1})) << "a lamp";
+  file = travelling();
+  animate(file, pointer("/materials/0/emissiveFactor"), {0, 0, 0, 1, 1, 1}, "VEC3");
+  EXPECT_EQ(moved(file), (Moved{0, 1})) << "a lamp later on";
+  file = travelling();
+  json& material = file.json["materials"][0];
+  material["pbrMetallicRoughness"]["metallicFactor"] = 0;
+  material["extensions"]["KHR_materials_transmission"]["transmissionFactor"] = 0;
+  material["extensions"]["KHR_materials_volume"]["thicknessFactor"] = 1;
+  animate(file, pointer("/materials/0/extensions/KHR_materials_transmission/transmissionFactor"), {0, 1}, "SCALAR");
+  EXPECT_EQ(moved(file), (Moved{0, 1})) << "glass later on";
+  file = travelling();
+  file.primitive()["targets"] = {{{"POSITION", file.primitive()["attributes"]["NORMAL"]}}};
+  animate(file, node(0, "weights"), {0, 1}, "SCALAR");
+  EXPECT_EQ(moved(file), (Moved{0, 1})) << "a shape that morphs";
+  file = travelling();
+  animate(file, pointer("/materials/0/pbrMetallicRoughness/baseColorFactor"), {1, 0, 0, 1, 0, 1, 0, 1}, "VEC4");
+  EXPECT_EQ(moved(file), (Moved{1, 0})) << "a colour that changes is none of it";
+}
+
+// A scale that passes zero makes something flat: no instance, but vertices, in all frames.
+TEST_F(MovingInstances, DoNotShrinkToNothing) {
+  const std::vector<float> through = {1, 1, 1, -1, 1, 1};
+  struct Case {
+    const char* what;
+    std::vector<float> values;
+    std::string interpolation;
+    bool instance;
+  };
+  const Case cases[] = {
+      {"through zero", through, "LINEAR", false},
+      {"over zero", through, "STEP", true},
+      {"at zero", {1, 1, 1, 0, 0, 0}, "STEP", false},
+      {"small", {1, 1, 1, 1e-3f, 1e-3f, 1e-3f}, "LINEAR", true},
+      {"a spline that swings to zero", {0, 0, 0, 1, 1, 1, -8, 0, 0, 8, 0, 0, 1, 1, 1, 0, 0, 0}, "CUBICSPLINE", false},
+      {"a spline that does not", {0, 0, 0, 1, 1, 1, -2, 0, 0, 2, 0, 0, 1, 1, 1, 0, 0, 0}, "CUBICSPLINE", true}};
+  for (const Case& c : cases) {
+    GltfFile file = strip_file(10, 1);
+    animate(file, node(0, "scale"), c.values, "VEC3", c.interpolation);
+    EXPECT_EQ(moved(file), (c.instance ? Moved{1, 0} : Moved{0, 1})) << c.what;
+    for (const double seconds : {0.0, 0.45, 1.0}) {
+      const double found = apart(file, seconds);
+      // Vertices that an odd number of mirrors would turn inside out have a scene of their own.
+      EXPECT_TRUE(found < 2e-6 || (std::isnan(found) && !c.instance)) << c.what << ", " << seconds << " s: " << found;
+    }
+  }
+  // The child of a node that vanishes does so as well.
+  GltfFile file = travelling();
+  file.json["nodes"].push_back({{"children", {0}}});
+  file.json["scenes"][0]["nodes"] = {1};
+  animate(file, node(1, "scale"), through, "VEC3");
+  EXPECT_EQ(moved(file), (Moved{0, 1}));
+}
+
+// Where scales of several nodes make a transform that no instance may have, that time has a scene of its own.
+TEST_F(MovingInstances, ThatBecomeTooFlatHaveAScene) {
+  GltfFile file = strip_file(10, 1);
+  animate(file, node(0, "scale"), {1, 1, 1, 1, 1e-5f, 1}, "VEC3");
+  EXPECT_EQ(moved(file), (Moved{1, 0}));
+  EXPECT_LT(apart(file, 0.5), 2e-6);
+  const auto scene = open(file);
+  EXPECT_FALSE(scene->at(1));
+  const Scene own = scene->scene_at(1);
+  EXPECT_TRUE(own.instances.empty());
+  EXPECT_EQ(own.triangle_count(), 10u);
 }
 
 }  // namespace

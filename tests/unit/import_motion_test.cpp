@@ -13,6 +13,7 @@
 
 #include "import_files.h"
 #include "scene/import/import.h"
+#include "scene/library/bake.h"
 #include "scene/model/error.h"
 #include "scene/model/frame_state.h"
 
@@ -266,24 +267,33 @@ std::array<Point, 2> across(const Point& n) {
   return {first, cross_of(n, first)};
 }
 
+// What stands in the world of a mesh of the file: its vertices are those of the baked scene, in its order, since its
+// triangles name one after the other.
 TEST_F(Motion, VerticesStandWhereTheyShouldAtTenTimes) {
-  MovingScene file(folder_.write("scene.glb", file_.glb()));
-  ASSERT_TRUE(file.moves());
-  const Scene base = parse_scene(serialize(file.base()), "base");
-  ASSERT_EQ(base.rig.meshes.size(), 3u);
   double worst = 0, worst_normal = 0;
-  for (const double seconds : {-1.0, 0.0, 0.2, 0.45, 0.7, double(channels_[0].times[2]), 1.3, 1.7, 2.2, 9.0}) {
-    const auto frame = file.at(seconds);
-    ASSERT_TRUE(frame) << seconds;
-    const Scene shown = posed(base, parse_frame_state(serialize(frame->state), "state"), "frame");
-    for (const PosedMesh& posed_mesh : base.rig.meshes) {
-      ASSERT_EQ(posed_mesh.vertex_count, kVertices);
-      const std::size_t m = posed_mesh.influences > 0 ? 0 : posed_mesh.target_count > 0 ? 2 : 1;
-      for (std::size_t v = 0; v < kVertices; ++v) {
+  for (const bool instances : {true, false}) {
+    ImportOptions options;
+    options.instances = instances;
+    MovingScene file(folder_.write("scene.glb", file_.glb()), options);
+    ASSERT_TRUE(file.moves());
+    const Scene base = parse_scene(serialize(file.base()), "base");
+    // What is rigid is an instance.
+    ASSERT_EQ(base.rig.meshes.size(), instances ? 2u : 3u);
+    ASSERT_EQ(base.rig.instances.size(), instances ? 1u : 0u);
+    // Copies come before instances.
+    const std::array<std::size_t, 3> order =
+        instances ? std::array<std::size_t, 3>{0, 2, 1} : std::array<std::size_t, 3>{0, 1, 2};
+    for (const double seconds : {-1.0, 0.0, 0.2, 0.45, 0.7, double(channels_[0].times[2]), 1.3, 1.7, 2.2, 9.0}) {
+      const auto frame = file.at(seconds);
+      ASSERT_TRUE(frame) << seconds;
+      const Scene shown = posed(base, parse_frame_state(serialize(frame->state), "state"), "frame");
+      const Scene all = baked(shown);
+      ASSERT_EQ(all.vertex_count(), 3 * kVertices);
+      for (std::size_t i = 0; i < all.vertex_count(); ++i) {
+        const std::size_t m = order[i / kVertices], v = i % kVertices;
         const float* at = &rest_[m][3 * v];
         const Point p = {at[0], at[1], at[2]}, expected = placed(m, v, p, seconds);
-        const float *found = &shown.positions[3 * (posed_mesh.first_vertex + v)],
-                    *turned = &shown.normals[3 * (posed_mesh.first_vertex + v)], *n = &normals_[m][3 * v];
+        const float *found = &all.positions[3 * i], *turned = &all.normals[3 * i], *n = &normals_[m][3 * v];
         const double error = length_of(Point{found[0], found[1], found[2]} - expected) / length_of(expected);
         EXPECT_LT(error, 1e-5) << "mesh " << m << ", vertex " << v << ", " << seconds << " s";
         worst = std::max(worst, error);
@@ -297,9 +307,11 @@ TEST_F(Motion, VerticesStandWhereTheyShouldAtTenTimes) {
         EXPECT_LT(off, 1e-5) << "mesh " << m << ", vertex " << v << ", " << seconds << " s";
         worst_normal = std::max(worst_normal, off);
       }
+      // A scene of its own is the same to the bit.
+      const Scene own = file.scene_at(seconds);
+      EXPECT_EQ(shown.positions, own.positions) << seconds;
+      EXPECT_TRUE(same_bytes(shown.instances, own.instances)) << seconds;
     }
-    // A scene of its own is the same to the bit.
-    EXPECT_EQ(shown.positions, file.scene_at(seconds).positions) << seconds;
   }
   std::cout << "largest relative error of a position " << worst << ", of a normal " << worst_normal << "\n";
 }

@@ -10,6 +10,7 @@
 #include <cstring>
 #include <fstream>
 #include <iterator>
+#include <span>
 
 #include "import_files.h"
 #include "scene/import/import.h"
@@ -45,10 +46,10 @@ class Oracle {
     return last;
   }
 
-  // All vertices, mesh by mesh as the scene's nodes are walked.
-  std::vector<Point> vertices(double seconds) {
+  // All vertices, by the nodes that have meshes, as the scene's nodes are walked.
+  std::vector<std::vector<Point>> vertices(double seconds) {
     pose(seconds);
-    std::vector<Point> all;
+    std::vector<std::vector<Point>> all;
     for (const std::size_t root : json_["scenes"][0]["nodes"]) walk(root, all);
     return all;
   }
@@ -142,11 +143,13 @@ class Oracle {
     return p;
   }
 
-  void walk(std::size_t index, std::vector<Point>& all) const {
+  void walk(std::size_t index, std::vector<std::vector<Point>>& all) const {
     const json& node = json_["nodes"][index];
-    if (node.contains("mesh"))
+    if (node.contains("mesh")) {
+      all.emplace_back();
       for (const json& primitive : json_["meshes"][node["mesh"].get<std::size_t>()]["primitives"])
-        add(index, node, primitive, all);
+        add(index, node, primitive, all.back());
+    }
     for (const std::size_t child : node.value("children", std::vector<std::size_t>{})) walk(child, all);
   }
 
@@ -184,15 +187,31 @@ class Oracle {
   std::vector<int> parents_;
 };
 
+// Where a mesh's vertices stand, as `transform` has them.
+std::vector<Point> placed(const Scene& scene, const Mesh& mesh, const gl_float (&transform)[12]) {
+  const auto corners = std::span(scene.indices).subspan(std::size_t{3} * mesh.first_triangle, 3 * mesh.triangle_count);
+  const auto [least, most] = std::minmax_element(corners.begin(), corners.end());
+  std::vector<Point> all;
+  for (std::size_t v = *least; v <= *most; ++v) {
+    const float* p = &scene.positions[3 * v];
+    Point& at = all.emplace_back();
+    for (std::size_t c = 0; c < 3; ++c) {
+      const gl_float* row = transform + 4 * c;
+      at[c] = double{row[0]} * p[0] + double{row[1]} * p[1] + double{row[2]} * p[2] + row[3] + scene.origin[c];
+    }
+  }
+  return all;
+}
+
 // The largest distance of a vertex from where it should be, relative to its distance from the world's origin, or from
 // things of a tenth of a metre.
-double largest_error(const Scene& scene, const std::vector<Point>& wanted) {
-  if (scene.vertex_count() != wanted.size()) return INFINITY;
+double largest_error(const std::vector<Point>& found, const std::vector<Point>& wanted) {
+  if (found.size() != wanted.size()) return INFINITY;
   double largest = 0;
   for (std::size_t v = 0; v < wanted.size(); ++v) {
     double error = 0, norm = 0;
     for (std::size_t c = 0; c < 3; ++c) {
-      error += std::pow(scene.positions[3 * v + c] + scene.origin[c] - wanted[v][c], 2);
+      error += std::pow(found[v][c] - wanted[v][c], 2);
       norm += std::pow(wanted[v][c], 2);
     }
     largest = std::max(largest, std::sqrt(error) / std::max(0.1, std::sqrt(norm)));
@@ -200,15 +219,44 @@ double largest_error(const Scene& scene, const std::vector<Point>& wanted) {
   return largest;
 }
 
+// The scene has a mesh or an instance for each of the wanted, both in their order.
+double largest_error(const Scene& scene, const std::vector<std::vector<Point>>& wanted) {
+  std::vector<std::vector<Point>> copies, instances;
+  constexpr gl_float unmoved[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
+  for (const Mesh& mesh : scene.meshes)
+    if (!mesh.instanced) copies.push_back(placed(scene, mesh, unmoved));
+  for (const Instance& instance : scene.instances)
+    instances.push_back(placed(scene, scene.meshes[instance.mesh], instance.transform));
+  if (copies.size() + instances.size() != wanted.size()) return INFINITY;
+  auto copy = copies.begin(), instance = instances.begin();
+  double largest = 0;
+  for (const std::vector<Point>& mesh : wanted) {
+    const double of_copy = copy == copies.end() ? INFINITY : largest_error(*copy, mesh);
+    const double of_instance = instance == instances.end() ? INFINITY : largest_error(*instance, mesh);
+    largest = std::max(largest, std::min(of_copy, of_instance));
+    if (std::isinf(largest)) return largest;
+    if (of_copy <= of_instance)
+      ++copy;
+    else
+      ++instance;
+  }
+  return largest;
+}
+
 // Both ways to a frame's scene: the base in a state, and the file at that time.
-void compare_at_ten_times(const std::string& path) {
+void compare_at_ten_times(const std::string& path, bool instances) {
   Oracle oracle(path);
-  MovingScene file(path);
+  ImportOptions options;
+  options.instances = instances;
+  MovingScene file(path, options);
   ASSERT_TRUE(file.moves());
+  if (!instances) {
+    ASSERT_TRUE(file.base().instances.empty());
+  }
   double worst = 0;
   for (int i = 0; i < 10; ++i) {
     const double seconds = oracle.length() * (i * 0.1373 - 0.05);
-    const std::vector<Point> wanted = oracle.vertices(seconds);
+    const std::vector<std::vector<Point>> wanted = oracle.vertices(seconds);
     const std::optional<ShownFrame> shown = file.at(seconds);
     ASSERT_TRUE(shown) << seconds << " s";
     const Scene base = file.base();
@@ -235,7 +283,7 @@ TEST_P(MovingLibrary, VerticesStandWhereTheFileSays) {
   const Folder folder;
   const std::string path = folder.path(std::string(GetParam()) + ".glb");
   write_glb(make_animated_scene(GetParam()), path);
-  compare_at_ten_times(path);
+  for (const bool instances : {true, false}) compare_at_ten_times(path, instances);
 }
 
 // A skin of two joints with a morph target, and a mesh under two animated nodes: all paths by all interpolations.
@@ -302,7 +350,8 @@ INSTANTIATE_TEST_SUITE_P(Import, Interpolated, testing::Values("STEP", "LINEAR",
 
 TEST_P(Interpolated, VerticesStandWhereTheFileSays) {
   const Folder folder;
-  compare_at_ten_times(folder.write("everything.glb", everything_moves(GetParam()).glb()));
+  for (const bool instances : {true, false})
+    compare_at_ten_times(folder.write("everything.glb", everything_moves(GetParam()).glb()), instances);
 }
 
 }  // namespace

@@ -18,13 +18,6 @@
 namespace gleaner::worker {
 namespace {
 
-std::vector<scene::Bounds> boxes_of_instanced(const scene::Scene& scene) {
-  std::vector<scene::Bounds> boxes(scene.meshes.size());
-  for (std::size_t m = 0; m < boxes.size(); ++m)
-    if (scene.meshes[m].instanced) boxes[m] = bounds_of(scene, scene.meshes[m]);
-  return boxes;
-}
-
 // Ranks take 16 bits.
 constexpr std::size_t kMostMedia = 65535;
 

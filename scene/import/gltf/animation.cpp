@@ -192,6 +192,33 @@ Values Sampler::at(double seconds) const {
   return result;
 }
 
+// Between keys values lie between those of the keys; splines, between the four control points of the same curve in
+// Bezier's form.
+bool Sampler::stays_off_zero(double least) const {
+  const bool spline = interpolation_ == Interpolation::cubic_spline;
+  for (std::size_t key = 0; key < times_.size(); ++key) {
+    std::vector<Values> points = {value(key, spline ? 1 : 0)};
+    if (key + 1 < times_.size() && interpolation_ != Interpolation::step) {
+      points.push_back(value(key + 1, spline ? 1 : 0));
+      if (spline) {
+        const double third = (times_[key + 1] - times_[key]) / 3;
+        const Values leaving = value(key, 2), arriving = value(key + 1, 0);
+        for (const double side : {1.0, -1.0}) {
+          Values control = side > 0 ? points[0] : points[1];
+          for (std::size_t k = 0; k < components_; ++k)
+            control[k] += side * third * (side > 0 ? leaving[k] : arriving[k]);
+          points.push_back(control);
+        }
+      }
+    }
+    for (std::size_t k = 0; k < components_; ++k)
+      if (!std::ranges::all_of(points, [&](const Values& p) { return p[k] > least; }) &&
+          !std::ranges::all_of(points, [&](const Values& p) { return p[k] < -least; }))
+        return false;
+  }
+  return true;
+}
+
 Animations::Animations(const Document& document, const std::string& wanted, Warnings& warnings) {
   const std::size_t count = document.size("animations");
   std::string known;
@@ -257,20 +284,23 @@ void Animations::add(const Document& document, const Element& animation, const E
   Channel made{pointer, pointer.to_string(), scalar, Sampler(document, sampler, components, names_rotation(pointer))};
   // A default that the file leaves out is a number where one number animates it.
   if (path.text() == "pointer" && components == 0) made.scalar = made.sampler.components() == 1;
-  const auto same = std::ranges::find(channels_, pointer, &Channel::target);
-  if (same == channels_.end()) {
+  const auto [place, is_new] = channel_of_.try_emplace(made.text, channels_.size());
+  if (is_new) {
     channels_.push_back(std::move(made));
     return;
   }
   warnings.add(channel.name(), "animates what another channel animates as well; the later one is played");
-  *same = std::move(made);
+  channels_[place->second] = std::move(made);
 }
 
 bool Animations::animates(const std::string& pointer) const {
-  return std::ranges::any_of(channels_, [&](const Channel& channel) {
-    return channel.text.starts_with(pointer) &&
-           (channel.text.size() == pointer.size() || channel.text[pointer.size()] == '/');
-  });
+  const auto within = channel_of_.lower_bound(pointer + "/");
+  return channel_of_.contains(pointer) || (within != channel_of_.end() && within->first.starts_with(pointer + "/"));
+}
+
+bool Animations::may_vanish(const std::string& pointer, double least) const {
+  const auto channel = channel_of_.find(pointer);
+  return channel != channel_of_.end() && !channels_[channel->second].sampler.stays_off_zero(least);
 }
 
 bool Animations::needs_own_scenes() const {

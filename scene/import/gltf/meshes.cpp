@@ -50,9 +50,7 @@ std::vector<std::uint32_t> kept_vertices(const Primitive& primitive) {
 scene::Instance instance_at(const Matrix& placement, const Point3& origin, std::uint32_t mesh) {
   scene::Instance instance{};
   instance.mesh = mesh;
-  for (int r = 0; r < 3; ++r)
-    for (int c = 0; c < 4; ++c)
-      instance.transform[4 * r + c] = static_cast<float>(placement[4 * c + r] - (c == 3 ? origin[r] : 0));
+  place_instance(placement_of(placement, origin).data(), instance.transform);
   return instance;
 }
 
@@ -106,18 +104,22 @@ void Meshes::place_node(std::size_t index) {
   instances_.push_back(std::move(instance));
 }
 
-// A mesh may stand under many nodes; those without a skin, and without weights of morph targets of their own, show it
-// alike. What animations may move is posed vertex by vertex.
+// A mesh may stand under many nodes; those that show it in one shape at all times may share it.
 void Meshes::choose_instanced() {
   std::map<std::string, std::vector<Instance*>> by_mesh;
   for (Instance& instance : instances_)
-    if (!instance.skin && !nodes_.node(instance.node).find("weights") && !rigging_.may_move(instance.node))
+    if (!instance.skin && !nodes_.node(instance.node).find("weights") && rigging_.keeps_shape(instance.node))
       by_mesh[mesh_of(instance).name()].push_back(&instance);
   std::size_t total = 0;
   for (const auto& [name, nodes] : by_mesh) {
-    if (!is_instanced(nodes)) continue;
+    const bool shared = pays(nodes);
+    const bool moving = std::ranges::any_of(nodes, [&](const Instance* node) { return rigging_.moves(node->node); });
+    if (!(shared || moving) || !may_be_instanced(mesh_of(*nodes.front()))) continue;
     bool is_stored = false;
     for (Instance* node : nodes) {
+      const bool moves = rigging_.moves(node->node);
+      // What moves follows its node as instances alone, or as copies alone.
+      if (moves ? !std::ranges::all_of(node->placements, places_instance) : !shared) continue;
       std::vector<Matrix> copies;
       for (const Matrix& m : node->placements) (places_instance(m) ? node->instances : copies).push_back(m);
       node->placements = std::move(copies);
@@ -130,24 +132,27 @@ void Meshes::choose_instanced() {
   }
 }
 
+bool Meshes::may_be_instanced(const Element& mesh) {
+  const Element primitives = mesh.at("primitives");
+  std::size_t triangles = 0;
+  for (std::size_t p = 0; p < primitives.size(); ++p) {
+    const std::size_t count = size_of(document_, primitives[p]).triangles;
+    triangles += count;
+    if (count == 0) continue;
+    const std::uint32_t material = materials_.material_of(primitives[p], variant_);
+    if (!rigging_.may_be_instanced(scene_.materials[material], material)) return false;
+  }
+  return triangles > 0;
+}
+
 // `nodes`: of one mesh.
-bool Meshes::is_instanced(const std::vector<Instance*>& nodes) const {
+bool Meshes::pays(const std::vector<Instance*>& nodes) const {
   const Element primitives = mesh_of(*nodes.front()).at("primitives");
   std::size_t triangles = 0, places = 0;
-  bool is_rigid = false;
-  for (const Instance* node : nodes) {
+  for (const Instance* node : nodes)
     places += static_cast<std::size_t>(std::ranges::count_if(node->placements, places_instance));
-    is_rigid = is_rigid || rigid_.contains(node->node);
-  }
   for (std::size_t p = 0; p < primitives.size(); ++p) triangles += size_of(document_, primitives[p]).triangles;
-  const bool pays =
-      places >= 2 && triangles >= kLeastInstancedTriangles && (places - 1) * triangles >= kLeastSparedTriangles;
-  if (places == 0 || triangles == 0 || !(pays || is_rigid)) return false;
-  for (std::size_t p = 0; p < primitives.size(); ++p)
-    if (size_of(document_, primitives[p]).triangles > 0 &&
-        !may_be_instanced(scene_.materials[materials_.material_of(primitives[p], variant_)]))
-      return false;
-  return true;
+  return places >= 2 && triangles >= kLeastInstancedTriangles && (places - 1) * triangles >= kLeastSparedTriangles;
 }
 
 // EXT_mesh_gpu_instancing: each instance's transform, which comes before the node's.
@@ -290,8 +295,7 @@ void Meshes::add_instance(const Instance& instance) {
   if (has_copies) add_mesh(instance, false, true);
   if (instance.instances.empty()) return;
   const std::uint32_t mesh = stored_meshes_.at(mesh_of(instance).name());
-  placed_.push_back({instance.node, static_cast<std::uint32_t>(scene_.instances.size()),
-                     static_cast<std::uint32_t>(instance.instances.size())});
+  rigging_.add_instances(instance, static_cast<std::uint32_t>(scene_.instances.size()));
   for (const Matrix& placement : instance.instances)
     scene_.instances.push_back(instance_at(placement, scene_.origin, mesh));
   if (instance.stores_mesh || has_copies) return;
@@ -328,7 +332,8 @@ void Meshes::add_mesh(const Instance& instance, bool in_own_space, bool is_last)
       add_primitive(primitive, material, {instance.node, {kIdentity}, {}, {nodes_.to_world(instance.node)}, {}, false},
                     0, scene_.origin, true);
     else if (in_own_space)
-      add_primitive(primitive, material, {instance.node, {kIdentity}, {}, {kIdentity}, {}, false}, 0, {}, is_last);
+      add_primitive(primitive, material, {instance.node, {kIdentity}, {}, {kIdentity}, instance.instances, true}, 0, {},
+                    is_last);
     else
       for (std::size_t i = 0; i < instance.placements.size(); ++i)
         add_primitive(primitive, material, instance, i, scene_.origin, i + 1 == instance.placements.size());

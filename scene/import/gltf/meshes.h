@@ -4,7 +4,6 @@
 #include <cstdint>
 #include <map>
 #include <optional>
-#include <set>
 #include <string>
 #include <vector>
 
@@ -17,8 +16,9 @@
 
 namespace gleaner::scene::gltf {
 
-// Meshes are instanced, stored once and placed by transforms, where that pays: with so many triangles, and where one
-// copy for each place would add so many. Fewer are traced faster, and shaded as fast, as copies.
+// Meshes are instanced, stored once and placed by transforms, under nodes that move, and wherever that pays: with so
+// many triangles, and where one copy for each place would add so many. Fewer are traced faster, and shaded as fast, as
+// copies.
 inline constexpr std::size_t kLeastInstancedTriangles = 256;
 inline constexpr std::size_t kLeastSparedTriangles = 50'000;
 
@@ -36,24 +36,15 @@ class Meshes {
         variant_(variant),
         may_instance_(instances) {}
 
-  // Before place(): this node moves as a whole, so that its mesh is instanced whatever its size. Where that may not be
-  // (scene/model/instances.h), under a skin, or where the node has weights of morph targets of its own, it is not.
-  void keep_rigid(std::size_t node) { rigid_.insert(node); }
   // Finds what stands where, and the box around all of it in the file's coordinates.
   Box place();
   // Adds it all, relative to the scene's origin.
   void add();
 
-  // After add(): where a node's instances stand among the scene's.
-  struct PlacedNode {
-    std::size_t node;
-    std::uint32_t first_instance, count;
-  };
-  const std::vector<PlacedNode>& placed() const { return placed_; }
-
  private:
   void choose_instanced();
-  bool is_instanced(const std::vector<Instance*>& nodes) const;
+  bool may_be_instanced(const Element& mesh);
+  bool pays(const std::vector<Instance*>& nodes) const;
   void place_node(std::size_t index);
   std::vector<Matrix> repeated(const Element& instancing) const;
   Skin skin_of(const Element& reference) const;
@@ -87,8 +78,6 @@ class Meshes {
   Warnings& warnings_;
   std::optional<std::size_t> variant_;
   bool may_instance_;
-  std::set<std::size_t> rigid_;  // nodes
-  std::vector<PlacedNode> placed_;
   std::map<std::string, std::uint32_t> stored_meshes_;  // the file's name of an instanced mesh -> the scene's number
   std::vector<Instance> instances_;
   std::vector<std::uint32_t> uses_of_view_;      // by primitives that are still to be added

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "scene/model/instances.h"
 #include "scene/model/limits.h"
 #include "scene/model/pose.h"
 
@@ -13,7 +14,8 @@ std::string pointer_to(const char* array, std::size_t index) {
   return "/" + std::string(array).append("/") + std::to_string(index);
 }
 
-// Relative to the scene's origin.
+}  // namespace
+
 Placement placement_of(const Matrix& m, const Point3& origin) {
   Placement rows;
   for (std::size_t r = 0; r < 3; ++r) {
@@ -22,8 +24,6 @@ Placement placement_of(const Matrix& m, const Point3& origin) {
   }
   return rows;
 }
-
-}  // namespace
 
 std::vector<double> morph_weights(const Document& document, std::size_t node) {
   const Element element = document.item("nodes", node);
@@ -40,14 +40,17 @@ Rigging::Rigging(const Document& document, const Animations& animations, bool is
       animations_(animations),
       is_base_(is_base),
       rig_(scene.rig),
-      moving_(document.size("nodes")) {
+      moving_(document.size("nodes")),
+      vanishing_(document.size("nodes")) {
   // Parents come before their children.
   for (const std::size_t node : nodes.in_scene()) {
     const std::string name = pointer_to("nodes", node);
     for (const char* path : {"/translation", "/rotation", "/scale"})
       if (animations_.animates(name + path)) moving_[node] = true;
+    vanishing_[node] = animations_.may_vanish(name + "/scale", 1 / kMaxInstanceScale);
     const auto parent = nodes.parent(node);
     if (parent && moving_[*parent]) moving_[node] = true;
+    if (parent && vanishing_[*parent]) vanishing_[node] = true;
   }
 }
 
@@ -58,14 +61,22 @@ bool Rigging::has_moving_weights(std::size_t node) const {
   return !element.find("weights") && animations_.animates(pointer_to("meshes", mesh) + "/weights");
 }
 
-bool Rigging::may_move(std::size_t node) const {
-  return moving_[node] || has_moving_weights(node) || animations_.animates("/materials");
+bool Rigging::keeps_shape(std::size_t node) const { return !vanishing_[node] && !has_moving_weights(node); }
+
+bool Rigging::may_be_instanced(const Material& material, std::size_t index) const {
+  const std::string name = pointer_to("materials", index);
+  for (const char* light : {"/emissiveFactor", "/extensions/KHR_materials_emissive_strength",
+                            "/extensions/KHR_materials_transmission", "/extensions/KHR_materials_volume"})
+    if (animations_.animates(name + light)) return false;
+  // A solid of metal may become glass.
+  if ((material.flags & GLEANER_MATERIAL_SOLID) && animations_.animates(name)) return false;
+  return scene::may_be_instanced(material);
 }
 
 bool Rigging::is_posed(const Instance& instance, const Primitive& primitive) const {
   if (!is_base_) return false;
   if (primitive.targets() > 0 && has_moving_weights(instance.node)) return true;
-  if (!instance.skin) return moving_[instance.node];
+  if (!instance.skin) return moving_[instance.node] && instance.instances.empty();
   return std::ranges::any_of(instance.skin->joints, [&](std::size_t joint) { return moving_[joint]; });
 }
 
@@ -75,7 +86,7 @@ std::uint32_t Rigging::matrices_of(const Instance& instance) {
   if (is_new) {
     matrices_.push_back(
         {instance.node, instance.skin ? std::vector<Matrix>{} : instance.locals, instance.skin, rig_.matrices});
-    rig_.matrices += static_cast<std::uint32_t>(instance.placements.size());
+    rig_.matrices += static_cast<std::uint32_t>(instance.skin ? instance.placements.size() : instance.locals.size());
   }
   return place->second;
 }
@@ -186,6 +197,12 @@ void Rigging::add(const Instance& instance, const AddedPrimitive& added) {
   mirrored_.push_back(added.mirrored);
 }
 
+void Rigging::add_instances(const Instance& instance, std::uint32_t first) {
+  if (!is_base_ || !moving_[instance.node]) return;
+  const std::uint32_t matrix = matrices_of(instance);
+  for (std::uint32_t i = 0; i < instance.locals.size(); ++i) rig_.instances.push_back({first + i, matrix + i});
+}
+
 bool Rigging::pose(Nodes& nodes, const Scene& base, FrameState& state) const {
   state.matrices.assign(base.rig.matrices, Placement{});
   state.morph_weights.assign(base.rig.morph_weights, 0.0);
@@ -207,6 +224,11 @@ bool Rigging::pose(Nodes& nodes, const Scene& base, FrameState& state) const {
     const PosedMesh& mesh = base.rig.meshes[i];
     const std::size_t vertex = base.indices[3 * std::size_t{mesh.first_triangle}] - mesh.first_vertex;
     if (is_mirror(placement_at(base.rig, mesh, state, vertex)) != mirrored_[i]) return false;
+  }
+  for (const PosedInstance& posed : base.rig.instances) {
+    gl_float transform[12];
+    place_instance(state.matrices[posed.matrix].data(), transform);
+    if (refused_transform(transform)) return false;
   }
   return true;
 }

@@ -27,7 +27,7 @@ struct Instance {
   std::vector<Matrix> locals;      // to the node's space; several where the node repeats its mesh
   std::optional<Skin> skin;        // instead of the node's own transform
   std::vector<Matrix> placements;  // to the world: of the locals, or the joints' matrices
-  std::vector<Matrix> instances;   // placements of which each is an instance, not a copy
+  std::vector<Matrix> instances;   // placements of which each is an instance, not a copy: all of a node that moves
   bool stores_mesh = false;        // the first node with instances of its mesh
 };
 
@@ -40,6 +40,9 @@ struct AddedPrimitive {
   bool mirrored = false;
 };
 
+// What places something relative to the scene's origin.
+Placement placement_of(const Matrix& matrix, const Point3& origin);
+
 // The weights of an instance's morph targets: the node's go before the mesh's.
 std::vector<double> morph_weights(const Document& document, std::size_t node);
 
@@ -48,19 +51,26 @@ class Rigging {
   // None of these are kept but by reference. `is_base`: the scene gets a rig, as animations will move it.
   Rigging(const Document& document, const Animations& animations, bool is_base, Nodes& nodes, Scene& scene);
 
-  // Whether animations may move a mesh under this node, or change its materials. The same for a base and for a scene
-  // of one time, so that both are made of the same meshes.
-  bool may_move(std::size_t node) const;
+  // Whether animations move what is under this node.
+  bool moves(std::size_t node) const { return moving_[node]; }
+  // Whether a mesh without a skin under this node keeps its shape at all times, so that a transform shows it: it does
+  // not morph, and no scale shrinks it to nothing. The same for a base and for a scene of one time, so that both are
+  // made of the same meshes.
+  bool keeps_shape(std::size_t node) const;
+  // Whether what has this material at rest may be instanced at all times (may_be_instanced). `index`: of the scene's.
+  bool may_be_instanced(const Material& material, std::size_t index) const;
 
-  // Whether the animations move this primitive of the instance.
+  // Whether the animations move this primitive of the instance vertex by vertex.
   bool is_posed(const Instance& instance, const Primitive& primitive) const;
   void add(const Instance& instance, const AddedPrimitive& added);
+  // A node's instances, one a local, which stand among the scene's from that one on: they follow where it moves.
+  void add_instances(const Instance& instance, std::uint32_t first);
 
   // A time whose pose cannot be shown by the rig: the vertices' colours or texture coordinates change.
   bool needs_own_scenes() const { return needs_own_scenes_; }
 
   // The rig's matrices and weights, from nodes that stand as they do at the frame's time. False where the base cannot
-  // show that pose: a mesh is mirrored in one of both.
+  // show that pose: a posed mesh is mirrored in one of both, or an instance is flattened.
   bool pose(Nodes& nodes, const Scene& base, FrameState& state) const;
 
  private:
@@ -90,7 +100,7 @@ class Rigging {
   const Animations& animations_;
   bool is_base_;
   Rig& rig_;
-  std::vector<bool> moving_;  // by node
+  std::vector<bool> moving_, vanishing_;  // by node: it moves; it may shrink to nothing
   std::vector<Matrices> matrices_;
   std::map<std::size_t, std::uint32_t> matrices_of_skin_, matrices_of_node_, weights_of_node_;
   std::vector<Weights> weights_;
