@@ -648,6 +648,8 @@ struct Scheduler::Impl {
     const LiveLease& slow = live.at(id);
     const std::uint64_t first = slow.lease.first, count = slow.lease.count;
     if (slow.lease.worker == worker.id || stage.held.at(first).failures.by(worker.id)) return std::nullopt;
+    // Two mute workers with the same items would hold them for a whole lease.
+    if (!worker.proven && proven > 0 && !workers.at(slow.lease.worker).proven) return std::nullopt;
     // A solo stage's inputs are large and its duration is anybody's guess: a second copy must wait until it is likely
     // that the first one never ends.
     if (stage.spec.solo) {

@@ -741,7 +741,8 @@ TEST_F(FarmEngine, WhyNamesWhoIsWaitedForAndWhatGoesFirst) {
   ASSERT_TRUE(eventually(
       [&] {
         words.clear();
-        for (const std::string& line : *farm.why(job)) words += line;
+        const auto reasons = farm.why(job);
+        for (const std::string& line : *reasons) words += line;
         return !words.empty();
       },
       20));

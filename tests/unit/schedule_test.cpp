@@ -701,6 +701,18 @@ TEST(Solo, WhoHasAnsweredBeforeComesFirst) {
   EXPECT_EQ(farm.why_waiting(stage, 2.5), "");
 }
 
+// Or both would hold the items for a whole lease.
+TEST(Duplicates, OfOneThatNeverAnsweredAreForOneThatDid) {
+  Scheduler farm;
+  for (const WorkerId worker : {kAda, kBob, kEve}) farm.worker_joined(worker, 0);
+  farm.add_stage(stage_of(64, 64), 0);
+  farm.add_stage(stage_of(64, 64), 0);
+  take(farm, kBob);
+  deliver(farm, take(farm, kAda), 0.1, 0.1);
+  EXPECT_FALSE(farm.next_lease(kEve, 5).has_value());
+  EXPECT_TRUE(take(farm, kAda, 5).duplicate);
+}
+
 TEST(Solo, ThePreferredWorkerHasItsChanceFirst) {
   Scheduler farm;
   for (const WorkerId worker : {kAda, kBob, kEve}) farm.worker_joined(worker, 0);
