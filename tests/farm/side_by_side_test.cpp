@@ -111,6 +111,27 @@ TEST_F(SideBySide, OneWorkerRendersOneFrameAfterAnother) {
   expect_right(farm, job, 3);
 }
 
+// Whoever has a lease does not idle, however long it takes.
+TEST_F(SideBySide, BusyWorkersGetNoFurtherFrame) {
+  FarmSettings farm_settings = settings(256);
+  farm_settings.scheduler.in_flight = 1;
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker a, b;
+  a.join(farm, "a");
+  b.join(farm, "b");
+  const std::string job = farm.submit(frames(2));
+  const auto of_a = a.next(), of_b = b.next();
+  ASSERT_TRUE(of_a && of_b);
+  std::this_thread::sleep_for(std::chrono::milliseconds(300));
+  EXPECT_THAT(farm.status(job)->running, ElementsAre(1));
+  do_it(a, *of_a);
+  do_it(b, *of_b);
+  std::thread helper([&] { serve(farm, b, job); });
+  serve(farm, a, job);
+  helper.join();
+  expect_right(farm, job, 2);
+}
+
 // Each bound on its own keeps the second frame back, though a worker idles for long.
 TEST_F(SideBySide, MemoryAndTheLimitBoundTheFramesThatRun) {
   const std::uint64_t frame_bytes = check_fake_settings(fake_settings(), {});
@@ -155,15 +176,23 @@ TEST_F(SideBySide, AJobThatWaitsForMemoryGetsItBeforeAFurtherFrame) {
   JobRequest wide = request(fake_settings(64, 16));  // two frames' memory
   const std::string second = farm.submit(wide);
   EXPECT_EQ(farm.status(second)->state, JobState::queued);
+  // What memory is left is not enough for it, and no frame gets it, though a worker idles.
+  ScriptedWorker c;
+  c.join(farm, "c");
+  std::this_thread::sleep_for(std::chrono::milliseconds(300));
+  EXPECT_THAT(farm.status(first)->running, ElementsAre(1, 2));
   // The second frame's end frees its memory, and no third one takes it.
   std::thread helper([&] {
     while (!ended(farm.status(second)->state))
-      if (auto offer = b.next(0.05)) do_it(b, *offer);
+      for (ScriptedWorker* worker : {&b, &c})
+        if (auto offer = worker->next(0.05)) do_it(*worker, *offer);
   });
   EXPECT_EQ(end_of(farm, second).state, JobState::done);
   helper.join();
   EXPECT_LT(farm.status(first)->frames_done, 8u);
+  std::thread other([&] { serve(farm, c, first); });
   serve(farm, b, first);
+  other.join();
   expect_right(farm, first, 8);
 }
 

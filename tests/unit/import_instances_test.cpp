@@ -10,6 +10,8 @@
 #include "import_files.h"
 #include "scene/import/import.h"
 #include "scene/library/bake.h"
+#include "scene/model/blob.h"
+#include "scene/model/error.h"
 #include "scene/model/needs.h"
 
 namespace gleaner::scene {
@@ -108,6 +110,16 @@ TEST_F(ImportInstances, OfOneNodeAreChosenAlike) {
   EXPECT_EQ(read(file).instances.size(), 51u);
   places(50);
   EXPECT_TRUE(read(file).instances.empty());
+}
+
+// EXT_mesh_gpu_instancing: attributes of the file's own count as well.
+TEST_F(ImportInstances, AreAsManyAsAnyAttributeSays) {
+  GltfFile file = strip_file(2, 1);
+  json& attributes = file.json["nodes"][0]["extensions"]["EXT_mesh_gpu_instancing"]["attributes"];
+  attributes = {{"_ID", file.add<float>({1, 2, 3}, 5126, "SCALAR")}};
+  EXPECT_EQ(read(file).triangle_count(), 6u);
+  attributes["TRANSLATION"] = file.add<float>({0, 0, 0, 1, 0, 0}, 5126, "VEC3");
+  EXPECT_THROW(read(file), Error) << "two places, three numbers";
 }
 
 // Meshes that emit, and those that bound a solid that light passes, are copied; a thin pane is not.
@@ -307,6 +319,30 @@ TEST_F(MovingInstances, ThatBecomeTooFlatHaveAScene) {
   const Scene own = scene->scene_at(1);
   EXPECT_TRUE(own.instances.empty());
   EXPECT_EQ(own.triangle_count(), 10u);
+}
+
+// A blob whose rig names instances or matrices that are not there, or an instance twice.
+TEST_F(MovingInstances, ThatDoNotFitAreRefused) {
+  GltfFile file = strip_file(10, 2);
+  for (const std::size_t i : {0u, 1u}) animate(file, node(i, "translation"), {0, 0, 0, 1, 0, 0}, "VEC3");
+  const Scene good = open(file)->base();
+  const auto refused = [&](const std::vector<PosedInstance>& instances) -> std::string {
+    Scene scene = good;
+    scene.rig.instances = instances;
+    try {
+      parse_scene(serialize(scene), "blob");
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::bad_input);
+      return error.what();
+    }
+    return "";
+  };
+  EXPECT_EQ(refused(good.rig.instances), "");
+  using testing::HasSubstr;
+  EXPECT_THAT(refused({{0, 0}, {2, 1}}),
+              HasSubstr("rig.instances[1].instance: expected an instance from 1 on, below 2"));
+  EXPECT_THAT(refused({{0, 0}, {0, 1}}), HasSubstr("rig.instances[1].instance"));
+  EXPECT_THAT(refused({{0, 0}, {1, 2}}), HasSubstr("rig.instances[1].matrix: expected a matrix below 2, found 2"));
 }
 
 }  // namespace

@@ -158,23 +158,25 @@ bool Meshes::pays(const std::vector<Instance*>& nodes) const {
 // EXT_mesh_gpu_instancing: each instance's transform, which comes before the node's.
 std::vector<Matrix> Meshes::repeated(const Element& instancing) const {
   const Element attributes = instancing.at("attributes");
+  // All attributes say how many instances there are, also those of whoever wrote the file (_ID).
+  std::size_t count = 0;
+  for (const auto& [key, value] : attributes.json().items()) {
+    const Element reference = attributes.at(key.c_str());
+    const std::size_t here = document_.item("accessors", reference).at("count").count(1, 0xffffffffu);
+    if (here > kMaxInstances)
+      reference.fail("at most " + std::to_string(kMaxInstances) + " instances", std::to_string(here));
+    if (count != 0 && here != count)
+      attributes.fail("as many elements in each: " + std::to_string(count), std::to_string(here));
+    count = here;
+  }
+  if (count == 0) return {kIdentity};
   const auto view = [&](const char* key, const char* type) -> std::optional<FloatView> {
     const auto reference = attributes.find(key);
     if (!reference) return std::nullopt;
-    const std::size_t count = document_.item("accessors", *reference).at("count").count(1, 0xffffffffu);
-    if (count > kMaxInstances)
-      reference->fail("at most " + std::to_string(kMaxInstances) + " instances", std::to_string(count));
     return FloatView(accessor_of(document_, *reference, {type}));
   };
   const auto translation = view("TRANSLATION", "VEC3"), rotation = view("ROTATION", "VEC4"),
              scale = view("SCALE", "VEC3");
-  std::size_t count = 0;
-  for (const auto* each : {&translation, &rotation, &scale})
-    if (*each && count != 0 && (*each)->size() != count)
-      attributes.fail("as many elements in each: " + std::to_string(count), std::to_string((*each)->size()));
-    else if (*each)
-      count = (*each)->size();
-  if (count == 0) return {kIdentity};
   std::vector<Matrix> placements;
   for (std::size_t i = 0; i < count; ++i) {
     float values[3][4] = {{0, 0, 0, 0}, {0, 0, 0, 1}, {1, 1, 1, 0}};
