@@ -134,6 +134,36 @@ JobStatus Client::cancel(const std::string& job) {
   return from_proto(reply);
 }
 
+JobStatus Client::pause(const std::string& job, bool paused) {
+  grpc::ClientContext context;
+  set_deadline(context);
+  pb::PauseJobRequest request;
+  request.set_job(job);
+  request.set_resume(!paused);
+  pb::Job reply;
+  check(stub_->PauseJob(&context, request, &reply));
+  return from_proto(reply);
+}
+
+JobStatus Client::retry(const std::string& job) {
+  grpc::ClientContext context;
+  set_deadline(context);
+  pb::RetryJobRequest request;
+  request.set_job(job);
+  pb::Job reply;
+  check(stub_->RetryJob(&context, request, &reply));
+  return from_proto(reply);
+}
+
+void Client::drain(const std::string& worker) {
+  grpc::ClientContext context;
+  set_deadline(context);
+  pb::DrainWorkerRequest request;
+  request.set_worker(worker);
+  pb::DrainWorkerReply reply;
+  check(stub_->DrainWorker(&context, request, &reply));
+}
+
 JobStatus Client::watch(const std::string& job, const std::function<bool(const JobStatus&)>& on_change) {
   grpc::ClientContext context;
   pb::WatchJobRequest request;

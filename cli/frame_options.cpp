@@ -9,7 +9,7 @@
 #include <numbers>
 #include <optional>
 
-#include "coordinator/jobs/job.h"
+#include "cli/frame_list.h"
 #include "coordinator/plan/methods.h"
 #include "coordinator/plan/trajectory.h"
 #include "scene/model/error.h"
@@ -52,23 +52,6 @@ void parse_size(const std::string& text, std::uint32_t& width, std::uint32_t& he
   if (!w || !h || *w == 0 || *h == 0) throw malformed("--size", "WIDTHxHEIGHT in pixels", text);
   width = *w;
   height = *h;
-}
-
-// FIRST, FIRST-LAST or FIRST-LASTxSTEP. The last frame is one that the steps come to.
-void parse_frames(const std::string& text, LoadedFrame& frame) {
-  const auto stepped = split(text, 'x');
-  const auto parts = split(stepped[0], '-');
-  const auto a = number<std::uint32_t>(parts[0]);
-  const auto b = parts.size() == 2 ? number<std::uint32_t>(parts[1]) : a;
-  const auto step = stepped.size() == 2 ? number<std::uint32_t>(stepped[1]) : std::uint32_t{1};
-  if (parts.size() > 2 || stepped.size() > 2 || !a || !b || !step || *a > *b || *step == 0)
-    throw malformed("--frames", "FIRST-LAST or FIRST-LASTxSTEP, with FIRST <= LAST", text);
-  frame.first_frame = *a;
-  frame.last_frame = *b - (*b - *a) % *step;
-  frame.frame_step = *step;
-  if (std::uint64_t{*b - *a} / *step >= coordinator::most_frames)
-    throw Error::usage("--frames: expected at most " + std::to_string(coordinator::most_frames) + " frames, found \"" +
-                       text + "\"");
 }
 
 struct LookAt {
@@ -174,7 +157,8 @@ void add_frame_options(CLI::App& command, FrameOptions& options) {
       ->capture_default_str()
       ->check(CLI::Range(1u, 1u << 24));
   command.add_option("--camera", options.camera, "a camera of the scene (default: its first)");
-  command.add_option("--frames", options.frames, "A-B or A-BxSTEP: frames to render, numbered files");
+  command.add_option("--frames", options.frames,
+                     "A-B or A-BxSTEP, or several with commas between: frames to render, numbered files");
   command.add_option("--fps", options.fps, "frames a second of animations")
       ->capture_default_str()
       ->check(CLI::Range(1e-6, 1e6));
@@ -224,15 +208,15 @@ LoadedFrame load_frame(const FrameOptions& options) {
   settings.set.erase("depth");
   if (!options.size.empty()) parse_size(options.size, settings.width, settings.height);
   frame.numbered = !options.frames.empty();
-  if (frame.numbered) parse_frames(options.frames, frame);
+  if (frame.numbered) frame.frame_numbers = parse_frame_list(options.frames);
   const std::vector<LookAt> trajectory = parse_trajectory(options);
 
   ImportWords files = options.files;
   files.instances = coordinator::method_of(options.method).takes_instances;
-  if (frame.numbered) files.frames = {frame.first_frame, frame.last_frame, frame.frame_step};
+  if (frame.numbered) files.frames = frame.frame_numbers;
   frame.moving = open_scene(files, options.look_at.empty());
   if (frame.moving->moves()) {
-    frame.scene = frame.moving->scene_at(frame.moving->is_sequence() ? frame.first_frame : options.time_offset);
+    frame.scene = frame.moving->scene_at(frame.moving->is_sequence() ? frame.frame_numbers.first : options.time_offset);
   } else {
     frame.scene = std::move(frame.moving->base());
     frame.moving = nullptr;
@@ -261,7 +245,7 @@ LoadedFrame load_frame(const FrameOptions& options) {
 
 FrameLook look_of(const FrameOptions& options, const LoadedFrame& frame, std::uint32_t number) {
   FrameLook look;
-  const double since = static_cast<double>(number) - static_cast<double>(frame.first_frame);
+  const double since = static_cast<double>(number) - static_cast<double>(frame.frame_numbers.first);
   look.seconds = frame.moving->is_sequence() ? number : options.time_offset + since / options.fps;
   std::optional<scene::ShownFrame> shown = frame.moving->at(look.seconds);
   // What choose_camera() looks at.
@@ -277,7 +261,8 @@ FrameLook look_of(const FrameOptions& options, const LoadedFrame& frame, std::ui
     seen.cameras = frame.moving->scene_at(look.seconds).cameras;
   if (shown) look.state = std::move(shown->state);
   if (!options.look_at.empty()) {
-    const double frames = std::max(1.0, static_cast<double>(frame.last_frame) - static_cast<double>(frame.first_frame));
+    const double frames =
+        std::max(1.0, static_cast<double>(frame.frame_numbers.last) - static_cast<double>(frame.frame_numbers.first));
     look.camera = camera_of(along(parse_trajectory(options), since / frames), seen).camera;
   } else {
     FrameOptions same = options;

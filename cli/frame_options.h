@@ -23,7 +23,7 @@ struct FrameOptions {
   std::string size;  // WxH; empty: the camera's own
   std::uint32_t spp = 64;
   std::string camera;                // name; empty: the first
-  std::string frames;                // A-B[xS]; empty: one
+  std::string frames;                // as parse_frame_list() takes them; empty: one
   double fps = 24, time_offset = 0;  // a frame's time: time_offset + (frame - A) / fps, s
   std::uint64_t seed = 0;
   double target_error = 0;
@@ -42,12 +42,12 @@ struct LoadedFrame {
   std::string camera_name;
   coordinator::FrameSettings settings;
   bool numbered = false;  // --frames was given
-  std::uint32_t first_frame = 1, last_frame = 1, frame_step = 1;
+  scene::FrameNumbers frame_numbers;
   std::vector<scene::Camera> cameras;  // one a frame where the camera moves in a scene that does not; else none
   // Where the scene moves: the file, whose frames look_of() shows. `scene` is the first one as it looks.
   std::shared_ptr<scene::MovingScene> moving;
-  std::uint32_t frames() const { return (last_frame - first_frame) / frame_step + 1; }
-  std::uint32_t number(std::uint32_t index) const { return first_frame + index * frame_step; }
+  std::uint32_t frames() const { return static_cast<std::uint32_t>(frame_numbers.count()); }
+  std::uint32_t number(std::uint32_t index) const { return frame_numbers.at(index); }
 };
 
 // Reads the scene and settles camera and size; words for people (on what was assumed) go to standard error unless

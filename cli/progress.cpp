@@ -36,6 +36,7 @@ std::string frames_of(const JobStatus& status) {
 
 // "37 %, frame 2 of 5, path.1 at 3.2 M items/s, 12 s left"
 std::string words(const JobStatus& status) {
+  if (status.paused && !ended(status.state)) return "paused";
   if (status.state != JobState::running) return job_state_name(status.state);
   std::string text = fmt::format("{:.0f} %", std::floor(100 * status.progress));
   if (status.frames > 1) text += ", " + frames_of(status);

@@ -20,7 +20,9 @@
 #include "cli/progress.h"
 #include "cli/signals.h"
 #include "scene/bvh/build.h"
+#include "scene/import/sequence.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 
 namespace gleaner::cli {
 
@@ -41,9 +43,11 @@ struct RenderOptions {
   std::uint64_t batch_items = 0;
 };
 
-// OUT.exr, or OUT_0007.exr where frames are numbered.
+// OUT.exr, or OUT_0007.exr where frames are numbered; OUT.####.exr says where the number goes.
 fs::path numbered(const fs::path& path, bool number, std::uint32_t frame) {
   if (!number || path.empty()) return path;
+  if (const std::string name = path.filename().string(); name.find('#') != std::string::npos)
+    return path.parent_path() / scene::file_of_frame(name, frame);
   char text[16];
   std::snprintf(text, sizeof text, "_%04u", frame);
   return path.parent_path() / (path.stem().string() + text + path.extension().string());
@@ -77,8 +81,16 @@ class LentScene {
   coordinator::Blob scene_, bvh_;
 };
 
-// Submits a job and waits for its end. Throws Error::failed where it was cancelled or has failed.
-void render_job(coordinator::Farm& farm, const coordinator::JobRequest& request, Signals& signals, bool quiet) {
+std::string cancelled(std::uint64_t written) {
+  return written == 0 ? "cancelled; nothing was written"
+                      : "cancelled; " + std::to_string(written) + (written == 1 ? " frame was" : " frames were") +
+                            " written before";
+}
+
+// Submits a job and waits for its end. Throws Error::failed where it was cancelled or has failed. `written_before`:
+// frames, by other jobs.
+void render_job(coordinator::Farm& farm, const coordinator::JobRequest& request, Signals& signals, bool quiet,
+                std::uint64_t written_before = 0) {
   const std::string job = farm.submit(request);
   signals.watch([&] { farm.cancel(job); });
 
@@ -91,11 +103,12 @@ void render_job(coordinator::Farm& farm, const coordinator::JobRequest& request,
   } while (!ended(status.state));
   progress.clear();
   signals.watch({});
+  const std::uint64_t written = written_before + status.frames_done;
   if (status.state == JobState::cancelled && !farm.end(grace)) {
-    std::cerr << "gleaner: error: cancelled; nothing was written\n";
+    std::cerr << "gleaner: error: " << cancelled(written) << "\n";
     std::_Exit(static_cast<int>(ErrorKind::failed));  // a plan still computes, with what main's end would destroy
   }
-  if (status.state == JobState::cancelled) throw Error::failed("cancelled; nothing was written");
+  if (status.state == JobState::cancelled) throw Error::failed(cancelled(written));
   if (!quiet)
     for (const fs::path& file : farm.files(job)) std::cerr << "gleaner: wrote " << file.string() << "\n";
   if (status.state == JobState::failed) throw Error::failed(status.message);
@@ -126,16 +139,17 @@ void render_own_scenes(EmbeddedFarm& embedded, const LoadedFrame& frame, const s
   std::uint32_t failed = 0;
   for (std::uint32_t i = 0; i < frame.frames(); ++i) {
     request.first_frame = request.last_frame = frame.number(i);
+    request.numbers.clear();
     request.settings.camera = looks[i].camera;
     try {
       const LentScene lent(embedded, frame.moving->scene_at(looks[i].seconds));
       request.scenes = {lent.blobs()};
-      render_job(embedded.farm(), request, signals, quiet);
+      render_job(embedded.farm(), request, signals, quiet, i - failed);
     } catch (const Error& error) {
       if (signals.raised()) throw;
       const std::string words = "frame " + std::to_string(frame.number(i)) + ": " + error.what();
       if (++failed == 1) first.emplace(error.kind(), words);
-      std::cerr << "gleaner: warning: " << words << "\n";
+      std::cerr << "gleaner: warning: " << printable_lines(words) << "\n";
     }
   }
   if (first)
@@ -173,9 +187,10 @@ int render(const RenderOptions& options) {
   request.scene_name = frame.scene_name;
   request.camera_name = frame.camera_name;
   request.settings = frame.settings;
-  request.first_frame = frame.first_frame;
-  request.last_frame = frame.last_frame;
-  request.frame_step = frame.frame_step;
+  request.first_frame = frame.frame_numbers.first;
+  request.last_frame = frame.frame_numbers.last;
+  request.frame_step = frame.frame_numbers.step;
+  request.numbers = frame.frame_numbers.list;
   request.cameras = frame.cameras;
   request.exposure_stops = options.frame.exposure_stops;
   request.time_limit = options.frame.time_limit;
@@ -205,7 +220,9 @@ void add_render(CLI::App& app, Run& run) {
   auto options = std::make_shared<RenderOptions>();
   CLI::App* command = app.add_subcommand("render", "Render a scene here and now");
   add_frame_options(*command, options->frame);
-  command->add_option("-o,--output", options->output, "OUT.exr; a PNG is written beside it")->required();
+  command
+      ->add_option("-o,--output", options->output, "OUT.exr, or OUT.####.exr with --frames; a PNG is written beside it")
+      ->required();
   command->add_option("--workers", options->workers, "workers of the embedded farm")
       ->capture_default_str()
       ->check(CLI::Range(1u, 256u));

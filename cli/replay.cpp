@@ -28,10 +28,11 @@ struct ReplayWords {
 
 int replay(const ReplayWords& words) {
   LoadedFrame frame = load_frame(words.frame);
-  const std::uint32_t number = words.number.value_or(frame.first_frame);
-  if (number < frame.first_frame || number > frame.last_frame || (number - frame.first_frame) % frame.frame_step != 0)
+  const std::uint32_t number = words.number.value_or(frame.frame_numbers.first);
+  const auto place = frame.frame_numbers.place_of(number);
+  if (!place)
     throw Error::usage("--frame: expected one of --frames " + words.frame.frames + ", found " + std::to_string(number));
-  if (!frame.cameras.empty()) frame.settings.camera = frame.cameras[(number - frame.first_frame) / frame.frame_step];
+  if (!frame.cameras.empty()) frame.settings.camera = frame.cameras[*place];
   if (frame.moving) {
     const FrameLook look = look_of(words.frame, frame, number);
     frame.scene = frame.moving->scene_at(look.seconds);

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <cmath>
+#include <ctime>
 
 #include "cli/progress.h"
 #include "scene/model/error.h"
@@ -29,6 +30,12 @@ json job_json(const JobStatus& status) {
   json written = json::array();
   for (const auto& [first, last] : status.written) written.push_back({first, last});
   json out = {{"job", status.id},
+              {"name", status.name},
+              {"priority", status.priority},
+              {"paused", status.paused},
+              {"after", status.after},
+              {"worker_seconds", status.worker_seconds},
+              {"rays", status.rays},
               {"state", job_state_name(status.state)},
               {"scene", status.scene_name},
               {"method", status.method},
@@ -69,11 +76,42 @@ json worker_json(const WorkerStatus& status) {
 
 std::string dump(const json& value) { return value.dump(-1, ' ', false, json::error_handler_t::replace); }
 
+namespace {
+
+std::string csv_field(const std::string& text) {
+  std::string quoted = "\"";
+  for (const char c : text) quoted += c == '"' ? std::string("\"\"") : std::string(1, c);
+  return quoted + "\"";
+}
+
+std::string utc(double unix_seconds) {
+  const auto seconds = static_cast<std::time_t>(unix_seconds);
+  std::tm parts{};
+  char text[32];
+  if (!::gmtime_r(&seconds, &parts) || std::strftime(text, sizeof text, "%Y-%m-%dT%H:%M:%SZ", &parts) == 0) return {};
+  return text;
+}
+
+}  // namespace
+
+std::string job_csv(const std::vector<JobStatus>& jobs) {
+  std::string lines =
+      "job,name,state,priority,scene,method,width,height,frames,frames_done,frames_failed,submitted,seconds,"
+      "worker_seconds,rays\r\n";
+  for (const JobStatus& job : jobs)
+    lines += fmt::format("{},{},{},{},{},{},{},{},{},{},{},{},{:.3f},{:.3f},{}\r\n", job.id, csv_field(job.name),
+                         job_state_name(job.state), job.priority, csv_field(job.scene_name), job.method, job.width,
+                         job.height, job.frames, job.frames_done, job.frames_failed, utc(job.submitted_unix_seconds),
+                         job.seconds, job.worker_seconds, job.rays);
+  return lines;
+}
+
 std::string job_line(const JobStatus& status) {
-  std::string state = job_state_name(status.state);
+  std::string state = status.paused && !ended(status.state) ? "paused" : job_state_name(status.state);
   if (status.state == JobState::running) state += fmt::format(" {:.0f} %", std::floor(100 * status.progress));
   std::string line = fmt::format("{}  {}  {}  {}  {}x{}  {}", status.id, state, status.scene_name, status.method,
                                  status.width, status.height, format_duration(status.seconds));
+  if (!status.name.empty()) line += fmt::format("  \"{}\"", status.name);
   if (!status.message.empty()) line += fmt::format("  {}", status.message);
   return line;
 }

@@ -1,5 +1,7 @@
 // `gleaner watch`: follows a job to its end.
 
+#include "cli/watch.h"
+
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <chrono>
@@ -31,12 +33,6 @@ constexpr std::chrono::milliseconds preview_interval{700};           // it must 
 constexpr double first_wait_seconds = 1, longest_wait_seconds = 15;  // before the coordinator is called again
 constexpr std::chrono::seconds tell_interval{1};                     // of frames that were written
 constexpr std::chrono::seconds stall{5};                             // without an item done, before it is asked why
-
-struct WatchOptions {
-  std::string coordinator, job, preview;
-  bool json = false, quiet = false;
-  double give_up_seconds = 600;
-};
 
 double seconds_since(Clock::time_point then) { return std::chrono::duration<double>(Clock::now() - then).count(); }
 
@@ -186,21 +182,20 @@ class Watch {
   std::string explained_;
 };
 
-int watch(const WatchOptions& options) {
+}  // namespace
+
+JobStatus follow_job(const WatchOptions& options) {
   Watch watch(options);
   std::unique_ptr<PreviewFile> preview;
   if (!options.preview.empty())
     preview = std::make_unique<PreviewFile>(options.coordinator, options.job, options.preview);
   const JobStatus last = watch.follow();
   if (preview) preview->finish();
-  require_done(last);
-  if (options.json) return 0;
+  if (options.json || last.state != coordinator::JobState::done) return last;
   if (!last.message.empty()) watch.say("warning: " + last.message);
   watch.say("job " + last.id + " done, " + format_duration(last.seconds));
-  return 0;
+  return last;
 }
-
-}  // namespace
 
 void add_watch(CLI::App& app, Run& run) {
   auto options = std::make_shared<WatchOptions>();
@@ -215,7 +210,12 @@ void add_watch(CLI::App& app, Run& run) {
       ->capture_default_str()
       ->check(CLI::NonNegativeNumber);
   add_coordinator_option(*command, options->coordinator);
-  command->callback([options, &run] { run = [options] { return watch(*options); }; });
+  command->callback([options, &run] {
+    run = [options] {
+      require_done(follow_job(*options));
+      return 0;
+    };
+  });
 }
 
 }  // namespace gleaner::cli

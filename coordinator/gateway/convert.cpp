@@ -142,6 +142,12 @@ FrameSettings from_proto(const pb::FrameSettings& in) {
 pb::Job to_proto(const JobStatus& status) {
   pb::Job out;
   out.set_id(status.id);
+  out.set_name(printable(status.name));
+  out.set_priority(status.priority);
+  out.set_paused(status.paused);
+  for (const std::string& other : status.after) out.add_after(other);
+  out.set_worker_seconds(status.worker_seconds);
+  out.set_rays(status.rays);
   out.set_state(to_proto(status.state));
   out.set_scene_name(printable(status.scene_name));
   out.set_method(status.method);
@@ -181,6 +187,12 @@ pb::Job to_proto(const JobStatus& status) {
 JobStatus from_proto(const pb::Job& job) {
   JobStatus out;
   out.id = job.id();
+  out.name = job.name();
+  out.priority = job.priority();
+  out.paused = job.paused();
+  out.after.assign(job.after().begin(), job.after().end());
+  out.worker_seconds = job.worker_seconds();
+  out.rays = job.rays();
   out.state = from_proto(job.state());
   out.scene_name = job.scene_name();
   out.method = job.method();

@@ -22,6 +22,8 @@ using grpc::StatusCode;
 namespace {
 
 constexpr int most_ids = 1024;  // in one MissingBlobs call
+constexpr std::uint64_t most_frames_bytes = std::uint64_t{64} << 20;
+constexpr std::size_t most_awaited = 1000;  // jobs that one may wait for
 
 Status no_job(const std::string& id) { return {StatusCode::NOT_FOUND, "no job " + id.substr(0, 80)}; }
 
@@ -36,6 +38,22 @@ Bytes read_file(const fs::path& path) {
 }
 
 std::string text_of(const Bytes& bytes) { return {reinterpret_cast<const char*>(bytes.data()), bytes.size()}; }
+
+// Which job it is, and when it is its turn.
+void take_order(const pb::SubmitJobRequest& request, JobRequest& job) {
+  const auto check = [](const std::string& field, const std::string& word) {
+    if (word.size() > most_name_bytes) throw Error::bad_input("request", field, "at most 256 bytes");
+  };
+  check("name", request.name());
+  check("request_id", request.request_id());
+  if (static_cast<std::size_t>(request.after_size()) > most_awaited)
+    throw Error::bad_input("request", "after", "at most " + std::to_string(most_awaited) + " jobs");
+  for (const std::string& other : request.after()) check("after", other);
+  job.name = printable(request.name(), most_name_bytes);
+  job.priority = request.priority();
+  job.after.assign(request.after().begin(), request.after().end());
+  job.request_id = request.request_id();
+}
 
 }  // namespace
 
@@ -111,6 +129,26 @@ SceneSummary FarmService::summary_of(const std::string& scene_blob, const std::s
   return summaries_[scene_blob] = summary;
 }
 
+pb::JobFrames FarmService::frames_of(const pb::SubmitJobRequest& request) {
+  pb::JobFrames frames;
+  const std::string& id = request.frames_blob();
+  if (id.empty()) {
+    *frames.mutable_cameras() = request.frame_cameras();
+    *frames.mutable_scenes() = request.frame_scenes();
+    return frames;
+  }
+  if (!is_sha256_hex(id)) throw Error::bad_input("request", "frames_blob", "64 lower-case hexadecimal digits");
+  const auto source = blobs_.source(id);
+  if (!source) throw Error::bad_input("blob " + id, "", "to be uploaded first");
+  if (source->bytes() > most_frames_bytes)
+    throw Error::bad_input("blob " + id, "", "at most " + std::to_string(most_frames_bytes) + " bytes of frames",
+                           std::to_string(source->bytes()));
+  const Blob blob = blobs_.get(id);
+  if (!blob || !frames.ParseFromArray(blob->data(), static_cast<int>(blob->size())))
+    throw Error::bad_input("blob " + id, "", "the frames of a job");
+  return frames;
+}
+
 void FarmService::check_state(const FrameScene& scene) {
   const Blob blob = blobs_.get(scene.state_blob);
   const std::string origin = "state blob " + scene.state_blob;
@@ -121,8 +159,10 @@ void FarmService::check_state(const FrameScene& scene) {
 
 Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* request, pb::SubmitJobReply* reply) {
   return guarded([&]() -> Status {
-    if (const std::uint64_t most = most_frames; static_cast<std::uint64_t>(request->frame_scenes_size()) > most)
-      return {StatusCode::INVALID_ARGUMENT, "frame_scenes: expected at most " + std::to_string(most)};
+    const pb::JobFrames frames = frames_of(*request);
+    const std::uint64_t most = most_frames;
+    if (static_cast<std::uint64_t>(std::max(frames.scenes_size(), frames.cameras_size())) > most)
+      return {StatusCode::INVALID_ARGUMENT, "frame_scenes, frame_cameras: expected at most " + std::to_string(most)};
     std::vector<FrameScene> scenes;
     const auto add = [&](const std::string& scene_blob, const std::string& bvh_blob, const std::string& state_blob) {
       FrameScene& scene = scenes.emplace_back();
@@ -130,8 +170,7 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
       scene.bvh_blob = bvh_blob;
       scene.state_blob = state_blob;
     };
-    for (const pb::FrameScene& scene : request->frame_scenes())
-      add(scene.scene_blob(), scene.bvh_blob(), scene.state_blob());
+    for (const pb::FrameScene& scene : frames.scenes()) add(scene.scene_blob(), scene.bvh_blob(), scene.state_blob());
     if (scenes.empty()) add(request->scene_blob(), request->bvh_blob(), {});
     for (const FrameScene& scene : scenes)
       for (const std::string* each : {&scene.scene_blob, &scene.bvh_blob, &scene.state_blob}) {
@@ -160,7 +199,9 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
       job.last_frame = request->last_frame();
     }
     if (request->frame_step() != 0) job.frame_step = request->frame_step();
-    for (const pb::Camera& camera : request->frame_cameras()) job.cameras.push_back(from_proto(camera));
+    job.numbers.assign(request->frame_numbers().begin(), request->frame_numbers().end());
+    take_order(*request, job);
+    for (const pb::Camera& camera : frames.cameras()) job.cameras.push_back(from_proto(camera));
     std::set<std::string> checked;
     for (FrameScene& scene : scenes) {
       scene.summary = summary_of(scene.scene_blob, job.scene_name);
@@ -189,6 +230,22 @@ Status FarmService::CancelJob(grpc::ServerContext*, const pb::CancelJobRequest* 
   if (!status) return no_job(request->job());
   *reply = to_proto(*status);
   return Status::OK;
+}
+
+Status FarmService::PauseJob(grpc::ServerContext*, const pb::PauseJobRequest* request, pb::Job* reply) {
+  auto status = farm_.pause(request->job(), !request->resume());
+  if (!status) return no_job(request->job());
+  *reply = to_proto(*status);
+  return Status::OK;
+}
+
+Status FarmService::RetryJob(grpc::ServerContext*, const pb::RetryJobRequest* request, pb::Job* reply) {
+  return guarded([&]() -> Status {
+    auto status = farm_.retry(request->job());
+    if (!status) return no_job(request->job());
+    *reply = to_proto(*status);
+    return Status::OK;
+  });
 }
 
 Status FarmService::WatchJob(grpc::ServerContext* context, const pb::WatchJobRequest* request,
@@ -289,6 +346,12 @@ Status FarmService::FetchFile(grpc::ServerContext* context, const pb::FetchFileR
 
 Status FarmService::ListWorkers(grpc::ServerContext*, const pb::ListWorkersRequest*, pb::ListWorkersReply* reply) {
   for (const WorkerStatus& status : farm_.workers()) *reply->add_workers() = to_proto(status);
+  return Status::OK;
+}
+
+Status FarmService::DrainWorker(grpc::ServerContext*, const pb::DrainWorkerRequest* request, pb::DrainWorkerReply*) {
+  if (!farm_.drain(request->worker()))
+    return {StatusCode::NOT_FOUND, "no worker " + printable(request->worker(), most_name_bytes) + " is connected"};
   return Status::OK;
 }
 

@@ -29,6 +29,9 @@ class FarmService final : public pb::Farm::Service {
   grpc::Status ListJobs(grpc::ServerContext*, const pb::ListJobsRequest*, pb::ListJobsReply*) override;
   grpc::Status GetJob(grpc::ServerContext*, const pb::GetJobRequest*, pb::Job*) override;
   grpc::Status CancelJob(grpc::ServerContext*, const pb::CancelJobRequest*, pb::Job*) override;
+  grpc::Status PauseJob(grpc::ServerContext*, const pb::PauseJobRequest*, pb::Job*) override;
+  grpc::Status RetryJob(grpc::ServerContext*, const pb::RetryJobRequest*, pb::Job*) override;
+  grpc::Status DrainWorker(grpc::ServerContext*, const pb::DrainWorkerRequest*, pb::DrainWorkerReply*) override;
   grpc::Status WatchJob(grpc::ServerContext*, const pb::WatchJobRequest*, grpc::ServerWriter<pb::Job>*) override;
   grpc::Status GetPreview(grpc::ServerContext*, const pb::GetPreviewRequest*, pb::GetPreviewReply*) override;
   grpc::Status Why(grpc::ServerContext*, const pb::WhyRequest*, pb::WhyReply*) override;
@@ -41,6 +44,8 @@ class FarmService final : public pb::Farm::Service {
   // The last preview that was shown of a job that runs: what is shown while its plan computes.
   std::string remember_preview(const std::string& job, std::string png);
   // Throws Error::bad_input where the frame's state is none, or not one of its base.
+  // What the request says of each frame, in itself or in a blob.
+  pb::JobFrames frames_of(const pb::SubmitJobRequest& request);
   void check_state(const coordinator::FrameScene& scene);
   coordinator::SceneSummary summary_of(const std::string& scene_blob, const std::string& scene_name);
 

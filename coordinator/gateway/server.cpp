@@ -35,7 +35,7 @@ Role role_for(std::string_view method) {
   for (const std::string_view name :
        {"ListJobs", "GetJob", "WatchJob", "GetPreview", "Why", "ListFiles", "FetchFile", "ListWorkers"})
     if (method == name) return Role::observe;
-  for (const std::string_view name : {"MissingBlobs", "UploadBlob", "SubmitJob", "CancelJob"})
+  for (const std::string_view name : {"MissingBlobs", "UploadBlob", "SubmitJob", "CancelJob", "PauseJob", "RetryJob"})
     if (method == name) return Role::submit;
   return Role::administer;
 }

@@ -74,6 +74,8 @@ struct JobRemains {
 FrameSettings settings_of(const JobRequest& request, std::uint64_t place);
 // Of the frame among those of its job that run: 0 is the earliest one.
 unsigned rank_of(const Frame& frame);
+// What the scheduler is told: a job's priority goes before that of a stage within its plan.
+int with_priority(int of_stage, const JobRequest& request);
 
 struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   Impl(FarmSettings farm_settings, BlobStore& store);
@@ -99,6 +101,14 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   std::shared_ptr<Job> find(const std::string& id) const;  // mutex held
   std::shared_ptr<Job> accept(const JobRequest& request);  // checks it
   void start_queued();                                     // mutex held
+  // Mutex held. Where its priority puts it, behind those of the same.
+  void put_in_queue(const std::shared_ptr<Job>& job);
+  std::shared_ptr<Job> next_queued() const;            // mutex held; the first that may begin; null: none
+  std::size_t active() const;                          // mutex held; jobs that run and are not paused
+  std::shared_ptr<Job> awaited(const Job& job) const;  // mutex held; one that must be done first; null: none
+  bool is_awaited(const std::string& id) const;        // mutex held; by a job that waits
+  // The job of that request, if it was submitted before. Throws Error::usage where the id was another request's.
+  std::shared_ptr<Job> submitted_before(const JobRequest& request) const;  // mutex held
   std::uint64_t posing_memory(const JobRequest& request);
   bool has_memory_for(const Job& job) const;     // mutex held
   std::string why_queued(const Job& job) const;  // mutex held
@@ -109,9 +119,10 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void forget_ended();         // mutex held; those beyond the bounds
 
   // Frames side by side (frames.cpp; mutex held). Each frame that runs has a thread, which alone calls its plan.
-  // Begins the first of the job's frames that wait; false: none waits.
+  // Begins the first of the job's frames that wait; false: none waits, or no thread can be started for it.
   bool begin_frame(const std::shared_ptr<Job>& job);
-  bool may_begin_another(const Job& job) const;  // beside those that run
+  void wait_again(const std::shared_ptr<Job>& job);  // in the queue: it runs no frame, and has some to come
+  bool may_begin_another(const Job& job) const;      // beside those that run
   std::shared_ptr<Job> job_for_another_frame() const;
   bool further_frame_comes() const;  // one that was begun has no stage yet, or one may be begun
   // When workers will have been idle for so long that a further frame is begun; none: no frame may be.
@@ -128,6 +139,8 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   // The journal (journal_jobs.cpp); without one they do nothing. journal_added() waits for it, and throws.
   void journal_added(const Job& job);
   void journal_changed(const Job& job, JobState state);  // mutex held
+  Bytes journal_frames(const Job& job) const;            // of its request; throws without a journal
+  void journal_retry(const Job& job);                    // waits for the journal, and throws
   void restore();                                        // the journal's jobs, when the farm is made
   std::shared_ptr<Job> restored(const JournalJob& entry, std::string& failure);
 
@@ -211,6 +224,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void place_near_inputs(const RunningStage& stage, ScheduledStage& scheduled);
   bool inputs_exist(const RunningStage& stage) const;
   void pause_if_inputs_lack(RunningStage& stage);
+  void settle_pause(const RunningStage& stage);  // with the scheduler: for its inputs, or for its job
   // Computes again what is missing and needed, and pauses who waits for it.
   void settle_retained();
   std::vector<Gap> missing(const ArtifactId& id, bool being_made);
@@ -243,8 +257,9 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void drop_hopeless_rechecks();  // a worker is gone
   std::set<WorkerId> witnesses(const Recheck& recheck) const;
   void distrust(WorkerId liar, const std::string& why);
-  void await_rechecks(Frame& frame);  // the frame's thread
-  void start_over(Frame& frame);      // the frame's thread; with what honest workers made of it
+  void await_rechecks(Frame& frame);    // the frame's thread
+  void give_up_rechecks(Frame& frame);  // those that nobody answers in time, of a frame that waits for nothing else
+  void start_over(Frame& frame);        // the frame's thread; with what honest workers made of it
 
   // Results (results.cpp).
   // Mutex held. The stage of the worker's lease, and the lease; null: there is none such.
@@ -294,11 +309,14 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   std::map<WorkerId, std::string> names_of_gone;  // the last few: they may still be in dispute
   KeptRecords kept{settings.kept_bytes};
   std::map<std::string, std::shared_ptr<Job>> jobs;
-  std::list<std::shared_ptr<Job>> order;        // of submission
-  std::deque<std::shared_ptr<Job>> queue;       // those that wait
-  std::deque<std::shared_ptr<Job>> ended_jobs;  // the oldest end first
-  std::vector<std::shared_ptr<Job>> running;    // in the order of their start
+  std::map<std::string, std::string> request_ids;  // to jobs
+  std::mutex request_ids_mutex;                    // taken first: one request with an id is submitted at a time
+  std::list<std::shared_ptr<Job>> order;           // of submission
+  std::deque<std::shared_ptr<Job>> queue;          // those that wait
+  std::deque<std::shared_ptr<Job>> ended_jobs;     // the oldest end first
+  std::vector<std::shared_ptr<Job>> running;       // in the order of their start
   Seconds last_frame_begun = 0;
+  bool said_no_thread = false;
   std::uint64_t memory_taken = 0;  // predicted, by plans that are there
   std::map<const Frame*, std::thread> threads;
   std::vector<std::thread> ended_threads;  // to be joined

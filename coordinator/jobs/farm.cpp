@@ -37,6 +37,8 @@ Farm::Impl::Impl(FarmSettings farm_settings, BlobStore& store)
     };
   if (!settings.plan)
     settings.plan = [](const FrameSettings& frame, const SceneSummary& scene) { return make_plan(frame, scene); };
+  if (!settings.start_thread)
+    settings.start_thread = [](std::function<void()> what) { return std::thread(std::move(what)); };
   if (!settings.log) settings.log = [](const std::string&) {};
   timer = std::thread([this] { watch_clock(); });
 }
@@ -141,7 +143,16 @@ std::optional<std::vector<std::string>> Farm::why(const std::string& id) const {
   if (!job) return std::nullopt;
   std::vector<std::string> reasons;
   if (job->state == JobState::queued) reasons.push_back(impl_->why_queued(*job));
+  if (job->state == JobState::running && job->paused) return std::vector{impl_->why_queued(*job)};
   if (job->state == JobState::running && impl_->workers.empty()) reasons.push_back("no worker is connected");
+  // Of a stage of another job, the job too.
+  const Scheduler::Names names{[&](WorkerId worker) { return impl_->name_of(worker); },
+                               [&](StageId stage) {
+                                 const auto found = impl_->active_stages.find(stage);
+                                 if (found == impl_->active_stages.end()) return std::string("that ends");
+                                 const Job& of = *found->second->frame->job;
+                                 return found->second->spec.name + (&of == job.get() ? "" : " of job " + of.id);
+                               }};
   std::size_t compared = 0;
   for (const auto& [place, frame] : job->frames) {
     compared += frame->rechecks.size();
@@ -149,7 +160,7 @@ std::optional<std::vector<std::string>> Farm::why(const std::string& id) const {
         job->frames.size() > 1 ? "frame " + std::to_string(frame_at(job->request, frame->place)) + ", " : "";
     for (const auto& stage : frame->stages) {
       if (stage->delivered || !impl_->active_stages.count(stage->id)) continue;
-      std::string reason = impl_->scheduler.why_waiting(stage->id, impl_->now());
+      std::string reason = impl_->scheduler.why_waiting(stage->id, impl_->now(), names);
       if (!reason.empty()) reasons.push_back(which + "stage " + stage->spec.name + ": " + reason);
       if (!stage->last_failure.empty()) reasons.push_back("last failure: " + stage->last_failure);
     }

@@ -8,6 +8,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "coordinator/artifacts/registry.h"
@@ -37,6 +38,7 @@ struct FarmSettings {
   // is given.
   std::function<std::uint64_t(const FrameSettings&, const SceneSummary&)> check;
   std::function<FramePaths(const std::string& job, std::uint32_t frame)> paths;  // folders are made
+  std::function<std::thread(std::function<void()>)> start_thread;                // of a frame; empty: std::thread
   std::function<void(const std::string&)> log;                                   // one line each; empty: silence
   unsigned active_jobs = 2;  // jobs that run at the same time: the second fills the first one's tail
   // Frames of a job that run side by side, where workers idle that fewer cannot feed: at most, and never more than
@@ -76,12 +78,19 @@ class Farm {
   // thread goes on without touching anything of the farm's owner, but the process should be ended by std::_Exit().
   bool end(Seconds grace);
 
-  // Returns the job's id. Throws Error::usage for settings that no plan takes or that need more memory than there may
-  // be, Error::bad_input for a blob that is not there, Error::failed where the journal cannot be written.
+  // Returns the job's id: of a request with an id that was submitted before, that job's. Throws Error::usage for
+  // settings that no plan takes or that need more memory than there may be, Error::bad_input for a blob that is not
+  // there, Error::failed where the journal cannot be written.
   std::string submit(const JobRequest& request);
   // The status after it; none: no such job. What has ended stays as it ended. A job whose plan computes has ended when
   // this returns: nobody waits for the plan.
   std::optional<JobStatus> cancel(const std::string& job);
+  // Nothing more of a paused job is handed out, and it keeps no other from running; what its workers compute they
+  // finish. The status after it; none: no such job. What has ended stays as it is.
+  std::optional<JobStatus> pause(const std::string& job, bool paused);
+  // A job that failed or was cancelled is queued again, for the frames that are not written. Throws Error::usage for
+  // one that did not, Error::failed without a journal, Error::bad_input where its scene is gone.
+  std::optional<JobStatus> retry(const std::string& job);
   std::optional<JobStatus> status(const std::string& job) const;
   std::vector<JobStatus> list() const;  // oldest first
   // Waits until the job's version is over `seen`, it ended, or `timeout` seconds went by.
@@ -102,7 +111,8 @@ class Farm {
   // The worker is gone; its leases go to others at once. Unknown workers are ignored, here and below.
   void leave(WorkerId worker);
   void drain(WorkerId worker);
-  void heard(WorkerId worker);  // it lives
+  bool drain(const std::string& worker);  // by what it goes by; false: there is none such
+  void heard(WorkerId worker);            // it lives
   std::vector<WorkerStatus> workers() const;
   FarmTotals totals() const;
 

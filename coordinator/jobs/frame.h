@@ -157,6 +157,7 @@ struct Frame : std::enable_shared_from_this<Frame> {
   std::vector<std::pair<JournalRange, WorkerId>> remembered;
   std::set<WorkerId> makers;                            // of its accepted batches
   std::vector<std::shared_ptr<RunningStage>> rechecks;  // that run; the frame waits for them
+  Seconds all_but_rechecks = 0;                         // since when it has waited for nothing else
   bool distrusted = false;  // one of `makers` was found lying: the frame begins again, with what the others made
 
   FrameReport report;

@@ -6,6 +6,7 @@
 #include <iterator>
 #include <limits>
 #include <new>
+#include <system_error>
 #include <utility>
 
 #include "coordinator/jobs/engine.h"
@@ -51,7 +52,7 @@ bool Farm::Impl::begin_frame(const std::shared_ptr<Job>& job) {
     ++job->next;
     ++frame->left;
   }
-  frame->scene = scene_of(job->request, frame_at(job->request, frame->place));
+  frame->scene = scene_of(job->request, frame->place);
   frame->settings = settings_of(job->request, frame->place);
   frame->memory = job->memory;
   memory_taken += frame->memory;
@@ -62,17 +63,35 @@ bool Farm::Impl::begin_frame(const std::shared_ptr<Job>& job) {
   frame->waited_from = first ? job->accepted : frame->begun;
   frame->progress = FrameProgress(last_frame_begun);
   job->frames[frame->place] = frame;
-  threads.emplace(frame.get(), std::thread(&Impl::run, shared_from_this(), frame));
+  try {
+    threads.emplace(frame.get(), settings.start_thread([self = shared_from_this(), frame] { run(self, frame); }));
+  } catch (const std::system_error& error) {
+    if (!std::exchange(said_no_thread, true))
+      settings.log("job " + job->id + ": no thread for a frame (" + error.what() + "); it waits");
+    memory_taken -= frame->memory;
+    job->frames.erase(frame->place);
+    job->next = frame->place;
+    return false;
+  }
+  said_no_thread = false;
   return true;
 }
 
+void Farm::Impl::wait_again(const std::shared_ptr<Job>& job) {
+  std::erase(running, job);
+  job->state = JobState::queued;
+  put_in_queue(job);
+  changed(*job);
+}
+
 bool Farm::Impl::may_begin_another(const Job& job) const {
-  if (job.cancel || job.frames.empty() || job.next >= frames_of(job.request)) return false;
+  if (job.cancel || job.paused || job.frames.empty() || job.next >= frames_of(job.request)) return false;
   // A frame with a time limit has the farm for that time.
   if (job.request.time_limit > 0) return false;
   if (job.frames.size() >= std::min<std::size_t>(settings.frames_at_once, workers.size())) return false;
   // Memory for which a job waits is left to it.
-  if (!queue.empty() && running.size() < settings.active_jobs && !has_memory_for(*queue.front())) return false;
+  if (const auto waiting = next_queued(); waiting && active() < settings.active_jobs && !has_memory_for(*waiting))
+    return false;
   return has_memory_for(job);
 }
 
@@ -150,6 +169,8 @@ bool Farm::Impl::frame_over(Frame& frame, const std::string& failure) {
   --frame.left;
   if (frame.left > 0) ++frame.place;
   update_progress(job, frame.begun);
+  // What it has cost so far; who cancelled it was told that it ends so.
+  journal_changed(job, job.cancel && !stopping ? JobState::cancelled : job.state);
   changed(job);
   return frame.left > 0;
 }
@@ -224,8 +245,10 @@ JobRemains Farm::Impl::frame_ended(const std::shared_ptr<Frame>& frame, const st
   const bool others = !job->frames.empty();
   if (others) start_queued();  // a job that waited for this memory comes before a further frame
   const bool stops = job->cancel || stopping || (others && !may_begin_another(*job));
-  const bool goes_on = !stops && begin_frame(job);
-  if (!goes_on && !others) {
+  const bool goes_on = !stops && !job->paused && begin_frame(job);
+  if (!goes_on && !others && !stops && job->frames_over() < frames_of(job->request)) {
+    wait_again(job);
+  } else if (!goes_on && !others) {
     JobState state = JobState::done;
     std::string message;
     // Who cancelled while the last frame was written was told that the job ends so.

@@ -30,22 +30,32 @@ struct JobRequest {
   FrameSettings settings;
   std::uint32_t first_frame = 1, last_frame = 1;  // inclusive
   std::uint32_t frame_step = 1;                   // between their numbers
+  std::vector<std::uint32_t> numbers;  // of the frames, ascending, in place of the above; empty: all of these
   // One a frame, the settings' way is then theirs; or none: all are seen by the settings' camera.
   std::vector<scene::Camera> cameras;
   double exposure_stops = 0;  // of the PNG
   double time_limit = 0;      // seconds from a frame's start after which it is finished with what there is; 0 = none
+  std::string name;           // for people; may be empty
+  int priority = 0;           // higher ones first
+  std::vector<std::string> after;  // jobs that must be done before this one begins
+  // The submitter's word for this request: who submits it again gets the same job. Empty: none.
+  std::string request_id;
+  std::string content;  // with an id: digest of the request, so that another one under the same id is refused
 };
 
 inline constexpr std::uint64_t most_frames = 100000;  // of a job
-inline const FrameScene& scene_of(const JobRequest& request, std::uint32_t frame) {
-  return request.scenes.size() == 1 ? request.scenes.front()
-                                    : request.scenes[(frame - request.first_frame) / request.frame_step];
+inline constexpr int most_priority = 1000;            // and least: its negative
+// Of the frame at this place.
+inline const FrameScene& scene_of(const JobRequest& request, std::uint64_t place) {
+  return request.scenes.size() == 1 ? request.scenes.front() : request.scenes[place];
 }
 inline std::uint64_t frames_of(const JobRequest& request) {
+  if (!request.numbers.empty()) return request.numbers.size();
   return (std::uint64_t{request.last_frame} - request.first_frame) / request.frame_step + 1;
 }
 
 inline std::uint32_t frame_at(const JobRequest& request, std::uint64_t index) {
+  if (!request.numbers.empty()) return request.numbers[index];
   return static_cast<std::uint32_t>(request.first_frame + index * request.frame_step);
 }
 
@@ -62,8 +72,11 @@ struct StageStatus {
 };
 
 struct JobStatus {
-  std::string id;
+  std::string id, name;
   JobState state = JobState::queued;
+  bool paused = false;
+  int priority = 0;
+  std::vector<std::string> after;
   std::string scene_name, method;
   std::uint32_t width = 0, height = 0;
   std::uint32_t frames = 1, frames_done = 0, frames_failed = 0;  // done: their files are written
@@ -77,6 +90,9 @@ struct JobStatus {
   double frame_progress = 0, progress = 0;            // 0 to 1: of the first frame that runs, of all frames
   double frame_seconds_left = -1, seconds_left = -1;  // negative = unknown
   double submitted_unix_seconds = 0;
+  // What its accepted batches cost the workers, those of frames that failed included.
+  double worker_seconds = 0;
+  std::uint64_t rays = 0;
   std::string message;  // which frames failed, and why; of one that is done: what must be known of its pictures
   bool preview_available = false;
   double exposure_stops = 0;

@@ -2,11 +2,15 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cstdlib>
+#include <functional>
 #include <iterator>
 #include <utility>
 
+#include "coordinator/blobs/sha256.h"
 #include "coordinator/jobs/engine.h"
 #include "coordinator/jobs/job_id.h"
+#include "coordinator/jobs/request_codec.h"
 #include "coordinator/journal/journal_writer.h"
 #include "coordinator/plan/trajectory.h"
 #include "scene/model/error.h"
@@ -17,6 +21,14 @@ namespace {
 
 // Over which a job's rate is taken: frames are uneven.
 constexpr Seconds job_rate_window = 60;
+
+// Tells requests apart: all that was asked, the ids of scenes included.
+std::string content_of(const JobRequest& request) {
+  Bytes bytes = encode_request(request);
+  const Bytes frames = encode_frames(request);
+  bytes.insert(bytes.end(), frames.begin(), frames.end());
+  return sha256_hex(bytes);
+}
 
 std::string gibibytes(std::uint64_t bytes) {
   char text[32];
@@ -50,6 +62,11 @@ std::shared_ptr<Job> Farm::Impl::accept(const JobRequest& request) {
   if (request.frame_step == 0 || request.last_frame < request.first_frame || frames_of(request) > most_frames)
     throw Error::usage("frames " + frames + ": expected first <= last, and at most " + std::to_string(most_frames) +
                        " frames");
+  if (std::adjacent_find(request.numbers.begin(), request.numbers.end(), std::greater_equal<>()) !=
+      request.numbers.end())
+    throw Error::usage("frame numbers: expected each to be larger than the one before");
+  if (std::abs(request.priority) > most_priority)
+    throw Error::usage("priority: expected -1000 to 1000, found " + std::to_string(request.priority));
   if (!request.cameras.empty() && request.cameras.size() != frames_of(request))
     throw Error::usage("cameras: expected one for each of " + std::to_string(frames_of(request)) + " frames, found " +
                        std::to_string(request.cameras.size()));
@@ -84,12 +101,41 @@ bool Farm::Impl::has_memory_for(const Job& job) const {
   return job.memory <= settings.memory_bytes - std::min(settings.memory_bytes, memory_taken);
 }
 
+void Farm::Impl::put_in_queue(const std::shared_ptr<Job>& job) {
+  const auto behind = std::find_if(queue.begin(), queue.end(),
+                                   [&](const auto& other) { return other->request.priority < job->request.priority; });
+  queue.insert(behind, job);
+}
+
+std::shared_ptr<Job> Farm::Impl::awaited(const Job& job) const {
+  for (const std::string& id : job.request.after)
+    if (auto other = find(id); other && other->state != JobState::done) return other;
+  return nullptr;
+}
+
+bool Farm::Impl::is_awaited(const std::string& id) const {
+  return std::any_of(queue.begin(), queue.end(), [&](const auto& job) {
+    return std::find(job->request.after.begin(), job->request.after.end(), id) != job->request.after.end();
+  });
+}
+
+std::shared_ptr<Job> Farm::Impl::next_queued() const {
+  const auto next =
+      std::find_if(queue.begin(), queue.end(), [&](const auto& job) { return !job->paused && !awaited(*job); });
+  return next == queue.end() ? nullptr : *next;
+}
+
+std::size_t Farm::Impl::active() const {
+  return static_cast<std::size_t>(
+      std::count_if(running.begin(), running.end(), [](const auto& job) { return !job->paused; }));
+}
+
 void Farm::Impl::start_queued() {
-  while (!queue.empty() && running.size() < settings.active_jobs && !stopping) {
-    std::shared_ptr<Job> job = queue.front();
+  while (active() < settings.active_jobs && !stopping) {
+    const std::shared_ptr<Job> job = next_queued();
     // The first in the queue is not overtaken, or a large one would wait for ever.
-    if (!has_memory_for(*job)) return;
-    queue.pop_front();
+    if (!job || !has_memory_for(*job)) return;
+    std::erase(queue, job);
     running.push_back(job);
     job->state = JobState::running;
     job->started = now();
@@ -97,6 +143,10 @@ void Farm::Impl::start_queued() {
     update_progress(*job, job->started);
     changed(*job);
     if (begin_frame(job)) continue;
+    if (job->frames_over() < frames_of(job->request)) {
+      wait_again(job);
+      return;
+    }
     // The coordinator before this one died when all frames were over.
     const bool failed = job->failed.count() > 0;
     end_job(*job, failed ? JobState::failed : JobState::done, failed ? failures_of(*job) : "");
@@ -104,7 +154,14 @@ void Farm::Impl::start_queued() {
 }
 
 std::string Farm::Impl::why_queued(const Job& job) const {
-  if (queue.front().get() == &job && running.size() < settings.active_jobs && !has_memory_for(job))
+  if (job.paused) return "the job is paused: `gleaner resume " + job.id + "`";
+  if (const auto other = awaited(job)) {
+    if (!ended(other->state)) return "it waits until job " + other->id + " is done";
+    return "it waits until job " + other->id + " is done, which " +
+           (other->state == JobState::failed ? "failed" : "was cancelled") + ": `gleaner retry " + other->id +
+           "` renders what is missing";
+  }
+  if (next_queued().get() == &job && active() < settings.active_jobs && !has_memory_for(job))
     return "the job waits for memory: it needs " + gibibytes(job.memory) + ", and of the " +
            gibibytes(settings.memory_bytes) + " that there may be, jobs that run have " + gibibytes(memory_taken);
   return "the job waits until one of the " + std::to_string(settings.active_jobs) + " that run has ended";
@@ -152,7 +209,9 @@ bool Farm::Impl::stop_frames(Job& job) {
 void Farm::Impl::forget_ended() {
   while (!ended_jobs.empty() &&
          (ended_jobs.size() > settings.ended_jobs || now() - ended_jobs.front()->ended > settings.ended_seconds)) {
+    if (is_awaited(ended_jobs.front()->id)) return;
     if (settings.journal) settings.journal->forget(ended_jobs.front()->id);
+    request_ids.erase(ended_jobs.front()->request.request_id);
     order.remove(ended_jobs.front());
     jobs.erase(ended_jobs.front()->id);
     ended_jobs.pop_front();
@@ -168,10 +227,30 @@ void Farm::Impl::join_ended_threads() {
   for (std::thread& thread : ended) thread.join();
 }
 
-std::string Farm::submit(const JobRequest& request) {
+std::shared_ptr<Job> Farm::Impl::submitted_before(const JobRequest& request) const {
+  const auto known = request_ids.find(request.request_id);
+  if (request.request_id.empty() || known == request_ids.end()) return nullptr;
+  const std::shared_ptr<Job> job = find(known->second);
+  if (job && job->request.content != request.content)
+    throw Error::usage("request id \"" + request.request_id + "\": job " + job->id +
+                       " was submitted with it, and is another scene or has other settings");
+  return job;
+}
+
+std::string Farm::submit(const JobRequest& submitted) {
+  JobRequest request = submitted;
+  std::unique_lock<std::mutex> one_at_a_time;
+  if (!request.request_id.empty()) {
+    one_at_a_time = std::unique_lock(impl_->request_ids_mutex);
+    request.content = content_of(request);
+    std::lock_guard lock(impl_->mutex);
+    if (const auto job = impl_->submitted_before(request)) return job->id;
+  }
   std::shared_ptr<Job> job = impl_->accept(request);
   impl_->join_ended_threads();
   std::unique_lock lock(impl_->mutex);
+  for (const std::string& other : request.after)
+    if (!impl_->find(other)) throw Error::usage("no job " + other + ", after which it is to begin");
   do job->id = new_job_id();
   while (impl_->jobs.count(job->id));
   job->accepted = impl_->now();
@@ -179,13 +258,62 @@ std::string Farm::submit(const JobRequest& request) {
   impl_->journal_added(*job);
   lock.lock();
   impl_->jobs[job->id] = job;
+  if (!request.request_id.empty()) impl_->request_ids[request.request_id] = job->id;
   impl_->order.push_back(job);
-  impl_->queue.push_back(job);
+  impl_->put_in_queue(job);
   impl_->settings.log("job " + job->id + " accepted: " + request.scene_name + ", " + request.settings.method + ", " +
                       std::to_string(request.settings.width) + "x" + std::to_string(request.settings.height));
   impl_->forget_ended();
   impl_->start_queued();
   return job->id;
+}
+
+std::optional<JobStatus> Farm::pause(const std::string& id, bool paused) {
+  std::lock_guard lock(impl_->mutex);
+  auto job = impl_->find(id);
+  if (!job) return std::nullopt;
+  if (ended(job->state) || job->cancel || job->paused == paused) return status_of(*job, impl_->now());
+  job->paused = paused;
+  for (const auto& [place, frame] : job->frames)
+    for (const auto& stage : frame->stages)
+      if (!stage->delivered) impl_->settle_pause(*stage);
+  impl_->journal_changed(*job, job->state);
+  impl_->settings.log("job " + id + (paused ? " paused" : " resumed"));
+  impl_->changed(*job);
+  impl_->start_queued();
+  return status_of(*job, impl_->now());
+}
+
+std::optional<JobStatus> Farm::retry(const std::string& id) {
+  std::unique_lock lock(impl_->mutex);
+  const std::shared_ptr<Job> old = impl_->find(id);
+  if (!old) return std::nullopt;
+  if (old->state != JobState::failed && old->state != JobState::cancelled)
+    throw Error::usage("job " + id + " is " + job_state_name(old->state) + ": only what failed or was cancelled " +
+                       "can be tried again");
+  JobRequest request = old->request;
+  lock.unlock();
+  decode_frames(impl_->journal_frames(*old), request);
+  // A job of its own: a plan of the old one may still compute.
+  const std::shared_ptr<Job> job = impl_->accept(request);
+  job->id = id;
+  job->submitted_unix_seconds = old->submitted_unix_seconds;
+  job->accepted = old->accepted;
+  job->worker_seconds = old->worker_seconds;
+  job->rays = old->rays;
+  job->written = old->written;
+  impl_->journal_retry(*job);
+  lock.lock();
+  if (impl_->find(id) != old) throw Error::failed("job " + id + " was tried again or forgotten meanwhile");
+  job->version = old->version + 1;
+  std::erase(impl_->ended_jobs, old);
+  std::replace(impl_->order.begin(), impl_->order.end(), old, job);
+  impl_->jobs[id] = job;
+  impl_->put_in_queue(job);
+  impl_->settings.log("job " + id + " is tried again");
+  impl_->changed(*job);
+  impl_->start_queued();
+  return status_of(*job, impl_->now());
 }
 
 std::optional<JobStatus> Farm::cancel(const std::string& id) {

@@ -13,6 +13,8 @@ namespace gleaner::coordinator {
 
 namespace {
 
+constexpr const char* paused_word = "paused";  // a state of the journal's alone: queued, until it is resumed
+
 double unix_seconds() {
   return std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
 }
@@ -25,10 +27,14 @@ JobState state_of(const std::string& word) {
 
 JournalJob entry_of(const Job& job, JobState state, Seconds ended_seconds) {
   return {.id = job.id,
-          .state = job_state_name(ended(state) ? state : JobState::queued),
+          .state = ended(state) ? job_state_name(state)
+                   : job.paused ? paused_word
+                                : job_state_name(JobState::queued),
           .message = job.message,
           .submitted = job.submitted_unix_seconds,
           .ended = ended(state) ? job.submitted_unix_seconds + ended_seconds : 0,
+          .worker_seconds = job.worker_seconds,
+          .rays = job.rays,
           .request = {}};
 }
 
@@ -45,6 +51,13 @@ void Farm::Impl::journal_changed(const Job& job, JobState state) {
   if (settings.journal) settings.journal->changed(entry_of(job, state, now() - job.accepted));
 }
 
+Bytes Farm::Impl::journal_frames(const Job& job) const {
+  if (!settings.journal) throw Error::failed("job " + job.id + ": without a journal nothing is known of it any more");
+  return settings.journal->frames(job.id);
+}
+
+void Farm::Impl::journal_retry(const Job& job) { settings.journal->retry(entry_of(job, JobState::queued, 0)); }
+
 void Farm::Impl::restore() {
   if (!settings.journal) return;
   const std::vector<JournalJob> entries = settings.journal->jobs();
@@ -59,6 +72,7 @@ void Farm::Impl::restore() {
     lock.lock();
     jobs[job->id] = job;
     order.push_back(job);
+    if (!job->request.request_id.empty()) request_ids[job->request.request_id] = job->id;
     if (ended(job->state)) {
       ended_jobs.push_back(job);
     } else if (!failure.empty()) {
@@ -67,7 +81,7 @@ void Farm::Impl::restore() {
       ++waiting;
       job->restored = true;
       kept_records.insert(job->id);
-      queue.push_back(job);
+      put_in_queue(job);
     }
   }
   std::stable_sort(ended_jobs.begin(), ended_jobs.end(),
@@ -100,6 +114,9 @@ std::shared_ptr<Job> Farm::Impl::restored(const JournalJob& entry, std::string& 
   job->id = entry.id;
   job->state = state;
   job->message = entry.message;
+  job->paused = entry.state == paused_word;
+  job->worker_seconds = entry.worker_seconds;
+  job->rays = entry.rays;
   job->submitted_unix_seconds = entry.submitted;
   for (const JournalFrame& frame : settings.journal->frames_over(entry.id)) {
     // Of a job whose request cannot be read, the single frame is all that is known.

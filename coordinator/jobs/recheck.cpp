@@ -7,6 +7,7 @@
 // the first one.
 
 #include <algorithm>
+#include <chrono>
 #include <random>
 #include <tuple>
 #include <utility>
@@ -19,6 +20,11 @@
 namespace gleaner::coordinator {
 
 namespace {
+
+// A worker that gives signs of life and no answers must not hold a frame that is whole. A comparison comes before all
+// other work, and takes a batch's time.
+constexpr Seconds recheck_patience = 3;
+constexpr std::chrono::milliseconds recheck_look{200};
 
 std::string words_of(const Recheck& recheck) {
   return "stage " + recheck.stage + ", items " + std::to_string(recheck.items.first) + " to " +
@@ -86,15 +92,17 @@ bool Farm::Impl::ask_another(Frame& frame, const RunningStage& like, std::unique
   stage->artifact = like.artifact;
   stage->reads = like.reads;
   stage->recheck = std::move(what);
+  // Who has never answered anything may not answer this either.
+  const bool some_proven = std::any_of(asked.begin(), asked.end(), [&](WorkerId id) { return scheduler.proven(id); });
   for (const auto& [id, worker] : workers)
-    if (!asked.contains(id)) stage->avoid.push_back(id);
+    if (!asked.contains(id) || (some_proven && !scheduler.proven(id))) stage->avoid.push_back(id);
   const ItemRange& items = stage->recheck->items;
   ScheduledStage scheduled{.kind = stage->spec.kind,
                            .items = stage->spec.items,
                            .tile = static_cast<std::uint32_t>(items.count),  // in one piece
                            .solo = stage->spec.solo,
                            .at_once = true,
-                           .priority = stage->spec.priority + 1,
+                           .priority = with_priority(stage->spec.priority + 1, stage->frame->job->request),
                            .preferred = {},
                            .only = {{items.first, items.count}},
                            .avoid = stage->avoid,
@@ -186,12 +194,28 @@ void Farm::Impl::distrust(WorkerId liar, const std::string& why) {
   }
 }
 
+void Farm::Impl::give_up_rechecks(Frame& frame) {
+  for (const auto& stage : std::vector(frame.rechecks)) {
+    const bool disputed = stage->recheck->answers.size() > 1;
+    if (now() - frame.all_but_rechecks < (disputed ? settings.scheduler.lease_floor : recheck_patience)) continue;
+    settings.log("job " + frame.job->id + ": " + words_of(*stage->recheck) +
+                 ": whoever was asked to compute it again does not answer");
+    end_recheck(stage);
+    if (disputed) disagree(frame, *stage->recheck);
+  }
+}
+
 void Farm::Impl::await_rechecks(Frame& frame) {
   const Job& job = *frame.job;
   std::unique_lock lock(mutex);
-  frame.events.wait(lock, [&] {
+  frame.all_but_rechecks = now();
+  const auto over = [&] {
     return job.cancel || stopping || !frame.failure.empty() || frame.distrusted || frame.rechecks.empty();
-  });
+  };
+  while (!over()) {
+    frame.events.wait_for(lock, recheck_look, over);
+    if (!over() && !job.paused) give_up_rechecks(frame);
+  }
   if (job.cancel || stopping) throw Cancelled{};
   if (!frame.failure.empty()) throw Error::failed(frame.failure);
   if (frame.distrusted) throw Distrusted{};

@@ -87,6 +87,8 @@ Bytes encode_request(const JobRequest& request) {
   const FrameSettings& settings = request.settings;
   json set = json::array();
   for (const auto& [key, value] : settings.set) set.push_back({binary(key), binary(value)});
+  json after = json::array();
+  for (const std::string& job : request.after) after.push_back(binary(job));
   return cbor({{"scene", binary(request.scene_name)},
                {"camera_name", binary(request.camera_name)},
                {"method", binary(settings.method)},
@@ -101,6 +103,12 @@ Bytes encode_request(const JobRequest& request) {
                {"first_frame", request.first_frame},
                {"last_frame", request.last_frame},
                {"frame_step", request.frame_step},
+               {"numbers", request.numbers},
+               {"name", binary(request.name)},
+               {"priority", request.priority},
+               {"after", after},
+               {"request_id", binary(request.request_id)},
+               {"content", binary(request.content)},
                {"exposure_stops", request.exposure_stops},
                {"time_limit", request.time_limit}});
 }
@@ -131,6 +139,14 @@ JobRequest decode_request(std::span<const std::byte> bytes) {
     request.first_frame = value.at("first_frame").get<std::uint32_t>();
     request.last_frame = value.at("last_frame").get<std::uint32_t>();
     request.frame_step = value.value("frame_step", request.frame_step);
+    // Requests of earlier versions have none of these.
+    request.numbers = value.value("numbers", request.numbers);
+    request.name = text_at(value, "name");
+    request.priority = value.value("priority", request.priority);
+    if (const auto after = value.find("after"); after != value.end())
+      for (const json& job : *after) request.after.push_back(text_of(job));
+    request.request_id = text_at(value, "request_id");
+    request.content = text_at(value, "content");
     request.exposure_stops = value.at("exposure_stops").get<double>();
     request.time_limit = value.at("time_limit").get<double>();
     return request;

@@ -273,6 +273,8 @@ void Farm::Impl::account(RunningStage& stage, const Worker& worker, const Lease&
   report.camera_rays += cost.camera_rays;
   report.scatter_rays += cost.scatter_rays;
   report.shadow_rays += cost.shadow_rays;
+  frame.job->worker_seconds += cost.seconds;
+  frame.job->rays += cost.camera_rays + cost.scatter_rays + cost.shadow_rays;
   report.uploaded_bytes += cost.fetched_bytes;
   report.peer_bytes += cost.peer_bytes;
   report.downloaded_bytes += bytes;

@@ -127,7 +127,11 @@ void Farm::Impl::pause_if_inputs_lack(RunningStage& stage) {
   const bool lack = !inputs_exist(stage);
   if (lack == stage.paused) return;
   stage.paused = lack;
-  if (lack)
+  settle_pause(stage);
+}
+
+void Farm::Impl::settle_pause(const RunningStage& stage) {
+  if (stage.paused || stage.frame->job->paused)
     scheduler.pause(stage.id);
   else
     scheduler.resume(stage.id);

@@ -59,10 +59,21 @@ void add_progress(const Job& job, Seconds now, JobStatus& status) {
 void add_frames(const Job& job, JobStatus& status) {
   const auto number = [&](std::uint64_t place) { return frame_at(job.request, place); };
   status.frames = static_cast<std::uint32_t>(frames_of(job.request));
-  status.frame_step = job.request.frame_step;
+  status.frame_step = job.request.numbers.empty() ? job.request.frame_step : 1;
   status.frames_done = static_cast<std::uint32_t>(job.written.count());
   status.frames_failed = static_cast<std::uint32_t>(job.failed.count());
-  for (const auto& [first, last] : job.written.ranges()) status.written.emplace_back(number(first), number(last));
+  for (const auto& [first, last] : job.written.ranges()) {
+    status.written.emplace_back(number(first), number(last));
+    if (job.request.numbers.empty()) continue;
+    // Numbers that were listed are told as ranges of neighbours.
+    status.written.back().second = number(first);
+    for (std::uint64_t place = first + 1; place <= last; ++place) {
+      if (number(place) == number(place - 1) + 1)
+        status.written.back().second = number(place);
+      else
+        status.written.emplace_back(number(place), number(place));
+    }
+  }
   for (const auto& [place, frame] : job.frames) status.running.push_back(number(frame->place));
 }
 
@@ -71,6 +82,12 @@ void add_frames(const Job& job, JobStatus& status) {
 JobStatus status_of(const Job& job, Seconds now) {
   JobStatus status;
   status.id = job.id;
+  status.name = job.request.name;
+  status.paused = job.paused;
+  status.priority = job.request.priority;
+  status.after = job.request.after;
+  status.worker_seconds = job.worker_seconds;
+  status.rays = job.rays;
   status.state = job.state;
   status.scene_name = job.request.scene_name;
   status.method = job.request.settings.method;

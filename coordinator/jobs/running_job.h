@@ -27,6 +27,7 @@ struct Job : std::enable_shared_from_this<Job> {
   std::uint64_t memory = 0;  // predicted bytes of a frame's plan
   double submitted_unix_seconds = 0;
   bool cancel = false;
+  bool paused = false;    // nothing of it is handed out
   bool restored = false;  // from the journal
 
   std::map<std::uint64_t, std::shared_ptr<Frame>> frames;       // that run, by the place at which they began
@@ -43,6 +44,8 @@ struct Job : std::enable_shared_from_this<Job> {
   std::vector<std::string> warnings;              // of the frames so far
   std::map<WorkerId, std::uint32_t> frames_with;  // frames written with a worker's help
   std::vector<StageStatus> last_stages;           // of the frame that ended last
+  double worker_seconds = 0;                      // of accepted batches
+  std::uint64_t rays = 0;
 
   std::uint64_t frames_over() const { return written.count() + failed.count(); }
 };

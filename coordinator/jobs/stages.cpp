@@ -195,6 +195,12 @@ void Farm::Impl::remember_output(const RunningStage& stage) {
                                           .facts = stage.facts};
 }
 
+int with_priority(int of_stage, const JobRequest& request) {
+  constexpr int most_of_stage = 1 << 16;
+  if (of_stage > most_of_stage) return of_stage;  // what was lost is made again first
+  return std::clamp(request.priority, -most_priority, most_priority) * 2 * most_of_stage + of_stage;
+}
+
 void Farm::Impl::start(const std::shared_ptr<RunningStage>& stage) {
   const StageSpec& spec = stage->spec;
   ScheduledStage scheduled{.kind = spec.kind,
@@ -202,7 +208,7 @@ void Farm::Impl::start(const std::shared_ptr<RunningStage>& stage) {
                            .tile = spec.tile,
                            .solo = spec.solo,
                            .rank = stage->computes_again ? 0 : rank_of(*stage->frame),
-                           .priority = spec.priority,
+                           .priority = with_priority(spec.priority, stage->frame->job->request),
                            .preferred = {},
                            .only = {},
                            .avoid = stage->avoid,
@@ -224,7 +230,7 @@ void Farm::Impl::start(const std::shared_ptr<RunningStage>& stage) {
   stage->frame->work_done += stage->work_per_item() * static_cast<double>(stage->items_done);
   active_stages[stage->id] = stage;
   pause_if_inputs_lack(*stage);
-  offer_to_unserved_soon();
+  settle_pause(*stage);
 }
 
 // Mutex held. Puts the batches of a counted output behind each other.

@@ -138,6 +138,7 @@ void Farm::Impl::tick() {
   for (WorkerId id : silent) lose(id, "not heard of for " + std::to_string(static_cast<int>(settings.silence)) + " s");
   offer_to_unserved();
   begin_another_frame();
+  if (said_no_thread) start_queued();
 }
 
 Farm::Joined Farm::join(const WorkerHello& hello, std::shared_ptr<WorkerSession> session) {
@@ -170,6 +171,17 @@ Farm::Joined Farm::join(const WorkerHello& hello, std::shared_ptr<WorkerSession>
 void Farm::leave(WorkerId worker) {
   std::lock_guard lock(impl_->mutex);
   impl_->lose(worker, "");
+}
+
+bool Farm::drain(const std::string& name) {
+  WorkerId id = 0;
+  {
+    std::lock_guard lock(impl_->mutex);
+    for (const auto& [worker_id, worker] : impl_->workers)
+      if (worker.name == name) id = worker_id;
+  }
+  if (id != 0) drain(id);
+  return id != 0;
 }
 
 void Farm::drain(WorkerId id) {

@@ -20,7 +20,9 @@ struct JournalJob {
   std::string state;                // a word of the farm's; "queued" until the job has ended
   std::string message;              // bytes of any kind
   double submitted = 0, ended = 0;  // Unix seconds; ended: 0 = it has not
-  Bytes request;                    // what lists show of it, as the farm encodes it
+  double worker_seconds = 0;        // of accepted batches
+  std::uint64_t rays = 0;
+  Bytes request;  // what lists show of it, as the farm encodes it
 };
 
 // A frame of a job that is over.
@@ -46,6 +48,7 @@ struct JournalRange {
 struct JournalChanges {
   std::map<std::string, JournalJob> jobs;  // by id; the request is not written again
   std::vector<std::string> forgotten;      // jobs
+  std::set<std::string> retried;           // jobs of which no frame has failed any more; before `frames_over`
   std::vector<JournalFrame> frames_over;
   std::vector<JournalRange> ranges;
   // Frames and jobs whose ranges so far are needed no more; before `ranges`.
@@ -53,8 +56,8 @@ struct JournalChanges {
   std::set<std::string> dropped_jobs;
 
   bool empty() const {
-    return jobs.empty() && forgotten.empty() && frames_over.empty() && ranges.empty() && dropped_frames.empty() &&
-           dropped_jobs.empty();
+    return jobs.empty() && forgotten.empty() && retried.empty() && frames_over.empty() && ranges.empty() &&
+           dropped_frames.empty() && dropped_jobs.empty();
   }
 };
 

@@ -66,6 +66,15 @@ void JournalWriter::add(const JournalJob& job, const Bytes& frames) {
   journal_->add(job, frames);
 }
 
+void JournalWriter::retry(const JournalJob& job) {
+  if (!flush()) throw Error::failed(trouble());
+  JournalChanges changes;
+  changes.jobs[job.id] = job;
+  changes.retried.insert(job.id);
+  std::lock_guard lock(journal_mutex_);
+  journal_->write(changes);
+}
+
 void JournalWriter::changed(JournalJob job) {
   {
     std::lock_guard lock(mutex_);

@@ -28,6 +28,7 @@ class JournalWriter {
   std::vector<JournalFrame> frames_over(const std::string& job);
   std::vector<JournalRange> ranges(const std::string& job, std::uint64_t frame);
   void add(const JournalJob& job, const Bytes& frames);
+  void retry(const JournalJob& job);  // what had ended waits again, and its failed frames are forgotten
 
   // These return at once. What happened to a job later replaces what happened before.
   void changed(JournalJob job);

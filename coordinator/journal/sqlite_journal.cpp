@@ -16,14 +16,14 @@ namespace fs = std::filesystem;
 
 namespace {
 
-constexpr std::int64_t schema_version = 2;
+constexpr std::int64_t schema_version = 3;
 
 // `place` is the order of submission. Requests are kept apart from what changes, so that a change rewrites a short row.
 constexpr const char* schema = R"(
 CREATE TABLE meta(starts INTEGER NOT NULL);
 INSERT INTO meta VALUES(0);
 CREATE TABLE jobs(place INTEGER PRIMARY KEY, id TEXT NOT NULL UNIQUE, state TEXT NOT NULL, message BLOB NOT NULL,
-                  submitted REAL NOT NULL, ended REAL NOT NULL);
+                  submitted REAL NOT NULL, ended REAL NOT NULL, worker_seconds REAL NOT NULL, rays INTEGER NOT NULL);
 CREATE TABLE requests(id TEXT PRIMARY KEY, request BLOB NOT NULL, frames BLOB NOT NULL);
 CREATE TABLE frames_over(job TEXT NOT NULL, frame INTEGER NOT NULL, failure BLOB NOT NULL, PRIMARY KEY(job, frame))
                          WITHOUT ROWID;
@@ -31,7 +31,7 @@ CREATE TABLE ranges(job TEXT NOT NULL, artifact TEXT NOT NULL, first INTEGER NOT
                     place INTEGER NOT NULL, bytes INTEGER NOT NULL, digest BLOB NOT NULL, facts BLOB NOT NULL,
                     frame INTEGER NOT NULL);
 CREATE INDEX ranges_of_frame ON ranges(job, frame, artifact);
-PRAGMA user_version = 2;
+PRAGMA user_version = 3;
 )";
 
 // Layout 1 knew that a job's first `frames_done` frames were written, and ranges of the one after them alone.
@@ -48,6 +48,13 @@ DROP INDEX ranges_of_job;
 CREATE INDEX ranges_of_frame ON ranges(job, frame, artifact);
 ALTER TABLE jobs DROP COLUMN frames_done;
 PRAGMA user_version = 2;
+)";
+
+// Layout 2 did not know what jobs had cost.
+constexpr const char* from_layout_2 = R"(
+ALTER TABLE jobs ADD COLUMN worker_seconds REAL NOT NULL DEFAULT 0;
+ALTER TABLE jobs ADD COLUMN rays INTEGER NOT NULL DEFAULT 0;
+PRAGMA user_version = 3;
 )";
 
 // What a person can do about it.
@@ -158,7 +165,7 @@ class SqliteJournal final : public Journal {
 
   std::vector<JournalJob> jobs() override {
     Statement rows(*this,
-                   "SELECT jobs.id, state, message, submitted, ended, request FROM jobs "
+                   "SELECT jobs.id, state, message, submitted, ended, worker_seconds, rays, request FROM jobs "
                    "LEFT JOIN requests ON requests.id = jobs.id ORDER BY place");
     std::vector<JournalJob> all;
     while (rows.step())
@@ -167,7 +174,9 @@ class SqliteJournal final : public Journal {
                      .message = rows.text(2),
                      .submitted = rows.real(3),
                      .ended = rows.real(4),
-                     .request = rows.bytes(5)});
+                     .worker_seconds = rows.real(5),
+                     .rays = rows.number(6),
+                     .request = rows.bytes(7)});
     return all;
   }
 
@@ -206,12 +215,16 @@ class SqliteJournal final : public Journal {
 
   void add(const JournalJob& job, const Bytes& frames) override {
     transaction([&] {
-      Statement(*this, "INSERT INTO jobs(id, state, message, submitted, ended) VALUES(?, ?, ?, ?, ?)")
+      Statement(*this,
+                "INSERT INTO jobs(id, state, message, submitted, ended, worker_seconds, rays) "
+                "VALUES(?, ?, ?, ?, ?, ?, ?)")
           .bind(job.id)
           .bind(job.state)
           .bind_bytes(job.message)
           .bind(job.submitted)
           .bind(job.ended)
+          .bind(job.worker_seconds)
+          .bind(job.rays)
           .run();
       Statement(*this, "INSERT INTO requests(id, request, frames) VALUES(?, ?, ?)")
           .bind(job.id)
@@ -253,6 +266,7 @@ class SqliteJournal final : public Journal {
                           std::to_string(version) + ", this one knows " + std::to_string(schema_version) + ")");
     if (version == 0) transaction([&] { execute(schema); });
     if (version == 1) transaction([&] { execute(from_layout_1); });
+    if (version == 1 || version == 2) transaction([&] { execute(from_layout_2); });
   }
 
   void check_integrity() {
@@ -262,9 +276,16 @@ class SqliteJournal final : public Journal {
   }
 
   void write_jobs(const JournalChanges& changes) {
-    Statement update(*this, "UPDATE jobs SET state = ?, message = ?, ended = ? WHERE id = ?");
+    Statement update(*this,
+                     "UPDATE jobs SET state = ?, message = ?, ended = ?, worker_seconds = ?, rays = ? WHERE id = ?");
     for (const auto& [id, job] : changes.jobs)
-      update.bind(job.state).bind_bytes(job.message).bind(job.ended).bind(id).run();
+      update.bind(job.state)
+          .bind_bytes(job.message)
+          .bind(job.ended)
+          .bind(job.worker_seconds)
+          .bind(job.rays)
+          .bind(id)
+          .run();
     for (const std::string& id : changes.forgotten)
       for (const char* text : {"DELETE FROM jobs WHERE id = ?", "DELETE FROM requests WHERE id = ?",
                                "DELETE FROM frames_over WHERE job = ?", "DELETE FROM ranges WHERE job = ?"})
@@ -272,6 +293,8 @@ class SqliteJournal final : public Journal {
   }
 
   void write_frames(const JournalChanges& changes) {
+    for (const std::string& job : changes.retried)
+      Statement(*this, "DELETE FROM frames_over WHERE job = ? AND length(failure) > 0").bind(job).run();
     Statement insert(*this, "INSERT OR REPLACE INTO frames_over(job, frame, failure) VALUES(?, ?, ?)");
     for (const JournalFrame& frame : changes.frames_over)
       insert.bind(frame.job).bind(frame.frame).bind_bytes(frame.failure).run();

@@ -3,6 +3,7 @@
 // The same code runs in production and in the simulated farm.
 
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
@@ -65,6 +66,9 @@ struct SchedulerSettings {
   unsigned strikes = 3;            // failures of one range on different workers before the stage fails; failures of
                                    // one worker in a row before it is quarantined
   Seconds solo_lease_floor = 300;  // as lease_floor, for solo stages: nobody can tell how long the first one takes
+  // An idle worker begins a solo stage too once that has run so long, and far longer than expected: its worker may
+  // never answer. The second one counts where that worker has answered nothing yet.
+  Seconds solo_copy_after = 5, solo_copy_after_unproven = 1;
   // Another number at every start of the coordinator (below 2^32, e.g. the journal's count of starts): it leads all
   // lease ids and epochs, so that what was handed out before a restart is told from what is handed out now.
   std::uint64_t incarnation = 0;
@@ -142,9 +146,16 @@ class Scheduler {
   // Until when the worker gets nothing, after failures or leases that ran out; none: it is not quarantined.
   std::optional<Seconds> quarantined_until(WorkerId worker) const;
   double items_per_second(WorkerId worker, const std::string& kind) const;  // 0 = unknown
+  bool proven(WorkerId worker) const;                                       // it has answered something since it joined
   std::map<WorkerId, WorkerProgress> progress(StageId stage) const;
-  // One line for a person: why this stage has items that nobody runs; empty where all runs.
-  std::string why_waiting(StageId stage, Seconds now) const;
+  // One line for a person: why this stage has items that nobody runs, or whose batch is late; empty where all runs in
+  // time.
+  struct Names {
+    std::function<std::string(WorkerId)> worker;
+    std::function<std::string(StageId)> stage;
+  };
+  std::string why_waiting(StageId stage, Seconds now, const Names& names) const;
+  std::string why_waiting(StageId stage, Seconds now) const;  // with numbers for names
   // Elements looked at or moved so far, each a step of O(log n) at most: what an event costs, counted instead of timed.
   std::uint64_t steps() const;
 

@@ -1,6 +1,7 @@
 #pragma once
 // Files that people have, turned into scenes.
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <memory>
@@ -20,11 +21,22 @@ enum class LightUnits { automatic, radiometric, photometric };
 // "auto", "radiometric" or "photometric". Throws Error::usage.
 LightUnits parse_light_units(const std::string& word);
 
-// The frames FIRST, FIRST + STEP, ... up to LAST.
+// The frames FIRST, FIRST + STEP, ... up to LAST, or those of a list.
 struct FrameNumbers {
   std::uint32_t first = 1, last = 1, step = 1;
-  std::uint64_t count() const { return std::uint64_t{last - first} / step + 1; }
-  std::uint32_t at(std::uint64_t index) const { return static_cast<std::uint32_t>(first + index * step); }
+  std::vector<std::uint32_t> list{};  // ascending, from first to last; empty: every step-th
+  std::uint64_t count() const { return list.empty() ? std::uint64_t{last - first} / step + 1 : list.size(); }
+  std::uint32_t at(std::uint64_t index) const {
+    return list.empty() ? static_cast<std::uint32_t>(first + index * step) : list[index];
+  }
+  // None: the frame is not one of them.
+  std::optional<std::uint64_t> place_of(std::uint32_t frame) const {
+    if (frame < first || frame > last) return std::nullopt;
+    const std::uint64_t place = list.empty()
+                                    ? (frame - first) / step
+                                    : static_cast<std::uint64_t>(std::ranges::lower_bound(list, frame) - list.begin());
+    return at(place) == frame ? std::optional(place) : std::nullopt;
+  }
 };
 
 struct ImportOptions {

@@ -93,13 +93,13 @@ void Sequence::make_rig(Scene& base, const Scene& first, const std::function<Sce
 }
 
 std::optional<FrameState> Sequence::state_of(std::uint32_t frame) const {
-  if (frame < frames_.first || frame > frames_.last || (frame - frames_.first) % frames_.step != 0)
-    throw Error::usage(pattern_ + ": frame " + std::to_string(frame) + " is none of --frames");
+  const auto place = frames_.place_of(frame);
+  if (!place) throw Error::usage(pattern_ + ": frame " + std::to_string(frame) + " is none of --frames");
   if (!rigged_) return std::nullopt;
   FrameState state;
   state.matrices = {Placement{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}};
   state.morph_weights.assign(frames_.count(), 0.0);
-  state.morph_weights[(frame - frames_.first) / frames_.step] = 1;
+  state.morph_weights[*place] = 1;
   return state;
 }
 

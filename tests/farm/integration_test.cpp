@@ -306,6 +306,75 @@ TEST_F(Farm, SubmitWatchFetchAndTheirFiles) {
   EXPECT_EQ(workers[0]["worker"], "w");
 }
 
+TEST_F(Farm, OneRequestIsOneJobAndItsFramesAreAList) {
+  ProcessFarm farm(folder("farm"), programs);
+  const std::vector<std::string> words = {
+      "submit", scene().string(),        "--size",     "40x30", "--spp",        "4",     "--frames", "9,3-4,3",
+      "--name", "n\u00e4chtlich, \"7\"", "--priority", "3",     "--request-id", "shot 7"};
+  Ran first = farm.gleaner(words);
+  ASSERT_EQ(first.status, 0) << first.err;
+  const std::string job = first.out.substr(0, first.out.size() - 1);
+  EXPECT_EQ(farm.gleaner(words).out, first.out);
+  std::vector<std::string> other = words;
+  other[5] = "8";
+  Ran refused = farm.gleaner(other);
+  EXPECT_EQ(refused.status, 3);
+  EXPECT_THAT(refused.err, HasSubstr("shot 7"));
+  ASSERT_EQ(farm.gleaner({"pause", job}).status, 0);
+  farm.restart();
+  EXPECT_EQ(farm.gleaner(words).out, first.out);
+  EXPECT_THAT(farm.gleaner({"list"}).out, testing::AllOf(HasSubstr("paused"), HasSubstr("n\u00e4chtlich")));
+  farm.add_worker("w");
+  Ran early = farm.gleaner({"submit", scene().string(), "--after", "no-such-job"});
+  EXPECT_EQ(early.status, 3);
+  ASSERT_EQ(farm.gleaner({"resume", job}).status, 0);
+  EXPECT_EQ(farm.gleaner({"watch", job, "--quiet"}).status, 0);
+  EXPECT_EQ(farm.show(job)["written"], json::parse("[[3, 4], [9, 9]]"));
+  EXPECT_EQ(farm.gleaner({"pause", job}).status, 1) << "it is done";
+  EXPECT_EQ(farm.gleaner({"retry", job}).status, 3);
+  const std::string csv = farm.gleaner({"list", "--csv"}).out;
+  EXPECT_THAT(csv, testing::StartsWith("job,name,state,"));
+  EXPECT_THAT(csv, HasSubstr(job + ",\"n\u00e4chtlich, \"\"7\"\"\",done,3,\"box.glb\",path,40,30,3,3,0,20"));
+  EXPECT_THAT(csv, testing::Not(HasSubstr(",0.000,0\r\n"))) << "it cost something";
+}
+
+TEST_F(Farm, SubmitWaitsAndFetchesAndOverwritesNothing) {
+  ProcessFarm farm(folder("farm"), programs);
+  farm.add_worker("w");
+  const std::string out = folder("out").string();
+  const std::vector<std::string> words = {"submit", scene().string(), "--size",  "40x30",  "--spp",
+                                          "4",      "--frames",       "2",       "--wait", "-o",
+                                          out,      "--pattern",      "shot.###"};
+  Ran done = farm.gleaner(words);
+  ASSERT_EQ(done.status, 0) << done.err;
+  const std::string job = done.out.substr(0, done.out.size() - 1);
+  for (const char* name : {"shot.002.exr", "shot.002.png", "shot.002.json"})
+    EXPECT_TRUE(fs::exists(folder("out") / name));
+  const auto written = fs::last_write_time(folder("out/shot.002.exr"));
+  Ran again = farm.gleaner(words);
+  EXPECT_EQ(again.status, 1);
+  EXPECT_THAT(again.err, testing::AllOf(HasSubstr("shot.002.exr"), HasSubstr("--force")));
+  EXPECT_EQ(again.out, "") << "nothing is rendered that could not be fetched";
+  std::vector<std::string> fetch = {"fetch", job, "-o", out, "--pattern", "shot.###"};
+  EXPECT_EQ(farm.gleaner(fetch).status, 1);
+  fetch.push_back("--new");
+  EXPECT_EQ(farm.gleaner(fetch).status, 0);
+  EXPECT_EQ(fs::last_write_time(folder("out/shot.002.exr")), written);
+  fetch.back() = "--force";
+  EXPECT_EQ(farm.gleaner(fetch).status, 0);
+  EXPECT_NE(fs::last_write_time(folder("out/shot.002.exr")), written);
+  EXPECT_EQ(farm.gleaner({"fetch", job, "-o", out, "--pattern", "shot"}).status, 2);
+}
+
+TEST_F(Farm, DrainSendsAWorkerHome) {
+  ProcessFarm farm(folder("farm"), programs);
+  Process& worker = farm.add_worker("w");
+  ASSERT_TRUE(farm.wait_for_workers(1));
+  EXPECT_EQ(farm.gleaner({"drain", "v"}).status, 3);
+  EXPECT_EQ(farm.gleaner({"drain", "w"}).status, 0);
+  EXPECT_EQ(worker.wait(), 0);
+}
+
 TEST_F(Farm, AJobThatCannotWriteFailsAndTheCoordinatorLives) {
   ProcessFarm farm(folder("farm"), programs);
   farm.add_worker("w");
@@ -336,6 +405,10 @@ TEST_F(Farm, StatusesAndWordsOfErrors) {
       {{"render", box, "-o", out, "--size", "0x10"}, 2, {"--size", "0x10"}},
       {{"render", box, "-o", out, "--spp", "0"}, 2, {"--spp"}},
       {{"render", box, "-o", out, "--frames", "5-2"}, 2, {"--frames", "5-2"}},
+      {{"render", box, "-o", out, "--frames", "1,,3"}, 2, {"--frames", "1,,3"}},
+      {{"render", box, "-o", out, "--frames", "1,2-4x0"}, 2, {"--frames"}},
+      {{"render", box, "-o", out, "--frames", "7,0-4294967295,0-4294967295"}, 2, {"--frames", "100000"}},
+      {{"submit", box, "-o", out}, 2, {"--wait"}},
       {{"render", box, "-o", out, "--frames", "0-4294967294"}, 2, {"--frames", "100000"}},
       {{"render", box, "-o", out, "--frames", "1-4294967295", "--look-at", "0,1,5,0,1,0", "--look-at", "0,1,6,0,1,0"},
        2,

@@ -302,6 +302,104 @@ TEST_F(FarmJournal, JobsBeyondTheBoundsAreForgottenThereToo) {
   EXPECT_EQ(farm.list()[0].id, last);
 }
 
+TEST_F(FarmJournal, TheSameRequestIsOneJobAcrossARestart) {
+  JobRequest named = request();
+  named.request_id = "shot 7";
+  std::string job;
+  {
+    Farm farm(journaled(), blobs_);
+    job = farm.submit(named);
+    EXPECT_EQ(farm.submit(named), job);
+    EXPECT_NE(farm.submit(request()), job);
+  }
+  Farm farm(journaled(), blobs_);
+  EXPECT_EQ(farm.submit(named), job);
+  ScriptedWorker worker;
+  worker.join(farm);
+  serve(farm, worker, job);
+  EXPECT_EQ(farm.submit(named), job) << "also where it has ended";
+  EXPECT_THAT(farm.list(), SizeIs(2));
+  named.settings.seed = 9;
+  try {
+    farm.submit(named);
+    ADD_FAILURE() << "another request under the same id";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::usage);
+    EXPECT_THAT(error.what(), testing::AllOf(HasSubstr("shot 7"), HasSubstr(job)));
+  }
+}
+
+TEST_F(FarmJournal, APausedJobStaysPausedAndItsFramesAndCostsAreKnown) {
+  std::string job, later;
+  {
+    Farm farm(journaled(), blobs_);
+    ScriptedWorker worker;
+    worker.join(farm);
+    JobRequest listed = frames(1, 4);
+    listed.numbers = {3, 4, 8, 20};
+    listed.name = "night shot";
+    listed.priority = 5;
+    job = farm.submit(listed);
+    JobRequest next = request();
+    next.after = {job};
+    later = farm.submit(next);
+    serve_frames(farm, worker, 2);
+    EXPECT_TRUE(farm.pause(job, true)->paused);
+  }
+  Farm farm(journaled(), blobs_);
+  JobStatus status = *farm.status(job);
+  EXPECT_TRUE(status.paused);
+  EXPECT_EQ(status.state, JobState::queued);
+  EXPECT_EQ(status.name, "night shot");
+  EXPECT_EQ(status.priority, 5);
+  EXPECT_EQ(status.frames_done, 2u);
+  EXPECT_THAT(status.written, ElementsAre(std::pair(3u, 4u)));
+  EXPECT_GT(status.worker_seconds, 0);
+  EXPECT_GT(status.rays, 0u);
+  EXPECT_THAT(farm.why(job)->front(), HasSubstr("gleaner resume " + job));
+  EXPECT_THAT(farm.why(later)->front(), HasSubstr("until job " + job + " is done"));
+  ScriptedWorker worker;
+  worker.join(farm);
+  EXPECT_FALSE(worker.next(0.1)) << "nothing of a paused job, nor of one that waits for it";
+  farm.pause(job, false);
+  serve(farm, worker, later);
+  EXPECT_EQ(end_of(farm, job).state, JobState::done);
+  EXPECT_THAT(farm.status(job)->written, ElementsAre(std::pair(3u, 4u), std::pair(8u, 8u), std::pair(20u, 20u)));
+}
+
+TEST_F(FarmJournal, FailedFramesAreRetriedAndTheOthersAreLeft) {
+  FarmSettings farm_settings = journaled();
+  const auto paths = farm_settings.paths;
+  bool broken = true;
+  farm_settings.paths = [&](const std::string& job, std::uint32_t frame) {
+    FramePaths good = paths(job, frame);
+    if (broken && frame == 2) good.exr = "/dev/null/no.exr";
+    return good;
+  };
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  const std::string job = farm.submit(frames(1, 3));
+  JobRequest next = request();
+  next.after = {job};
+  const std::string later = farm.submit(next);
+  serve(farm, worker, job);
+  ASSERT_EQ(end_of(farm, job).state, JobState::failed);
+  EXPECT_EQ(farm.status(job)->frames_failed, 1u);
+  EXPECT_THAT(farm.why(later)->front(), HasSubstr("gleaner retry " + job));
+  const double cost = farm.status(job)->worker_seconds;
+  broken = false;
+  ASSERT_TRUE(farm.retry(job));
+  EXPECT_EQ(farm.status(job)->frames_failed, 0u);
+  EXPECT_EQ(farm.status(job)->frames_done, 2u);
+  serve(farm, worker, later);
+  EXPECT_EQ(end_of(farm, job).state, JobState::done) << end_of(farm, job).message;
+  EXPECT_EQ(farm.totals().frames_written, 4u) << "frames that were written are not rendered again";
+  EXPECT_GT(farm.status(job)->worker_seconds, cost);
+  EXPECT_THROW(farm.retry(job), Error) << "it is done";
+  EXPECT_FALSE(farm.retry("none"));
+}
+
 TEST(RequestCodec, EveryFieldComesBack) {
   JobRequest request;
   request.scene_name = "sc\xffne";
@@ -315,6 +413,12 @@ TEST(RequestCodec, EveryFieldComesBack) {
   request.first_frame = 5;
   request.last_frame = 8;
   request.frame_step = 3;
+  request.numbers = {5, 6, 9};
+  request.name = "n\u00e4me";
+  request.priority = -7;
+  request.after = {"one", "two"};
+  request.request_id = "again";
+  request.content = "digest";
   request.exposure_stops = -1.25;
   request.time_limit = 1e-3;
   request.cameras = {request.settings.camera, request.settings.camera};
@@ -342,6 +446,12 @@ TEST(RequestCodec, EveryFieldComesBack) {
   EXPECT_EQ(back.exposure_stops, request.exposure_stops);
   EXPECT_EQ(back.last_frame, 8u);
   EXPECT_EQ(back.frame_step, 3u);
+  EXPECT_EQ(back.numbers, request.numbers);
+  EXPECT_EQ(back.name, request.name);
+  EXPECT_EQ(back.priority, -7);
+  EXPECT_EQ(back.after, request.after);
+  EXPECT_EQ(back.request_id, "again");
+  EXPECT_EQ(back.content, "digest");
   EXPECT_EQ(std::memcmp(back.cameras.data(), request.cameras.data(), 2 * sizeof(scene::Camera)), 0);
   EXPECT_EQ(back.scenes[1].summary.needs.bits(), scene.summary.needs.bits());
   EXPECT_EQ(back.scenes[1].summary.triangles, scene.summary.triangles);

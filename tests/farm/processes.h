@@ -188,7 +188,7 @@ class ProcessFarm {
     Ran watched = gleaner({"watch", job, "--quiet"});
     if (watched.status != 0) throw Error::failed("job " + job + ": " + watched.err);
     const std::filesystem::path into = fetched(job);
-    const Ran ran = gleaner({"fetch", job, "-o", into.string()});
+    const Ran ran = gleaner({"fetch", job, "-o", into.string(), "--force"});
     if (ran.status != 0) throw Error::failed("fetch " + job + ": " + ran.err);
     return nlohmann::json::parse(read_text(into / "frame_0001.json"));
   }

@@ -224,6 +224,32 @@ TEST_F(Wire, SubmissionsAreChecked) {
   EXPECT_TRUE(farm_.farm().list().empty());
 }
 
+// What is too much for a message comes as a blob.
+TEST_F(Wire, ManyMovingFramesComeInABlob) {
+  pb::SubmitJobRequest request = farm_.good_request();
+  pb::JobFrames frames;
+  const std::uint32_t count = 20000;
+  for (std::uint32_t i = 0; i < count; ++i) {
+    *frames.add_cameras() = request.settings().camera();
+    pb::FrameScene& scene = *frames.add_scenes();
+    scene.set_scene_blob(request.scene_blob());
+    scene.set_bvh_blob(request.bvh_blob());
+  }
+  request.set_last_frame(count);
+  request.set_first_frame(1);
+  ASSERT_GT(frames.ByteSizeLong(), 2u << 20);
+  const std::string bytes = frames.SerializeAsString();
+  request.set_frames_blob(farm_.blobs().put(bytes_of(std::vector<char>(bytes.begin(), bytes.end()))));
+  std::string job;
+  grpc::Status status = submit(request, &job);
+  ASSERT_TRUE(status.ok()) << status.error_message();
+  EXPECT_EQ(farm_.farm().status(job)->frames, count);
+  request.set_frames_blob(request.scene_blob());
+  EXPECT_EQ(submit(request).error_code(), grpc::StatusCode::INVALID_ARGUMENT) << "a scene is no list of frames";
+  request.set_frames_blob(std::string(64, '0'));
+  EXPECT_EQ(submit(request).error_code(), grpc::StatusCode::INVALID_ARGUMENT) << "it is not there";
+}
+
 TEST_F(Wire, UnknownJobsAreNotFound) {
   for (const std::string& job :
        {std::string("no-such-job"), std::string(), std::string(100000, 'j'), std::string("../../etc")}) {

@@ -151,8 +151,55 @@ TEST_F(SqliteJournal, TheFirstLayoutIsBroughtUpToDate) {
     ASSERT_THAT(journal->ranges("a", 3), SizeIs(1));
     EXPECT_EQ(journal->ranges("a", 3)[0].bytes, 128u);
     EXPECT_THAT(journal->ranges("a", 0), IsEmpty());
+    EXPECT_EQ(journal->jobs()[0].worker_seconds, 0);
   }
   EXPECT_EQ(open()->begin(), 5u);
+}
+
+TEST_F(SqliteJournal, TheSecondLayoutIsBroughtUpToDate) {
+  sqlite3* old = nullptr;
+  ASSERT_EQ(sqlite3_open(file_.c_str(), &old), SQLITE_OK);
+  const char* left = R"(
+    CREATE TABLE meta(starts INTEGER NOT NULL);
+    INSERT INTO meta VALUES(4);
+    CREATE TABLE jobs(place INTEGER PRIMARY KEY, id TEXT NOT NULL UNIQUE, state TEXT NOT NULL, message BLOB NOT NULL,
+                      submitted REAL NOT NULL, ended REAL NOT NULL);
+    CREATE TABLE requests(id TEXT PRIMARY KEY, request BLOB NOT NULL, frames BLOB NOT NULL);
+    CREATE TABLE frames_over(job TEXT NOT NULL, frame INTEGER NOT NULL, failure BLOB NOT NULL, PRIMARY KEY(job, frame))
+                             WITHOUT ROWID;
+    CREATE TABLE ranges(job TEXT NOT NULL, artifact TEXT NOT NULL, first INTEGER NOT NULL, count INTEGER NOT NULL,
+                        place INTEGER NOT NULL, bytes INTEGER NOT NULL, digest BLOB NOT NULL, facts BLOB NOT NULL,
+                        frame INTEGER NOT NULL);
+    INSERT INTO jobs VALUES(1, 'a', 'done', '', 1.5e9, 1.6e9);
+    INSERT INTO requests VALUES('a', x'01', x'02');
+    PRAGMA user_version = 2;)";
+  ASSERT_EQ(sqlite3_exec(old, left, nullptr, nullptr, nullptr), SQLITE_OK) << sqlite3_errmsg(old);
+  sqlite3_close(old);
+  for (int again = 0; again < 2; ++again) {
+    const auto jobs = open()->jobs();
+    ASSERT_THAT(jobs, SizeIs(1));
+    EXPECT_EQ(jobs[0].state, "done");
+    EXPECT_EQ(jobs[0].rays, 0u);
+    EXPECT_EQ(jobs[0].request, Bytes{std::byte{1}});
+  }
+}
+
+TEST_F(SqliteJournal, ARetriedJobHasNoFailedFrames) {
+  auto journal = open();
+  journal->add({.id = "a", .state = "failed", .message = "no", .request = {}}, {});
+  JournalChanges over;
+  over.frames_over = {{.job = "a", .frame = 0, .failure = ""}, {.job = "a", .frame = 1, .failure = "lost"}};
+  journal->write(over);
+  JournalChanges again;
+  again.retried = {"a"};
+  again.jobs["a"] = {
+      .id = "a", .state = "queued", .message = "", .worker_seconds = 2.5, .rays = 1ull << 40, .request = {}};
+  journal->write(again);
+  ASSERT_THAT(journal->frames_over("a"), SizeIs(1));
+  EXPECT_EQ(journal->frames_over("a")[0].frame, 0u);
+  EXPECT_EQ(journal->jobs()[0].state, "queued");
+  EXPECT_EQ(journal->jobs()[0].worker_seconds, 2.5);
+  EXPECT_EQ(journal->jobs()[0].rays, 1ull << 40);
 }
 
 TEST_F(SqliteJournal, CountsItsStarts) {
