@@ -251,8 +251,7 @@ TEST_F(Farm, CancelStopsTheKernel) {
   farm.add_worker("w");
   ASSERT_TRUE(farm.wait_for_workers(1));
   farm.finish(farm.submit(frame(8)));  // compiles
-  const std::string job = farm.submit(
-      {scene().string(), "--size", "640x480", "--spp", "4096", "--method", method_, "--set", "adaptive=off"});
+  const std::string job = farm.submit({scene().string(), "--size", "640x480", "--spp", "4096", "--method", method_});
   ASSERT_TRUE(eventually([&] { return farm.workers().front().leases() > 0; }));
   std::this_thread::sleep_for(std::chrono::seconds(2));
   EXPECT_EQ(farm.items_done(job), 0u);
