@@ -245,6 +245,22 @@ TEST_F(Farm, CancelEndsAJobAndTheFarmGoesOn) {
   EXPECT_EQ(farm.finish(farm.submit(frame(8)))["pixels_sha256"], embedded_sha256(8));
 }
 
+// A batch that would take minutes is given up within a second.
+TEST_F(Farm, CancelStopsTheKernel) {
+  ProcessFarm farm(folder("farm"), programs, {"--batch-items", "10000000"});
+  farm.add_worker("w");
+  ASSERT_TRUE(farm.wait_for_workers(1));
+  farm.finish(farm.submit(frame(8)));  // compiles
+  const std::string job = farm.submit({scene().string(), "--size", "640x480", "--spp", "4096", "--method", method_});
+  ASSERT_TRUE(eventually([&] { return farm.workers().front().leases() > 0; }));
+  std::this_thread::sleep_for(std::chrono::seconds(2));
+  EXPECT_EQ(farm.items_done(job), 0u);
+  const auto begun = std::chrono::steady_clock::now();
+  EXPECT_EQ(farm.gleaner({"cancel", job}).status, 0);
+  farm.finish(farm.submit(frame(4)));
+  EXPECT_LT(std::chrono::duration<double>(std::chrono::steady_clock::now() - begun).count(), 15);
+}
+
 TEST_F(Farm, TwoJobsAtOnce) {
   ProcessFarm farm(folder("farm"), programs);
   farm.add_worker("a");

@@ -247,6 +247,7 @@ struct Agent::Impl {
       {
         std::lock_guard lock(mutex);
         connection_ended = true;
+        if (given_up) *given_up = true;
       }
       changed.notify_all();
       executor.join();
@@ -270,6 +271,7 @@ struct Agent::Impl {
           std::uint64_t epoch = message.revoke().epoch();
           if (std::erase_if(leases, [&](const pb::Lease& lease) { return lease.epoch() == epoch; }) == 0)
             revoked.insert(epoch);
+          if (given_up && epoch == running_epoch) *given_up = true;
           break;
         }
         case pb::HubMessage::kDrain:
@@ -330,6 +332,8 @@ struct Agent::Impl {
       }
       pb::Lease lease = std::move(leases.front());
       leases.pop_front();
+      running_epoch = lease.epoch();
+      given_up = std::make_shared<std::atomic<bool>>(false);
       lock.unlock();
       Outgoing done = run_lease(std::move(lease));
       lock.lock();
@@ -364,8 +368,9 @@ struct Agent::Impl {
     out.fetched_bytes = blobs.fetched_bytes() - fetched_before;
     out.peer_bytes = part_client.peer_bytes() - peer_before;
     if (!failure.empty()) {
-      settings.log("stage " + lease.stage() + ", items " + std::to_string(lease.first()) + " to " +
-                   std::to_string(lease.first() + lease.count() - 1) + ": " + failure);
+      if (!*given_up)
+        settings.log("stage " + lease.stage() + ", items " + std::to_string(lease.first()) + " to " +
+                     std::to_string(lease.first() + lease.count() - 1) + ": " + failure);
       out.failed.emplace();
       out.failed->set_lease(lease.lease());
       out.failed->set_epoch(lease.epoch());
@@ -381,6 +386,7 @@ struct Agent::Impl {
     task.kind = lease.kind();
     auto parameters = std::as_bytes(std::span(lease.parameters()));
     task.parameters.assign(parameters.begin(), parameters.end());
+    task.given_up = given_up;
     task.scene = prepare_scene(lease, shown);
     for (const pb::StageInput& input : lease.inputs()) task.inputs[input.name()] = inputs.load(input, lease);
     Clock::time_point begin = Clock::now();
@@ -542,6 +548,9 @@ struct Agent::Impl {
   std::mutex mutex;  // guards what follows
   std::condition_variable changed;
   bool stopping = false, drained = false;
+  // Of the lease that runs. Only the executor's thread replaces the pointer.
+  std::uint64_t running_epoch = 0;
+  std::shared_ptr<std::atomic<bool>> given_up;
   bool welcomed = false, connection_ended = false, work_ended = false;
   double heartbeat_seconds = 5;
   grpc::ClientContext* connection = nullptr;

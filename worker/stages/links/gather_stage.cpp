@@ -135,7 +135,7 @@ BatchResult run_links_gather_stage(const StageRun& run) {
   BatchResult result;
   result.records.resize(run.count * stride);
   const Program program = run.build_plain("gather.cl");
-  WorkQueue work(run.count, host_threads(run.device));
+  WorkQueue work(run.count, host_threads(run.device), 0, run.task.given_up.get());
   run_host_threads(work, result,
                    [&](unsigned index) { return std::make_unique<GatherThread>(run, batch, program, work, index); });
   cl_uint faults = 0;

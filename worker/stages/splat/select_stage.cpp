@@ -85,7 +85,7 @@ std::vector<float> probe(const StageRun& run, const SplatSelectParameters& p, co
   for (const std::uint32_t point : asked) places.push_back(points[point]);
   std::vector<float> radii(asked.size());
   const Program program = run.build("probe.cl");
-  WorkQueue work(places.size(), host_threads(run.device));
+  WorkQueue work(places.size(), host_threads(run.device), 0, run.task.given_up.get());
   run_host_threads(work, result, [&](unsigned index) {
     return std::make_unique<ProbeThread>(run, program, p.probe_rays, places, radii, work, index);
   });

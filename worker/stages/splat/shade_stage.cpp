@@ -186,7 +186,7 @@ BatchResult run_splat_shade_stage(const StageRun& run) {
   const Program program = run.build("shade.cl");
   BatchResult result;
   result.records.resize(run.count * kTileBytes);
-  WorkQueue work(run.count, host_threads(run.device));
+  WorkQueue work(run.count, host_threads(run.device), 0, run.task.given_up.get());
   run_host_threads(work, result, [&](unsigned index) {
     return std::make_unique<SplatThread>(run, program, p, *cache, points, work, index);
   });
