@@ -730,10 +730,10 @@ TEST_F(FarmEngine, WhyNamesWhoIsWaitedForAndWhatGoesFirst) {
   ScriptedWorker mute;
   mute.join(farm, "eve");
   const std::string job = farm.submit(request());
+  ASSERT_TRUE(mute.next());  // of this job, before the other one has any
   JobRequest other = request();
   other.settings.seed += 1;
   const std::string later = farm.submit(other);
-  ASSERT_TRUE(mute.next());
   ASSERT_TRUE(mute.next());
   other.settings.seed += 1;
   ASSERT_TRUE(eventually([&] { return !farm.status(later)->stages.empty(); }));
