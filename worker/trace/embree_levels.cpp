@@ -127,6 +127,7 @@ void EmbreeLevels::build_top(const scene::Scene& scene) {
     add_to_top(*part_of[instances_[i].mesh], instances_[i].transform, i);
   rtcCommitScene(top_.get());
   check("building the top level");
+  rtcGetSceneBounds(top_.get(), &top_bounds_);
 }
 
 std::vector<scene::TreeBox> EmbreeLevels::boxes_of(const Part& part) const {
@@ -193,6 +194,7 @@ MotionReport EmbreeLevels::follow(const SceneMotion& motion) {
   }
   rtcCommitScene(top_.get());
   check("building the top level");
+  rtcGetSceneBounds(top_.get(), &top_bounds_);
   report.top_level_seconds = seconds_since(start);
   return report;
 }

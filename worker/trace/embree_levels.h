@@ -39,6 +39,7 @@ class EmbreeLevels {
 
   // Null where a scene has neither instances nor meshes that deform.
   RTCScene top() const { return top_.get(); }
+  const RTCBounds& top_bounds() const { return top_bounds_; }
   // What an instance of the top level stands for.
   struct Row {
     std::uint32_t first_triangle;  // of its mesh
@@ -76,6 +77,7 @@ class EmbreeLevels {
   EmbreeHandle<RTCBuffer> vertices_, corners_;
   std::size_t vertex_count_ = 0;
   EmbreeHandle<RTCScene> world_, top_;
+  RTCBounds top_bounds_{};
   std::vector<std::uint32_t> world_firsts_;
   std::vector<Part> parts_;
   std::vector<Row> rows_;

@@ -75,6 +75,37 @@ Valid asking(const float* block, std::uint32_t count) {
   return valid;
 }
 
+// Of `valid`, the lanes whose rays may meet the box: most rays pass by what a top level holds, and asking Embree for
+// each of them takes longer than all sixteen take here. Rounding is on the safe side, and so are directions along an
+// axis.
+Valid may_meet(const RTCBounds& box, const Valid& valid, const RTCRay16* rays) {
+  constexpr float slack = 1e-4f, least = 1e-20f;
+  const float low[3] = {box.lower_x, box.lower_y, box.lower_z}, high[3] = {box.upper_x, box.upper_y, box.upper_z};
+  const float* origins[3] = {rays->org_x, rays->org_y, rays->org_z};
+  const float* directions[3] = {rays->dir_x, rays->dir_y, rays->dir_z};
+  float enters[16], leaves[16];
+  for (int k = 0; k < 16; ++k) {
+    enters[k] = rays->tnear[k];
+    leaves[k] = rays->tfar[k];
+  }
+  for (int axis = 0; axis < 3; ++axis)
+    for (int k = 0; k < 16; ++k) {
+      const float o = origins[axis][k], d = directions[axis][k];
+      const float room = slack * (std::fabs(o) + std::fabs(low[axis]) + std::fabs(high[axis]));
+      const bool along = std::fabs(d) < least;  // nothing is said of this axis
+      const float inverse = 1 / (along ? 1.0f : d);
+      const float a = (low[axis] - room - o) * inverse, b = (high[axis] + room - o) * inverse;
+      const float first = a < b ? a : b, last = a < b ? b : a;
+      enters[k] = !along && first > enters[k] ? first : enters[k];
+      leaves[k] = !along && last < leaves[k] ? last : leaves[k];
+    }
+  Valid met;
+  for (int k = 0; k < 16; ++k)
+    met.lanes[k] =
+        enters[k] - slack * std::fabs(enters[k]) > leaves[k] + slack * std::fabs(leaves[k]) ? 0 : valid.lanes[k];
+  return met;
+}
+
 // Incoherent rays too begin as a packet while most lanes go the same way, as they do among a few instances. The order
 // in which these are met then depends on a ray's neighbours, and where two of them touch, so does which one is hit. One
 // lane at a time is traced by itself.
@@ -110,7 +141,8 @@ class EmbreeTracer final : public Tracer {
       // Each ray for itself: asked as a packet, Embree 3.13.5 may loop for ever once a ray of another octant than the
       // one it is at has ended in an instance.
       Query single(false);
-      one_by_one(valid, [&](const Valid& one) { single.any(levels_.top(), one.lanes, asked); });
+      one_by_one(may_meet(levels_.top_bounds(), valid, asked),
+                 [&](const Valid& one) { single.any(levels_.top(), one.lanes, asked); });
     });
   }
 
@@ -171,7 +203,7 @@ class EmbreeTracer final : public Tracer {
       if (query.coherent())
         ask(valid);  // always the same neighbours
       else
-        one_by_one(valid, ask);
+        one_by_one(may_meet(levels_.top_bounds(), valid, &rays->ray), ask);
       name_top_hits(valid, rays);
     }
   }
