@@ -49,7 +49,8 @@ NFT
 ! on a ping -c 1 -W 1 198.18.21.3 >/dev/null 2>&1 || fail "c can be reached: it does not lie behind NAT"
 
 start() { # start HOST LOG COMMAND...
-  on "$1" "${@:3}" >"$place/$2.out" 2>"$place/$2.log" &
+  # Not by on(): $! would be a shell's around the program, which outlives it.
+  ip netns exec "$tag-$1" "${@:3}" >"$place/$2.out" 2>"$place/$2.log" &
   pids+=($!)
 }
 gleaner() { on b "$programs/gleaner" "$@"; } # people sit at the second host
