@@ -46,6 +46,10 @@ class Client {
 
  private:
   void check(const grpc::Status& status) const;
+  // The answer to a call that is one message each way.
+  template <typename Request, typename Reply>
+  Reply call(grpc::Status (gleaner::v1::Farm::Stub::*method)(grpc::ClientContext*, const Request&, Reply*),
+             const Request& request);
 
   std::string address_;
   std::unique_ptr<gleaner::v1::Farm::Stub> stub_;

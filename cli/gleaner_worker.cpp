@@ -54,7 +54,7 @@ worker::AgentSettings settings_of(const WorkerOptions& options, const Log& log) 
                                             : options.peers;
   settings.give_up_seconds = options.give_up_seconds;
   settings.log = [log](const std::string& line) { log->info(printable(line)); };
-  settings.keys = keys_of({});
+  settings.keys = own_keys();
   return settings;
 }
 

@@ -158,10 +158,9 @@ Keys load_keys(const fs::path& folder) {
   return keys;
 }
 
-std::shared_ptr<const Keys> keys_of(const std::string& folder) {
-  const char* set = std::getenv("GLEANER_KEYS");
-  const std::string from = !folder.empty() ? folder : set ? set : "";
-  return from.empty() ? nullptr : std::make_shared<const Keys>(load_keys(from));
+std::shared_ptr<const Keys> own_keys() {
+  const char* folder = std::getenv("GLEANER_KEYS");
+  return folder && *folder ? std::make_shared<const Keys>(load_keys(folder)) : nullptr;
 }
 
 std::shared_ptr<grpc::ServerCredentials> server_credentials(std::shared_ptr<const Keys> keys, MethodRule rule) {

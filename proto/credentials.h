@@ -39,8 +39,8 @@ struct Keys {
 // Throws Error::bad_input, which names the file, where one is missing, is no certificate or key, does not fit the
 // others or has expired.
 Keys load_keys(const std::filesystem::path& folder);
-// Of `folder`, or where that is empty of $GLEANER_KEYS; null where neither is given.
-std::shared_ptr<const Keys> keys_of(const std::string& folder);
+// This program's: of the folder that $GLEANER_KEYS names; null where it names none.
+std::shared_ptr<const Keys> own_keys();
 
 // The role that a method ("/gleaner.v1.Farm/ListJobs") asks of its caller.
 using MethodRule = std::function<Role(std::string_view method)>;

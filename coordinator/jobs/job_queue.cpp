@@ -50,10 +50,12 @@ std::shared_ptr<Job> Farm::Impl::find(const std::string& id) const {
 
 // A frame of a scene that moves holds its base and, while it is summarized, a posed copy.
 std::uint64_t Farm::Impl::posing_memory(const JobRequest& request) {
-  std::uint64_t largest = 0;
+  std::set<std::string> bases;  // one, as a rule, of as many frames as there may be
   for (const FrameScene& scene : request.scenes)
-    if (!scene.state_blob.empty())
-      if (const auto base = blobs.source(scene.scene_blob)) largest = std::max(largest, base->bytes());
+    if (!scene.state_blob.empty()) bases.insert(scene.scene_blob);
+  std::uint64_t largest = 0;
+  for (const std::string& id : bases)
+    if (const auto base = blobs.source(id)) largest = std::max(largest, base->bytes());
   return 2 * largest;
 }
 

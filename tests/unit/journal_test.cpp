@@ -50,6 +50,13 @@ std::string failure_of(const std::function<void()>& call) {
 class SqliteJournal : public testing::Test {
  protected:
   std::unique_ptr<Journal> open(double patience = 5) { return open_sqlite_journal(file_, patience); }
+  // A journal as a coordinator of an earlier version left it.
+  void leave(const char* statements) {
+    sqlite3* old = nullptr;
+    ASSERT_EQ(sqlite3_open(file_.c_str(), &old), SQLITE_OK);
+    EXPECT_EQ(sqlite3_exec(old, statements, nullptr, nullptr, nullptr), SQLITE_OK) << sqlite3_errmsg(old);
+    sqlite3_close(old);
+  }
 
   TemporaryFolder folder_;
   std::filesystem::path file_ = folder_.path() / "j o\xff.sqlite";
@@ -121,9 +128,7 @@ TEST_F(SqliteJournal, RangesComeBackUntilTheyAreNoLongerNeeded) {
 
 // What a coordinator of an earlier version left goes on: its first frames are written, its ranges are of the next one.
 TEST_F(SqliteJournal, TheFirstLayoutIsBroughtUpToDate) {
-  sqlite3* old = nullptr;
-  ASSERT_EQ(sqlite3_open(file_.c_str(), &old), SQLITE_OK);
-  const char* left = R"(
+  leave(R"(
     CREATE TABLE meta(starts INTEGER NOT NULL);
     INSERT INTO meta VALUES(4);
     CREATE TABLE jobs(place INTEGER PRIMARY KEY, id TEXT NOT NULL UNIQUE, state TEXT NOT NULL, message BLOB NOT NULL,
@@ -135,9 +140,8 @@ TEST_F(SqliteJournal, TheFirstLayoutIsBroughtUpToDate) {
     INSERT INTO jobs VALUES(1, 'a', 'queued', '', 1.5e9, 0, 3), (2, 'b', 'queued', '', 1.5e9, 0, 0);
     INSERT INTO requests VALUES('a', x'01', x'02'), ('b', x'', x'');
     INSERT INTO ranges VALUES('a', 'x', 0, 16, 8, 128, x'aa', x'');
-    PRAGMA user_version = 1;)";
-  ASSERT_EQ(sqlite3_exec(old, left, nullptr, nullptr, nullptr), SQLITE_OK) << sqlite3_errmsg(old);
-  sqlite3_close(old);
+    PRAGMA user_version = 1;)");
+  ASSERT_FALSE(HasFailure());
   for (int again = 0; again < 2; ++again) {
     auto journal = open();
     ASSERT_THAT(journal->jobs(), SizeIs(2));
@@ -157,9 +161,7 @@ TEST_F(SqliteJournal, TheFirstLayoutIsBroughtUpToDate) {
 }
 
 TEST_F(SqliteJournal, TheSecondLayoutIsBroughtUpToDate) {
-  sqlite3* old = nullptr;
-  ASSERT_EQ(sqlite3_open(file_.c_str(), &old), SQLITE_OK);
-  const char* left = R"(
+  leave(R"(
     CREATE TABLE meta(starts INTEGER NOT NULL);
     INSERT INTO meta VALUES(4);
     CREATE TABLE jobs(place INTEGER PRIMARY KEY, id TEXT NOT NULL UNIQUE, state TEXT NOT NULL, message BLOB NOT NULL,
@@ -172,9 +174,8 @@ TEST_F(SqliteJournal, TheSecondLayoutIsBroughtUpToDate) {
                         frame INTEGER NOT NULL);
     INSERT INTO jobs VALUES(1, 'a', 'done', '', 1.5e9, 1.6e9);
     INSERT INTO requests VALUES('a', x'01', x'02');
-    PRAGMA user_version = 2;)";
-  ASSERT_EQ(sqlite3_exec(old, left, nullptr, nullptr, nullptr), SQLITE_OK) << sqlite3_errmsg(old);
-  sqlite3_close(old);
+    PRAGMA user_version = 2;)");
+  ASSERT_FALSE(HasFailure());
   for (int again = 0; again < 2; ++again) {
     const auto jobs = open()->jobs();
     ASSERT_THAT(jobs, SizeIs(1));

@@ -68,9 +68,7 @@ class Smoothing {
         }
         weights += w;
       };
-      add(i, 1);
-      for (const std::uint32_t j : near_[i])
-        if (const float w = weight(i, j, offset(i, j)); w > 0) add(j, double{w});
+      each_weighted(i, add);
       for (std::size_t k = 0; k < 9; ++k) {
         result[i].rotation[k] = static_cast<float>(rotation[k] / weights);
         result[i].translation[k] = static_cast<float>(translation[k] / weights);
@@ -158,6 +156,14 @@ class Smoothing {
     return std::max(0.0f, 1 - away * away) * std::max(0.0f, 1 - turned * turned);
   }
 
+  // Calls add(record, weight) with the record itself and with those that count beside it.
+  template <typename Add>
+  void each_weighted(std::uint32_t i, const Add& add) const {
+    add(i, 1);
+    for (const std::uint32_t j : near_[i])
+      if (const float w = weight(i, j, offset(i, j)); w > 0) add(j, double{w});
+  }
+
   CacheRecord smoothed(std::uint32_t i) const {
     CacheRecord result = records_[i];
     std::array<double, 3> e{};
@@ -176,9 +182,7 @@ class Smoothing {
       }
       weights += w;
     };
-    add(i, 1);
-    for (const std::uint32_t j : near_[i])
-      if (const float w = weight(i, j, offset(i, j)); w > 0) add(j, double{w});
+    each_weighted(i, add);
     for (std::size_t c = 0; c < 3; ++c) result.irradiance[c] = static_cast<float>(e[c] / weights);
     const float most = reach(i) / std::max(turn(i), kLeastTurn);
     const float r = std::clamp(radius_[i], kLeastRadius * reach(i), most);
