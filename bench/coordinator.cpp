@@ -135,7 +135,7 @@ int measure_rate(unsigned workers, double seconds) {
 
   JobRequest request;
   request.scene_name = "simulated";
-  request.scenes = {{blobs.put(Bytes(8)), {}, {}}};
+  request.scenes = {{blobs.put(Bytes(8)), {}, {}, {}}};
   request.settings.width = request.settings.height = 1;
   farm.submit(request);
   std::this_thread::sleep_for(std::chrono::seconds(1));

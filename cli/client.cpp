@@ -6,7 +6,9 @@
 #include <algorithm>
 #include <chrono>
 
+#include "cli/program.h"
 #include "coordinator/gateway/convert.h"
+#include "proto/credentials.h"
 #include "scene/model/error.h"
 
 namespace gleaner::cli {
@@ -29,6 +31,7 @@ void set_deadline(grpc::ClientContext& context) {
 void add_coordinator_option(CLI::App& command, std::string& address) {
   command.add_option("--coordinator", address, "HOST:PORT (default: $GLEANER_COORDINATOR)")
       ->envname("GLEANER_COORDINATOR");
+  add_keys_option(command);
 }
 
 Client::Client(const std::string& address) : address_(address) {
@@ -37,9 +40,16 @@ Client::Client(const std::string& address) : address_(address) {
   arguments.SetMaxReceiveMessageSize(256 << 20);  // previews are whole
   arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 15000);
   arguments.SetInt(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10000);
-  auto channel = grpc::CreateCustomChannel(address_, grpc::InsecureChannelCredentials(), arguments);
+  // Who calls again has waits of its own.
+  arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 500);
+  arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 1000);
+  const std::shared_ptr<const Keys> keys = own_keys();
+  const auto credentials = channel_credentials(keys.get(), Role::coordinate, arguments);
+  auto channel = grpc::CreateCustomChannel(address_, credentials, arguments);
   if (!channel->WaitForConnected(std::chrono::system_clock::now() + connect_patience))
-    throw Error::connection("no coordinator answers at " + address_);
+    throw Error::connection("no coordinator answers at " + address_ +
+                            (keys ? ", or not one of this farm (keys of " + keys->folder.string() + ")"
+                                  : std::string(", or none that takes connections without keys (--keys)")));
   stub_ = pb::Farm::NewStub(channel);
 }
 
@@ -49,6 +59,7 @@ void Client::check(const grpc::Status& status) const {
       return;
     case grpc::StatusCode::UNAVAILABLE:
     case grpc::StatusCode::DEADLINE_EXCEEDED:
+    case grpc::StatusCode::CANCELLED:  // by a coordinator that ends
       throw Error::connection("the coordinator at " + address_ + " does not answer: " + status.error_message());
     case grpc::StatusCode::INVALID_ARGUMENT:
     case grpc::StatusCode::NOT_FOUND:
@@ -58,15 +69,20 @@ void Client::check(const grpc::Status& status) const {
   }
 }
 
+template <typename Request, typename Reply>
+Reply Client::call(grpc::Status (pb::Farm::Stub::*method)(grpc::ClientContext*, const Request&, Reply*),
+                   const Request& request) {
+  grpc::ClientContext context;
+  set_deadline(context);
+  Reply reply;
+  check((*stub_.*method)(&context, request, &reply));
+  return reply;
+}
+
 void Client::upload_missing(const std::vector<std::pair<std::string, const scene::Bytes*>>& blobs) {
   pb::MissingBlobsRequest request;
   for (const auto& [id, bytes] : blobs) request.add_ids(id);
-  pb::MissingBlobsReply missing;
-  {
-    grpc::ClientContext context;
-    set_deadline(context);
-    check(stub_->MissingBlobs(&context, request, &missing));
-  }
+  const pb::MissingBlobsReply missing = call(&pb::Farm::Stub::MissingBlobs, request);
   for (const auto& [id, bytes] : blobs) {
     if (std::find(missing.ids().begin(), missing.ids().end(), id) == missing.ids().end()) continue;
     grpc::ClientContext context;
@@ -86,41 +102,45 @@ void Client::upload_missing(const std::vector<std::pair<std::string, const scene
 }
 
 std::string Client::submit(const pb::SubmitJobRequest& request) {
-  grpc::ClientContext context;
-  set_deadline(context);
-  pb::SubmitJobReply reply;
-  check(stub_->SubmitJob(&context, request, &reply));
-  return reply.job();
+  return call(&pb::Farm::Stub::SubmitJob, request).job();
 }
 
 std::vector<JobStatus> Client::list() {
-  grpc::ClientContext context;
-  set_deadline(context);
-  pb::ListJobsReply reply;
-  check(stub_->ListJobs(&context, {}, &reply));
+  const pb::ListJobsReply reply = call(&pb::Farm::Stub::ListJobs, pb::ListJobsRequest());
   std::vector<JobStatus> jobs;
   for (const pb::Job& job : reply.jobs()) jobs.push_back(from_proto(job));
   return jobs;
 }
 
 JobStatus Client::show(const std::string& job) {
-  grpc::ClientContext context;
-  set_deadline(context);
   pb::GetJobRequest request;
   request.set_job(job);
-  pb::Job reply;
-  check(stub_->GetJob(&context, request, &reply));
-  return from_proto(reply);
+  return from_proto(call(&pb::Farm::Stub::GetJob, request));
 }
 
 JobStatus Client::cancel(const std::string& job) {
-  grpc::ClientContext context;
-  set_deadline(context);
   pb::CancelJobRequest request;
   request.set_job(job);
-  pb::Job reply;
-  check(stub_->CancelJob(&context, request, &reply));
-  return from_proto(reply);
+  return from_proto(call(&pb::Farm::Stub::CancelJob, request));
+}
+
+JobStatus Client::pause(const std::string& job, bool paused) {
+  pb::PauseJobRequest request;
+  request.set_job(job);
+  request.set_resume(!paused);
+  return from_proto(call(&pb::Farm::Stub::PauseJob, request));
+}
+
+JobStatus Client::retry(const std::string& job) {
+  pb::RetryJobRequest request;
+  request.set_job(job);
+  return from_proto(call(&pb::Farm::Stub::RetryJob, request));
+}
+
+void Client::drain(const std::string& worker) {
+  pb::DrainWorkerRequest request;
+  request.set_worker(worker);
+  call(&pb::Farm::Stub::DrainWorker, request);
 }
 
 JobStatus Client::watch(const std::string& job, const std::function<bool(const JobStatus&)>& on_change) {
@@ -156,22 +176,16 @@ std::string Client::preview(const std::string& job) {
 }
 
 std::vector<std::string> Client::why(const std::string& job) {
-  grpc::ClientContext context;
-  set_deadline(context);
   pb::WhyRequest request;
   request.set_job(job);
-  pb::WhyReply reply;
-  check(stub_->Why(&context, request, &reply));
+  const pb::WhyReply reply = call(&pb::Farm::Stub::Why, request);
   return {reply.reasons().begin(), reply.reasons().end()};
 }
 
 std::vector<pb::File> Client::files(const std::string& job) {
-  grpc::ClientContext context;
-  set_deadline(context);
   pb::ListFilesRequest request;
   request.set_job(job);
-  pb::ListFilesReply reply;
-  check(stub_->ListFiles(&context, request, &reply));
+  const pb::ListFilesReply reply = call(&pb::Farm::Stub::ListFiles, request);
   return {reply.files().begin(), reply.files().end()};
 }
 
@@ -196,10 +210,7 @@ void Client::fetch_file(const std::string& job, const std::string& name,
 }
 
 std::vector<coordinator::WorkerStatus> Client::workers() {
-  grpc::ClientContext context;
-  set_deadline(context);
-  pb::ListWorkersReply reply;
-  check(stub_->ListWorkers(&context, {}, &reply));
+  const pb::ListWorkersReply reply = call(&pb::Farm::Stub::ListWorkers, pb::ListWorkersRequest());
   std::vector<coordinator::WorkerStatus> workers;
   for (const pb::Worker& worker : reply.workers()) workers.push_back(from_proto(worker));
   return workers;

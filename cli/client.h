@@ -17,7 +17,7 @@ class App;
 
 namespace gleaner::cli {
 
-// --coordinator HOST:PORT, or $GLEANER_COORDINATOR.
+// --coordinator HOST:PORT, or $GLEANER_COORDINATOR; and --keys.
 void add_coordinator_option(CLI::App& command, std::string& address);
 
 class Client {
@@ -31,6 +31,8 @@ class Client {
   std::vector<coordinator::JobStatus> list();
   coordinator::JobStatus show(const std::string& job);
   coordinator::JobStatus cancel(const std::string& job);
+  coordinator::JobStatus pause(const std::string& job, bool paused);
+  coordinator::JobStatus retry(const std::string& job);
   // Calls `on_change` for every change until the job has ended or it returns false; returns the last status.
   coordinator::JobStatus watch(const std::string& job,
                                const std::function<bool(const coordinator::JobStatus&)>& on_change);
@@ -40,9 +42,14 @@ class Client {
   void fetch_file(const std::string& job, const std::string& name,
                   const std::function<void(const std::string&)>& on_piece);
   std::vector<coordinator::WorkerStatus> workers();
+  void drain(const std::string& worker);
 
  private:
   void check(const grpc::Status& status) const;
+  // The answer to a call that is one message each way.
+  template <typename Request, typename Reply>
+  Reply call(grpc::Status (gleaner::v1::Farm::Stub::*method)(grpc::ClientContext*, const Request&, Reply*),
+             const Request& request);
 
   std::string address_;
   std::unique_ptr<gleaner::v1::Farm::Stub> stub_;

@@ -20,6 +20,10 @@ void add_fetch(CLI::App& app, Run& run);
 void add_show(CLI::App& app, Run& run);
 void add_list(CLI::App& app, Run& run);
 void add_cancel(CLI::App& app, Run& run);
+void add_pause(CLI::App& app, Run& run);
+void add_resume(CLI::App& app, Run& run);
+void add_retry(CLI::App& app, Run& run);
+void add_drain(CLI::App& app, Run& run);
 void add_workers(CLI::App& app, Run& run);
 void add_why(CLI::App& app, Run& run);
 void add_replay(CLI::App& app, Run& run);
@@ -29,5 +33,6 @@ void add_info(CLI::App& app, Run& run);
 void add_compare(CLI::App& app, Run& run);
 void add_scene(CLI::App& app, Run& run);
 void add_devices(CLI::App& app, Run& run);
+void add_keys(CLI::App& app, Run& run);
 
 }  // namespace gleaner::cli

@@ -6,6 +6,7 @@
 
 #include "cli/machine_memory.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 
 namespace gleaner::cli {
 
@@ -50,7 +51,7 @@ EmbeddedFarm::EmbeddedFarm(const EmbeddedSettings& settings)
       try {
         worker.run();
       } catch (const std::exception& error) {
-        std::cerr << "gleaner: a worker ended: " << error.what() << "\n";
+        std::cerr << "gleaner: a worker ended: " << printable_lines(error.what()) << "\n";
       }
     });
 }

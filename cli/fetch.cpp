@@ -1,6 +1,9 @@
-// `gleaner fetch`: a finished job's files.
+// `gleaner fetch`: the files of a job's finished frames.
+
+#include "cli/fetch.h"
 
 #include <CLI/CLI.hpp>
+#include <charconv>
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
@@ -10,6 +13,7 @@
 #include "cli/client.h"
 #include "cli/commands.h"
 #include "cli/status_words.h"
+#include "scene/import/sequence.h"
 #include "scene/model/error.h"
 
 namespace gleaner::cli {
@@ -17,11 +21,6 @@ namespace gleaner::cli {
 namespace fs = std::filesystem;
 
 namespace {
-
-struct FetchOptions {
-  std::string coordinator, job, folder;
-  bool quiet = false;
-};
 
 // Under another name until it is whole.
 void fetch_file(Client& client, const std::string& job, const std::string& name, const fs::path& target) {
@@ -45,37 +44,89 @@ void fetch_file(Client& client, const std::string& job, const std::string& name,
   if (code) throw Error::failed(target.string() + ": " + code.message());
 }
 
-int fetch(const FetchOptions& options) {
-  Client client(options.coordinator);
-  coordinator::JobStatus status = client.show(options.job);
-  require_done(status);
-  if (!ended(status.state))
-    throw Error::failed("job " + status.id + " is " + job_state_name(status.state) + "; `gleaner watch " + status.id +
-                        "` ends with it");
+// Where the farm's file "frame_0007.exr" goes.
+fs::path target_of(const FetchOptions& options, const std::string& name) {
+  const fs::path file(name);
+  const std::string stem = file.stem().string(), before_number = "frame_";
+  std::uint32_t frame = 0;
+  const char* end = stem.data() + stem.size();
+  if (options.pattern.empty() || stem.rfind(before_number, 0) != 0 ||
+      std::from_chars(stem.data() + before_number.size(), end, frame).ptr != end)
+    return fs::path(options.folder) / file;
+  return fs::path(options.folder) / (scene::file_of_frame(options.pattern, frame) + file.extension().string());
+}
+
+// A name is a name, whatever the coordinator says.
+std::string checked_name(const std::string& name) {
+  if (fs::path(name).filename() != name || name == ".." || name == ".")
+    throw Error::failed("the coordinator names a file \"" + name + "\"");
+  return name;
+}
+
+bool is_there(const fs::path& path) {
   std::error_code code;
-  fs::create_directories(options.folder, code);
-  if (code) throw Error::failed(options.folder + ": cannot make the folder: " + code.message());
-  for (const auto& file : client.files(options.job)) {
-    // A name is a name, whatever the coordinator says.
-    if (fs::path(file.name()).filename() != file.name() || file.name() == ".." || file.name() == ".")
-      throw Error::failed("the coordinator names a file \"" + file.name() + "\"");
-    fs::path target = fs::path(options.folder) / file.name();
-    fetch_file(client, options.job, file.name(), target);
-    if (!options.quiet) std::cerr << "gleaner: wrote " << target.string() << "\n";
-  }
-  return 0;
+  return fs::exists(fs::symlink_status(path, code));
 }
 
 }  // namespace
 
+void add_fetch_options(CLI::App& command, FetchOptions& options) {
+  command.add_option("-o,--output", options.folder, "folder of the files; made where it is not there");
+  command.add_option("--pattern", options.pattern,
+                     "names of the files, without their endings: the frame's number stands for a run of #, as in "
+                     "shot_#### (default: frame_####)");
+  CLI::Option* force = command.add_flag("--force", options.force, "write over files that are there");
+  command.add_flag("--new", options.only_new, "leave files that are there, and bring the others")->excludes(force);
+}
+
+void refuse_to_overwrite(const FetchOptions& options, const std::vector<std::string>& names) {
+  if (!options.pattern.empty() &&
+      (options.pattern.find('/') != std::string::npos || options.pattern.find('#') == std::string::npos))
+    throw Error::usage("--pattern: expected a name with a run of #, and no folder, found \"" + options.pattern + "\"");
+  if (options.force || options.only_new) return;
+  for (const std::string& name : names)
+    if (const fs::path target = target_of(options, name); is_there(target))
+      throw Error::failed(target.string() +
+                          ": is there already; --force writes over it, --new brings only what is not there");
+}
+
+int fetch_files(const FetchOptions& options) {
+  refuse_to_overwrite(options, {});
+  Client client(options.coordinator);
+  const coordinator::JobStatus status = client.show(options.job);
+  if (status.frames_done == 0) {
+    require_done(status);
+    throw Error::failed("job " + status.id + " is " + job_state_name(status.state) +
+                        ", and none of its frames is finished; `gleaner watch " + status.id + "` ends with it");
+  }
+  std::vector<std::string> names;
+  for (const auto& file : client.files(options.job)) names.push_back(checked_name(file.name()));
+  refuse_to_overwrite(options, names);
+  std::error_code code;
+  fs::create_directories(options.folder, code);
+  if (code) throw Error::failed(options.folder + ": cannot make the folder: " + code.message());
+  for (const std::string& name : names) {
+    const fs::path target = target_of(options, name);
+    if (options.only_new && is_there(target)) continue;
+    fetch_file(client, options.job, name, target);
+    if (!options.quiet) std::cerr << "gleaner: wrote " << target.string() << "\n";
+  }
+  require_done(status);  // what there is has been fetched
+  if (!ended(status.state) && !options.quiet)
+    std::cerr << "gleaner: job " << status.id << " is " << job_state_name(status.state) << ": frames "
+              << written_frames(status) << " of " << status.frames << " are finished\n";
+  return 0;
+}
+
 void add_fetch(CLI::App& app, Run& run) {
   auto options = std::make_shared<FetchOptions>();
-  CLI::App* command = app.add_subcommand("fetch", "Bring a finished job's EXR, PNG and report");
+  CLI::App* command = app.add_subcommand("fetch", "Bring EXR, PNG and report of the frames that are finished");
   command->add_option("JOB", options->job, "as submit printed it")->required();
-  command->add_option("-o,--output", options->folder, "folder; made where it is not there")->required();
+  add_fetch_options(*command, *options);
+  command->get_option("--output")->required();
   command->add_flag("--quiet", options->quiet, "no remarks");
   add_coordinator_option(*command, options->coordinator);
-  command->callback([options, &run] { run = [options] { return fetch(*options); }; });
+  command->callback([options, &run] { run = [options] { return fetch_files(*options); }; });
 }
 
 }  // namespace gleaner::cli

@@ -9,7 +9,7 @@
 #include <numbers>
 #include <optional>
 
-#include "coordinator/jobs/job.h"
+#include "cli/frame_list.h"
 #include "coordinator/plan/methods.h"
 #include "coordinator/plan/trajectory.h"
 #include "scene/model/error.h"
@@ -52,18 +52,6 @@ void parse_size(const std::string& text, std::uint32_t& width, std::uint32_t& he
   if (!w || !h || *w == 0 || *h == 0) throw malformed("--size", "WIDTHxHEIGHT in pixels", text);
   width = *w;
   height = *h;
-}
-
-void parse_frames(const std::string& text, std::uint32_t& first, std::uint32_t& last) {
-  auto parts = split(text, '-');
-  auto a = number<std::uint32_t>(parts[0]);
-  auto b = parts.size() == 2 ? number<std::uint32_t>(parts[1]) : a;
-  if (parts.size() > 2 || !a || !b || *a > *b) throw malformed("--frames", "FIRST-LAST with FIRST <= LAST", text);
-  if (std::uint64_t{*b} - *a >= coordinator::most_frames)
-    throw Error::usage("--frames: expected at most " + std::to_string(coordinator::most_frames) + " frames, found \"" +
-                       text + "\"");
-  first = *a;
-  last = *b;
 }
 
 struct LookAt {
@@ -169,7 +157,8 @@ void add_frame_options(CLI::App& command, FrameOptions& options) {
       ->capture_default_str()
       ->check(CLI::Range(1u, 1u << 24));
   command.add_option("--camera", options.camera, "a camera of the scene (default: its first)");
-  command.add_option("--frames", options.frames, "A-B: frames to render, numbered files");
+  command.add_option("--frames", options.frames,
+                     "A-B or A-BxSTEP, or several with commas between: frames to render, numbered files");
   command.add_option("--fps", options.fps, "frames a second of animations")
       ->capture_default_str()
       ->check(CLI::Range(1e-6, 1e6));
@@ -222,21 +211,27 @@ LoadedFrame load_frame(const FrameOptions& options) {
   settings.set.erase("depth");
   if (!options.size.empty()) parse_size(options.size, settings.width, settings.height);
   frame.numbered = !options.frames.empty();
-  if (frame.numbered) parse_frames(options.frames, frame.first_frame, frame.last_frame);
+  if (frame.numbered) frame.frame_numbers = parse_frame_list(options.frames);
   const std::vector<LookAt> trajectory = parse_trajectory(options);
 
   ImportWords files = options.files;
-  files.seconds = options.time_offset;
-  frame.scene = read_scene(files, options.look_at.empty());
-  frame.moves = !frame.scene.animations.empty() && frame.last_frame > frame.first_frame;
-  frame.scene_name = printable(std::filesystem::path(options.files.scene).filename().string());
+  files.instances = coordinator::method_of(options.method).takes_instances;
+  if (frame.numbered) files.frames = frame.frame_numbers;
+  frame.moving = open_scene(files, options.look_at.empty());
+  if (frame.moving->moves()) {
+    frame.scene = frame.moving->scene_at(frame.moving->is_sequence() ? frame.frame_numbers.first : options.time_offset);
+  } else {
+    frame.scene = std::move(frame.moving->base());
+    frame.moving = nullptr;
+  }
+  frame.scene_name = printable(std::filesystem::path(options.files.scene).filename().string(), most_name_bytes);
   words.insert(words.end(), frame.scene.warnings.begin(), frame.scene.warnings.end());
   scene::NamedCamera camera = choose_camera(options, frame.scene, words);
   frame.camera_name = camera.name;
   settle_size(options, camera, settings);
-  if (trajectory.size() > 1 && !frame.moves)
-    for (std::uint64_t f = 0; f <= frame.last_frame - frame.first_frame; ++f) {
-      const double frames = std::max(1.0, static_cast<double>(frame.last_frame - frame.first_frame));
+  if (trajectory.size() > 1 && !frame.moving)
+    for (std::uint32_t f = 0; f < frame.frames(); ++f) {
+      const double frames = std::max(1.0, static_cast<double>(frame.frames() - 1));
       scene::Camera moved = camera_of(along(trajectory, static_cast<double>(f) / frames), frame.scene).camera;
       fit_to_film(moved, settings);
       frame.cameras.push_back(moved);
@@ -247,27 +242,39 @@ LoadedFrame load_frame(const FrameOptions& options) {
     words.push_back(options.files.scene + ": no light; the picture will be black (--environment FILE lights a scene)");
   for (const std::string& sentence : scene::lost_light(needs)) words.push_back(options.files.scene + ": " + sentence);
   if (!options.quiet)
-    for (const std::string& word : words) std::cerr << "gleaner: " << word << "\n";
+    for (const std::string& word : words) std::cerr << "gleaner: " << printable_lines(word) << "\n";
   return frame;
 }
 
-MovedScene load_moved(const FrameOptions& options, LoadedFrame& frame, std::uint32_t number) {
-  if (number == frame.first_frame) return {std::move(frame.scene), frame.settings.camera};
-  const double since = static_cast<double>(number) - static_cast<double>(frame.first_frame);
-  ImportWords files = options.files;
-  files.seconds = options.time_offset + since / options.fps;
-  MovedScene moved{read_scene(files, false), {}};
+FrameLook look_of(const FrameOptions& options, const LoadedFrame& frame, std::uint32_t number) {
+  FrameLook look;
+  const double since = static_cast<double>(number) - static_cast<double>(frame.frame_numbers.first);
+  look.seconds = frame.moving->is_sequence() ? number : options.time_offset + since / options.fps;
+  std::optional<scene::ShownFrame> shown = frame.moving->at(look.seconds);
+  // What choose_camera() looks at.
+  scene::Scene seen;
+  seen.origin = frame.moving->base().origin;
+  if (shown && !shown->cameras.empty())
+    seen.cameras = std::move(shown->cameras);
+  else if (shown)
+    seen.cameras = frame.moving->base().cameras;
+  else if (frame.moving->is_sequence())
+    seen.cameras = frame.moving->base().cameras;
+  else if (options.look_at.empty())
+    seen.cameras = frame.moving->scene_at(look.seconds).cameras;
+  if (shown) look.state = std::move(shown->state);
   if (!options.look_at.empty()) {
-    const double frames = static_cast<double>(frame.last_frame) - static_cast<double>(frame.first_frame);
-    moved.camera = camera_of(along(parse_trajectory(options), since / frames), moved.scene).camera;
+    const double frames =
+        std::max(1.0, static_cast<double>(frame.frame_numbers.last) - static_cast<double>(frame.frame_numbers.first));
+    look.camera = camera_of(along(parse_trajectory(options), since / frames), seen).camera;
   } else {
     FrameOptions same = options;
     same.camera = frame.camera_name;
     std::vector<std::string> unused;
-    moved.camera = choose_camera(same, moved.scene, unused).camera;
+    look.camera = choose_camera(same, seen, unused).camera;
   }
-  fit_to_film(moved.camera, frame.settings);
-  return moved;
+  fit_to_film(look.camera, frame.settings);
+  return look;
 }
 
 }  // namespace gleaner::cli

@@ -2,6 +2,8 @@
 // The words that say which frame of which scene is wanted: the same for render, submit and explain.
 
 #include <cstdint>
+#include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -21,7 +23,7 @@ struct FrameOptions {
   std::string size;  // WxH; empty: the camera's own
   std::uint32_t spp = 64;
   std::string camera;                // name; empty: the first
-  std::string frames;                // A-B; empty: one
+  std::string frames;                // as parse_frame_list() takes them; empty: one
   double fps = 24, time_offset = 0;  // a frame's time: time_offset + (frame - A) / fps, s
   std::uint64_t seed = 0;
   double target_error = 0;
@@ -41,21 +43,26 @@ struct LoadedFrame {
   std::string camera_name;
   coordinator::FrameSettings settings;
   bool numbered = false;  // --frames was given
-  std::uint32_t first_frame = 1, last_frame = 1;
+  scene::FrameNumbers frame_numbers;
   std::vector<scene::Camera> cameras;  // one a frame where the camera moves in a scene that does not; else none
-  bool moves = false;                  // the scene has animations, and there are several frames: see load_moved()
+  // Where the scene moves: the file, whose frames look_of() shows. `scene` is the first one as it looks.
+  std::shared_ptr<scene::MovingScene> moving;
+  std::uint32_t frames() const { return static_cast<std::uint32_t>(frame_numbers.count()); }
+  std::uint32_t number(std::uint32_t index) const { return frame_numbers.at(index); }
 };
 
 // Reads the scene and settles camera and size; words for people (on what was assumed) go to standard error unless
 // quiet. Throws Error::usage for malformed words, Error::bad_input for what the files say.
 LoadedFrame load_frame(const FrameOptions& options);
 
-// The scene of one of the frames and its camera, where the scene moves. The first frame's has been read: it is moved
-// out of `frame`, once. Throws as load_frame().
-struct MovedScene {
-  scene::Scene scene;
-  scene::Camera camera;
+// One of the frames of a scene that moves.
+struct FrameLook {
+  // Of the file's base. None: no state of it looks so, and the file's scene_at(seconds) is the frame's scene.
+  std::optional<scene::FrameState> state;
+  double seconds = 0;
+  scene::Camera camera{};
 };
-MovedScene load_moved(const FrameOptions& options, LoadedFrame& frame, std::uint32_t number);
+// Throws as load_frame().
+FrameLook look_of(const FrameOptions& options, const LoadedFrame& frame, std::uint32_t number);
 
 }  // namespace gleaner::cli

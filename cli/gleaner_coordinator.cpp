@@ -1,5 +1,6 @@
 // `gleaner-coordinator`: jobs in, leases out, files on disk.
 
+#include <malloc.h>
 #include <spdlog/sinks/stdout_sinks.h>
 #include <spdlog/spdlog.h>
 
@@ -10,7 +11,6 @@
 #include <future>
 #include <iostream>
 #include <optional>
-#include <random>
 
 #include "cli/client.h"
 #include "cli/data_lock.h"
@@ -20,10 +20,14 @@
 #include "coordinator/blobs/store.h"
 #include "coordinator/gateway/address.h"
 #include "coordinator/gateway/http.h"
+#include "coordinator/gateway/listener.h"
 #include "coordinator/gateway/server.h"
 #include "coordinator/jobs/farm.h"
+#include "coordinator/journal/journal_writer.h"
+#include "coordinator/journal/sqlite_journal.h"
 #include "gleaner/version.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 
 namespace gleaner::cli {
 
@@ -42,17 +46,23 @@ struct CoordinatorOptions {
   std::string check;  // HOST:PORT; empty: be a coordinator
   std::string data;
   unsigned active_jobs = 2;
+  unsigned frames_at_once = coordinator::FarmSettings{}.frames_at_once;
   double upload_gib = 64;
   double memory_gib = 0;  // 0: three quarters of the machine's
   std::uint64_t batch_items = 0;
+  std::size_t keep_jobs = FarmSettings{}.ended_jobs;
+  double keep_days = 30;
+  double recheck = 0.02;
 };
 
 // Who reaches a listener can do everything: in the clear it is for this machine's own, unless the user says otherwise.
 void refuse_strangers(const std::string& option, const std::string& listen) {
   if (!gateway::is_loopback(gateway::parse_listen_address(option, listen)))
-    throw Error::usage(option + " " + listen +
-                       " is open to other machines, and the connection is neither encrypted nor authenticated: "
-                       "listen on 127.0.0.1, or say --insecure on a network that you trust");
+    throw Error::usage(
+        option + " " + listen +
+        " is open to other machines, and the connection is neither encrypted nor authenticated: "
+        "give --keys (gleaner keys init makes them), listen on 127.0.0.1, or say --insecure on a network that "
+        "you trust");
 }
 
 // For health checks: cheaper to start than `gleaner`. The farm itself must answer, not its sockets alone.
@@ -61,10 +71,15 @@ int check(const std::string& address) {
   return 0;
 }
 
+// Results come and go in megabytes, on many threads. glibc would soon keep what each of them frees for itself: half a
+// gigabyte beside a large frame.
+void give_back_large_memory() { ::mallopt(M_MMAP_THRESHOLD, 512 << 10); }
+
 int coordinate(const CoordinatorOptions& options) {
   if (options.data.empty()) throw Error::usage("--data is required: a folder of blobs and pictures");
+  const std::shared_ptr<const Keys> keys = own_keys();
   if (!options.insecure) {
-    refuse_strangers("--listen", options.listen);
+    if (!keys) refuse_strangers("--listen", options.listen);
     if (!options.http.empty()) refuse_strangers("--http", options.http);
   }
   Signals signals;
@@ -78,11 +93,17 @@ int coordinate(const CoordinatorOptions& options) {
   settings.scheduler.fixed_batch_items = options.batch_items;
   // A worker's first batch of a scene includes fetching and loading it.
   settings.scheduler.lease_floor = 30;
-  settings.scheduler.incarnation = std::random_device{}();
+  settings.log = [log](const std::string& line) { log->info(printable(line)); };
+  settings.journal = std::make_shared<JournalWriter>(open_sqlite_journal(data / "journal.sqlite"), settings.log);
+  settings.scheduler.incarnation = settings.journal->begin();
+  settings.records = data / "records";
+  settings.recheck_share = options.recheck;
   settings.active_jobs = options.active_jobs;
+  settings.frames_at_once = options.frames_at_once;
+  settings.ended_jobs = options.keep_jobs;
+  settings.ended_seconds = options.keep_days * 24 * 3600;
   settings.memory_bytes =
       options.memory_gib > 0 ? static_cast<std::uint64_t>(options.memory_gib * gib) : machine_memory() / 4 * 3;
-  settings.log = [log](const std::string& line) { log->info(line); };
   settings.paths = [data](const std::string& job, std::uint32_t frame) {
     char stem[32];
     std::snprintf(stem, sizeof stem, "frame_%04u", frame);
@@ -92,6 +113,7 @@ int coordinate(const CoordinatorOptions& options) {
   Farm farm(settings, blobs);
   gateway::ServerSettings server_settings;
   server_settings.listen = options.listen;
+  server_settings.keys = keys;
   server_settings.upload_bytes = static_cast<std::uint64_t>(options.upload_gib * gib);
   gateway::Server server(farm, blobs, server_settings);
   std::optional<gateway::HttpServer> http;
@@ -108,6 +130,7 @@ int coordinate(const CoordinatorOptions& options) {
   server.shutdown();
   if (!farm.end(grace)) {
     log->info("a plan still computes; it is not waited for");
+    if (!settings.journal->flush()) log->info(settings.journal->trouble());
     log->flush();
     std::_Exit(0);  // its thread uses what main's end would destroy
   }
@@ -120,6 +143,8 @@ int coordinate(const CoordinatorOptions& options) {
 
 int main(int argc, char** argv) {
   using namespace gleaner::cli;
+  give_back_large_memory();
+  gleaner::gateway::raise_descriptor_limit();
   silence_grpc();
   CLI::App app{"Takes jobs, splits their frames among workers, writes the pictures", "gleaner-coordinator"};
   app.set_version_flag("--version", std::string("gleaner-coordinator ") + gleaner::version);
@@ -127,6 +152,7 @@ int main(int argc, char** argv) {
   app.add_option("--listen", options.listen, "HOST:PORT; port 0 takes a free one. Prints HOST:PORT on standard output")
       ->capture_default_str();
   app.add_option("--http", options.http, "HOST:PORT of /healthz and /metrics (default: none)");
+  add_keys_option(app);
   app.add_flag("--insecure", options.insecure,
                "other machines may reach the listeners, without encryption or authentication");
   app.add_option("--data", options.data, "folder of blobs and pictures; made where it is not there; required");
@@ -135,6 +161,10 @@ int main(int argc, char** argv) {
   app.add_option("--active-jobs", options.active_jobs, "jobs that run at the same time")
       ->capture_default_str()
       ->check(CLI::Range(1u, 64u));
+  app.add_option("--frames-at-once", options.frames_at_once,
+                 "frames of a job that run side by side, where workers idle that fewer cannot feed")
+      ->capture_default_str()
+      ->check(CLI::Range(1u, 1024u));
   app.add_option("--upload-limit", options.upload_gib, "largest blob, in GiB")
       ->capture_default_str()
       ->check(CLI::PositiveNumber);
@@ -142,6 +172,15 @@ int main(int argc, char** argv) {
                  "memory of the frames that run at the same time, in GiB; larger frames are refused, others wait "
                  "(default: three quarters of the machine's)")
       ->check(CLI::PositiveNumber);
+  app.add_option("--keep-jobs", options.keep_jobs, "jobs that ended and are still listed; pictures are always kept")
+      ->capture_default_str();
+  app.add_option("--keep-days", options.keep_days, "... and for how many days")
+      ->capture_default_str()
+      ->check(CLI::NonNegativeNumber);
+  app.add_option("--recheck", options.recheck,
+                 "share of the batches that a second worker computes too, so that liars are found; 0: none")
+      ->capture_default_str()
+      ->check(CLI::Range(0.0, 1.0));
   app.add_option("--batch-items", options.batch_items, "every batch of this size")->group("");
   return run_program(app, argc, argv,
                      [&] { return options.check.empty() ? coordinate(options) : check(options.check); });

@@ -1,6 +1,7 @@
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <array>
 #include <chrono>
 #include <cmath>
@@ -84,6 +85,10 @@ std::array<std::size_t, 3> punctual_lights(const Scene& scene) {
   return count;
 }
 
+std::ptrdiff_t instanced_meshes(const Scene& scene) {
+  return std::ranges::count_if(scene.meshes, [](const scene::Mesh& mesh) { return mesh.instanced; });
+}
+
 bool has_light(const scene::SceneNeeds& needs) {
   return needs.emissive_triangles || needs.punctual_lights || needs.environment || needs.unlit;
 }
@@ -109,6 +114,9 @@ ordered_json json_of(const InfoWords& words, const Scene& scene, double seconds)
       {"triangles", scene.triangle_count()},
       {"vertices", scene.vertex_count()},
       {"meshes", scene.meshes.size()},
+      {"instanced_meshes", instanced_meshes(scene)},
+      {"instances", scene.instances.size()},
+      {"effective_triangles", scene.effective_triangle_count()},
       {"materials", scene.materials.size()},
       {"textures", scene.textures.size()},
       {"texture_bytes", scene.texels.size() * sizeof scene.texels[0]},
@@ -144,6 +152,9 @@ void print(const InfoWords& words, const Scene& scene, double seconds) {
   fmt::print("{}\n", printable(words.files.scene));
   fmt::print("  triangles  {}, {} vertices, {} meshes\n", scene.triangle_count(), scene.vertex_count(),
              scene.meshes.size());
+  if (!scene.instances.empty())
+    fmt::print("  instances  {} of {} meshes: {} triangles in all places\n", scene.instances.size(),
+               instanced_meshes(scene), scene.effective_triangle_count());
   const auto lower = in_file(scene, bounds.lower.data()), upper = in_file(scene, bounds.upper.data());
   fmt::print("  bounds     {:.9g} {:.9g} {:.9g} to {:.9g} {:.9g} {:.9g} m\n", lower[0], lower[1], lower[2], upper[0],
              upper[1], upper[2]);

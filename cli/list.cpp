@@ -14,7 +14,7 @@ namespace {
 
 struct ListOptions {
   std::string coordinator;
-  bool json = false;
+  bool json = false, csv = false;
 };
 
 int list(const ListOptions& options) {
@@ -23,6 +23,8 @@ int list(const ListOptions& options) {
     nlohmann::json all = nlohmann::json::array();
     for (const auto& status : jobs) all.push_back(job_json(status));
     std::cout << dump(all) << "\n";
+  } else if (options.csv) {
+    std::cout << job_csv(jobs);
   } else {
     for (const auto& status : jobs) std::cout << job_line(status) << "\n";
   }
@@ -34,7 +36,8 @@ int list(const ListOptions& options) {
 void add_list(CLI::App& app, Run& run) {
   auto options = std::make_shared<ListOptions>();
   CLI::App* command = app.add_subcommand("list", "List the jobs");
-  command->add_flag("--json", options->json, "as JSON");
+  CLI::Option* json = command->add_flag("--json", options->json, "as JSON");
+  command->add_flag("--csv", options->csv, "as CSV: what each job took, for accounting")->excludes(json);
   add_coordinator_option(*command, options->coordinator);
   command->callback([options, &run] { run = [options] { return list(*options); }; });
 }

@@ -65,6 +65,10 @@ inline bool run_frame(coordinator::Plan& plan, worker::Executor& executor, const
     for (coordinator::StageSpec& stage : step.stages) waiting.push_back(std::move(stage));
     for (const coordinator::ArtifactId& id : step.released) artifacts.erase(id);
     if (step.done) return true;
+    if (step.again) {
+      step = plan.next(nullptr);
+      continue;
+    }
     if (waiting.empty()) throw Error::failed("the plan waits for stages that it did not ask for");
     const coordinator::StageSpec stage = std::move(waiting.front());
     waiting.pop_front();

@@ -9,8 +9,15 @@
 #include <new>
 
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 
 namespace gleaner::cli {
+
+void add_keys_option(CLI::App& command) {
+  command.add_option_function<std::string>(
+      "--keys", [](const std::string& folder) { ::setenv("GLEANER_KEYS", folder.c_str(), 1); },
+      "folder of this caller's keys, made by `gleaner keys` (default: $GLEANER_KEYS)");
+}
 
 int run_program(CLI::App& app, int argc, char** argv, const std::function<int()>& run) {
   // A file beyond the limit of its size (ulimit -f) is then an error of write(), as a full disk is, and not the end.
@@ -20,7 +27,7 @@ int run_program(CLI::App& app, int argc, char** argv, const std::function<int()>
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
     if (error.get_exit_code() == 0) return app.exit(error);  // --help, --version
-    std::cerr << error_words << error.what() << "\n";
+    std::cerr << error_words << printable_lines(error.what()) << "\n";
     const CLI::App* asked = &app;
     for (const auto& sub : app.get_subcommands()) asked = sub;
     std::cerr << "usage: " << app.get_name() << (asked == &app ? "" : " " + asked->get_name())
@@ -30,12 +37,12 @@ int run_program(CLI::App& app, int argc, char** argv, const std::function<int()>
   try {
     return run();
   } catch (const Error& error) {
-    std::cerr << error_words << error.what() << "\n";
+    std::cerr << error_words << printable_lines(error.what()) << "\n";
     return static_cast<int>(error.kind());
   } catch (const std::bad_alloc&) {
     std::cerr << error_words << "out of memory\n";
   } catch (const std::exception& error) {
-    std::cerr << error_words << error.what() << "\n";
+    std::cerr << error_words << printable_lines(error.what()) << "\n";
   }
   return static_cast<int>(ErrorKind::failed);
 }

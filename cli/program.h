@@ -14,6 +14,9 @@ namespace gleaner::cli {
 // connection.
 int run_program(CLI::App& app, int argc, char** argv, const std::function<int()>& run);
 
+// --keys FOLDER, which becomes $GLEANER_KEYS.
+void add_keys_option(CLI::App& command);
+
 // gRPC prints its own account of every connection that fails; ours is the one that people should read. Before any
 // thread starts.
 void silence_grpc();

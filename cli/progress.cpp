@@ -26,12 +26,21 @@ const StageStatus* running_stage(const JobStatus& status) {
   return nullptr;
 }
 
+// "frame 2 of 5", "3 of 40 frames done, 2 side by side"
+std::string frames_of(const JobStatus& status) {
+  const std::vector<std::uint32_t>& running = status.running;
+  if (running.size() < 2)
+    return fmt::format("frame {} of {}", std::min(status.frames_done + 1, status.frames), status.frames);
+  return fmt::format("{} of {} frames done, {} side by side", status.frames_done, status.frames, running.size());
+}
+
 // "37 %, frame 2 of 5, path.1 at 3.2 M items/s, 12 s left"
 std::string words(const JobStatus& status) {
+  if (status.paused && !ended(status.state)) return "paused";
   if (status.state != JobState::running) return job_state_name(status.state);
   std::string text = fmt::format("{:.0f} %", std::floor(100 * status.progress));
-  if (status.frames > 1)
-    text += fmt::format(", frame {} of {}", std::min(status.frames_done + 1, status.frames), status.frames);
+  if (status.frames > 1) text += ", " + frames_of(status);
+  if (status.frames_failed > 0) text += fmt::format(", {} failed", status.frames_failed);
   const StageStatus* stage = running_stage(status);
   if (stage) text += ", " + stage->name;
   if (stage && stage->items_per_second > 0) text += " at " + format_rate(stage->items_per_second);

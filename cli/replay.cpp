@@ -28,15 +28,15 @@ struct ReplayWords {
 
 int replay(const ReplayWords& words) {
   LoadedFrame frame = load_frame(words.frame);
-  const std::uint32_t number = words.number.value_or(frame.first_frame);
-  if (number < frame.first_frame || number > frame.last_frame)
-    throw Error::usage("--frame: expected one of --frames " + std::to_string(frame.first_frame) + "-" +
-                       std::to_string(frame.last_frame) + ", found " + std::to_string(number));
-  if (!frame.cameras.empty()) frame.settings.camera = frame.cameras[number - frame.first_frame];
-  if (frame.moves) {
-    MovedScene moved = load_moved(words.frame, frame, number);
-    frame.scene = std::move(moved.scene);
-    frame.settings.camera = moved.camera;
+  const std::uint32_t number = words.number.value_or(frame.frame_numbers.first);
+  const auto place = frame.frame_numbers.place_of(number);
+  if (!place)
+    throw Error::usage("--frame: expected one of --frames " + words.frame.frames + ", found " + std::to_string(number));
+  if (!frame.cameras.empty()) frame.settings.camera = frame.cameras[*place];
+  if (frame.moving) {
+    const FrameLook look = look_of(words.frame, frame, number);
+    frame.scene = frame.moving->scene_at(look.seconds);
+    frame.settings.camera = look.camera;
   }
   worker::Executor executor({.device = words.device, .threads = 0, .trace = worker::parse_trace_kind(words.trace)});
   auto scene = std::make_shared<const scene::Scene>(std::move(frame.scene));

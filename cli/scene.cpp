@@ -59,8 +59,9 @@ int write_scene(const SceneWords& words) {
   if (words.output.empty()) throw Error::usage("gleaner scene expects -o FILE.glb");
   if (std::filesystem::path(words.output).extension() != ".glb")
     throw Error::usage(fmt::format("-o expects a name that ends in .glb, found '{}'", words.output));
-  const scene::Scene made = scene::make_scene(words.name, parse_settings(words.settings));
-  scene::write_glb(made, words.output);
+  const scene::AnimatedScene animated = scene::make_animated_scene(words.name, parse_settings(words.settings));
+  const scene::Scene& made = animated.scene;
+  scene::write_glb(animated, words.output);
   std::cerr << fmt::format("{}: {} triangles, {} camera{}\n", words.output, made.triangle_count(), made.cameras.size(),
                            made.cameras.size() == 1 ? "" : "s");
   if (!made.environment.empty())

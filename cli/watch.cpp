@@ -1,7 +1,9 @@
 // `gleaner watch`: follows a job to its end.
 
+#include "cli/watch.h"
+
 #include <CLI/CLI.hpp>
-#include <atomic>
+#include <algorithm>
 #include <chrono>
 #include <condition_variable>
 #include <iostream>
@@ -9,6 +11,7 @@
 #include <mutex>
 #include <span>
 #include <thread>
+#include <utility>
 
 #include "cli/client.h"
 #include "cli/commands.h"
@@ -16,6 +19,7 @@
 #include "cli/status_words.h"
 #include "coordinator/film/atomic_file.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 
 namespace gleaner::cli {
 
@@ -23,12 +27,14 @@ using coordinator::JobStatus;
 
 namespace {
 
-constexpr std::chrono::milliseconds preview_interval{700};  // it must be fresh at least once a second
+using Clock = std::chrono::steady_clock;
 
-struct WatchOptions {
-  std::string coordinator, job, preview;
-  bool json = false, quiet = false;
-};
+constexpr std::chrono::milliseconds preview_interval{700};           // it must be fresh at least once a second
+constexpr double first_wait_seconds = 1, longest_wait_seconds = 15;  // before the coordinator is called again
+constexpr std::chrono::seconds tell_interval{1};                     // of frames that were written
+constexpr std::chrono::seconds stall{5};                             // without an item done, before it is asked why
+
+double seconds_since(Clock::time_point then) { return std::chrono::duration<double>(Clock::now() - then).count(); }
 
 // Keeps a file up to date with the job's preview, beside the stream of progress.
 class PreviewFile {
@@ -60,7 +66,12 @@ class PreviewFile {
       std::unique_lock lock(mutex_);
       while (!ended_) {
         lock.unlock();
-        write();
+        try {
+          write();
+        } catch (const Error& error) {
+          // Who watches the job sees it too, says it, and calls again.
+          if (error.kind() != ErrorKind::connection) throw;
+        }
         lock.lock();
         end_.wait_for(lock, preview_interval, [&] { return ended_; });
       }
@@ -84,29 +95,107 @@ class PreviewFile {
   std::thread thread_;
 };
 
-int watch(const WatchOptions& options) {
-  Client client(options.coordinator);
-  client.show(options.job);  // an unknown job is told before any file is made
+// Follows the job on standard error, and on standard output where that is JSON.
+class Watch {
+ public:
+  explicit Watch(const WatchOptions& options)
+      : options_(options), client_(options.coordinator), progress_(options.quiet || options.json) {
+    client_.show(options.job);  // an unknown job is told before any file is made
+  }
+
+  // Until the job has ended. A coordinator that goes away is called again until `give_up_seconds` have passed.
+  JobStatus follow() {
+    double wait = first_wait_seconds;
+    for (;;) {
+      try {
+        return client_.watch(options_.job, [&](const JobStatus& status) {
+          if (std::exchange(lost_, false)) say("the coordinator answers again");
+          wait = first_wait_seconds;
+          show(status);
+          return true;
+        });
+      } catch (const Error& error) {
+        if (error.kind() != ErrorKind::connection) throw;
+        if (!std::exchange(lost_, true)) {
+          lost_since_ = Clock::now();
+          say(std::string(error.what()) + "; trying again");
+        }
+        if (options_.give_up_seconds > 0 && seconds_since(lost_since_) > options_.give_up_seconds)
+          throw Error::connection(std::string(error.what()) + "; given up after " +
+                                  format_duration(seconds_since(lost_since_)) + ", the job may go on without");
+      }
+      std::this_thread::sleep_for(std::chrono::duration<double>(wait));
+      wait = std::min(2 * wait, longest_wait_seconds);
+    }
+  }
+
+  void say(const std::string& words) {
+    if (options_.quiet) return;
+    progress_.clear();
+    std::cerr << "gleaner: " << printable_lines(words) << std::endl;
+  }
+
+ private:
+  void show(const JobStatus& status) {
+    if (options_.json) std::cout << dump(job_json(status)) << std::endl;
+    progress_.show(status);
+    tell_written(status);
+    explain(status);
+  }
+
+  // Names the frames that can be fetched, where more are to come.
+  void tell_written(const JobStatus& status) {
+    if (options_.json || ended(status.state) || status.frames_done == told_) return;
+    if (told_ > 0 && Clock::now() - told_at_ < tell_interval) return;
+    told_ = status.frames_done;
+    told_at_ = Clock::now();
+    say("written, and can be fetched: frames " + written_frames(status));
+  }
+
+  // Says why nothing happens: that no worker is there, or that other jobs come first.
+  void explain(const JobStatus& status) {
+    std::uint64_t done = status.frames_done + status.frames_failed;
+    for (const auto& stage : status.stages) done += stage.items_done;
+    if (done != done_ || status.state != state_ || ended(status.state)) {
+      done_ = done;
+      state_ = status.state;
+      still_since_ = Clock::now();
+      explained_.clear();
+      return;
+    }
+    if (options_.quiet || Clock::now() - still_since_ < stall) return;
+    still_since_ = Clock::now();
+    const std::vector<std::string> reasons = client_.why(options_.job);
+    if (!reasons.empty() && reasons.front() != std::exchange(explained_, reasons.front()))
+      say("job " + options_.job + " waits: " + reasons.front());
+  }
+
+  const WatchOptions& options_;
+  Client client_;
+  ProgressDisplay progress_;
+  bool lost_ = false;
+  Clock::time_point lost_since_{}, still_since_ = Clock::now();
+  std::uint64_t done_ = 0;
+  std::uint32_t told_ = 0;  // frames that were written when people were told
+  Clock::time_point told_at_{};
+  coordinator::JobState state_ = coordinator::JobState::queued;
+  std::string explained_;
+};
+
+}  // namespace
+
+JobStatus follow_job(const WatchOptions& options) {
+  Watch watch(options);
   std::unique_ptr<PreviewFile> preview;
   if (!options.preview.empty())
     preview = std::make_unique<PreviewFile>(options.coordinator, options.job, options.preview);
-  ProgressDisplay progress(options.quiet || options.json);
-  JobStatus last = client.watch(options.job, [&](const JobStatus& status) {
-    if (options.json) std::cout << dump(job_json(status)) << std::endl;
-    progress.show(status);
-    return true;
-  });
-  progress.clear();
+  const JobStatus last = watch.follow();
   if (preview) preview->finish();
-  require_done(last);
-  if (!options.quiet && !options.json) {
-    if (!last.message.empty()) std::cerr << "gleaner: warning: " << last.message << "\n";
-    std::cerr << "gleaner: job " << last.id << " done, " << format_duration(last.seconds) << "\n";
-  }
-  return 0;
+  if (options.json || last.state != coordinator::JobState::done) return last;
+  if (!last.message.empty()) watch.say("warning: " + last.message);
+  watch.say("job " + last.id + " done, " + format_duration(last.seconds));
+  return last;
 }
-
-}  // namespace
 
 void add_watch(CLI::App& app, Run& run) {
   auto options = std::make_shared<WatchOptions>();
@@ -115,8 +204,18 @@ void add_watch(CLI::App& app, Run& run) {
   command->add_option("--preview", options->preview, "FILE.png that is kept up to date");
   command->add_flag("--json", options->json, "each change as a line of JSON on standard output");
   command->add_flag("--quiet", options->quiet, "no progress");
+  command
+      ->add_option("--give-up", options->give_up_seconds,
+                   "seconds for which a coordinator that went away is called again; 0: for ever")
+      ->capture_default_str()
+      ->check(CLI::NonNegativeNumber);
   add_coordinator_option(*command, options->coordinator);
-  command->callback([options, &run] { run = [options] { return watch(*options); }; });
+  command->callback([options, &run] {
+    run = [options] {
+      require_done(follow_job(*options));
+      return 0;
+    };
+  });
 }
 
 }  // namespace gleaner::cli

@@ -30,6 +30,7 @@ int workers(const WorkersOptions& options) {
     std::cout << status.id << "  " << status.device.name << "  " << status.device.tracer << "  " << status.leases
               << " batches" << (status.draining ? "  draining" : "");
     for (const auto& [kind, rate] : status.items_per_second) std::cout << "  " << kind << " " << format_rate(rate);
+    if (!status.aside.empty()) std::cout << "  put aside: " << status.aside;
     std::cout << "\n";
   }
   return 0;

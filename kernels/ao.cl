@@ -30,7 +30,7 @@ FN void pass_on(global float* next, uint capacity, global uint* counters, const 
   uint place = atomic_add(counters + COUNTER_ALIVE, kept);
   vf rows[PATH_ROWS];
   for (uint k = 0; k < PATH_ROWS; ++k) rows[k] = zero_f();
-  put_ray(rows, origin, direction, (vf)INFINITY, v->primitive);
+  put_ray(rows, origin, direction, (vf)INFINITY, v->primitive, hit_instance(&v->hit));
   rows[ROW_GEOMETRY] = as_vf((vu)GLEANER_NONE);
   rows[ROW_SLOT] = as_vf(slot);
   rows[ROW_META] = as_vf(meta + (1u << META_BOUNCE));
@@ -105,7 +105,7 @@ kernel WIDE void ao_ray(global const AoParameters* restrict parameters, SCENE_PA
 #ifdef NEED_MEDIA
   c.media = media_of(0u, 0u);
 #endif
-  write_connection(shadows, block, &c, v.primitive, row_u(paths, PATH_ROWS, block, ROW_SLOT), slot_count);
+  write_connection(shadows, block, &c, &v, row_u(paths, PATH_ROWS, block, ROW_SLOT), slot_count);
   uint asked;
   rank_lanes(c.connected, &asked);
   if (asked) atomic_add(counters + COUNTER_SHADOW, asked);

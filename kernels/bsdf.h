@@ -3,7 +3,9 @@
 // white surface reflects exactly 1. Glass: exact Fresnel, smooth or GGX (Walter et al. 2007), solid or a thin sheet.
 // Metal hides glass: of a surface's light, `metallic` meets metal, and of the rest `transmission` meets glass. The lobe
 // may be longer one way (KHR_materials_anisotropy), lie under a thin film (kernels/thin_film.h), a coat or sheen
-// (kernels/layers.h). Local frames: z is the normal.
+// (kernels/layers.h). Of a sheet that light shines through (KHR_materials_diffuse_transmission), a share has, under the
+// same lobe, a layer that sends all light to the far side; it is chosen as glass is, and counts as glass for all that
+// asks who carries which light. Local frames: z is the normal.
 #ifndef GLEANER_KERNELS_BSDF_H
 #define GLEANER_KERNELS_BSDF_H
 
@@ -84,7 +86,7 @@ typedef struct {
 #endif
 #endif
 #ifdef NEED_TRANSMISSIVE
-  vf transmission;  // share of the light that meets glass, metal taken off
+  vf transmission;  // share of the light that meets glass, metal taken off, or a layer that it shines through
   vf ior;
   vf eta;  // n_t / n_i for light that arrives on the ray's side
   vi solid;
@@ -93,6 +95,11 @@ typedef struct {
 #if !defined(NEED_LOBE)
   vf alpha;
 #endif
+#endif
+#ifdef NEED_DIFFUSE_TRANSMISSION
+  vf shining;        // of `transmission`, the share of the layer that light shines through
+  v3 shining_color;  // of that layer
+  vf layer_kept;     // 1, or 0: eval_bsdf() leaves the diffuse layer out
 #endif
 } Surface;
 
@@ -208,7 +215,7 @@ FN v3 rough_lobe(v3 f0, vf f90, vf alpha, v3 n, v3 v, v3 l) {
   return scale3(schlick(f0, f90, dot3(v, h)), d / (gv * gl));
 }
 
-// What a lobe sends in the mean over the hemisphere, roughly: its share of a light's flux is reckoned by this.
+// What a lobe sends in the mean over the hemisphere, roughly: its share of a light's flux is estimated by this.
 FN v3 mean_lobe(v3 f0, vf f90, vf nv) { return scale3(schlick(f0, f90, nv), (vf)INV_PI); }
 
 // How many times as bright as a white diffuse surface a lobe may make a light: the geometry term's bound is on the
@@ -233,7 +240,11 @@ FN void prepare_lobe(const Scene* scene, Surface* m, vf nv) {
   has = has | (m->sheen_most > zero_f());
 #endif
 #endif
-  vf d = max_component(m->base) * m->left_view * (one_f() - m->metallic);
+  vf color = max_component(m->base);
+#ifdef NEED_DIFFUSE_TRANSMISSION
+  color = max_f(color, pick(zero_f(), max_component(m->shining_color), m->shining > zero_f()));
+#endif
+  vf d = color * m->left_view * (one_f() - m->metallic);
   vf share = clamp_f(s / max_f(s + d, (vf)1e-6f), (vf)0.1f, (vf)0.9f);
   share = pick(share, one_f(), m->metallic >= one_f());
   m->lobe_share = pick(zero_f(), share, has);
@@ -329,8 +340,14 @@ FN v3 sample_lobe_normal(const Surface* m, v3 v, vf u0, vf u1) {
 FN v3 eval_bsdf(const Scene* scene, const Surface* m, v3 v, v3 l, vf* pdf) {
   vf nl = l.z;
   vf diffuse_pdf = nl * INV_PI;
+#ifdef NEED_DIFFUSE_TRANSMISSION
+  diffuse_pdf *= m->layer_kept;
+#endif
 #ifdef NEED_LOBE
   vf layer = m->left_view * left_to_layer(scene, m, nl) * (one_f() - m->metallic) / m->left_mean;
+#ifdef NEED_DIFFUSE_TRANSMISSION
+  layer *= m->layer_kept;
+#endif
   vf lobe_chance = m->lobe_share;
 #ifdef NEED_LAYERS
   Layers above = eval_layers(scene, m, v, l);
@@ -375,6 +392,20 @@ FN v3 eval_layer(const Scene* scene, const Surface* m, vf nl) {
   return scale3(m->base, layer * nl * INV_PI);
 #else
   return scale3(m->base, nl * INV_PI);
+#endif
+}
+
+// The diffuse layer's colour as seen from the prepared lobe's view: eval_layer() without what the lobe leaves to it at
+// the light's angle, times pi over its cosine.
+FN v3 layer_albedo(const Surface* m) {
+#ifdef NEED_LOBE
+  v3 albedo = scale3(m->base, m->left_view * (one_f() - m->metallic) / m->left_mean);
+#ifdef NEED_LAYERS
+  albedo = pick3(splat3(zero_f()), albedo, has_plain_layer(m));
+#endif
+  return albedo;
+#else
+  return m->base;
 #endif
 }
 
@@ -447,13 +478,91 @@ FN v3 eval_glass(const Surface* m, v3 v, v3 l, vf* pdf) {
 }
 #endif
 
-// Draws a direction: u_lobe chooses, (u0, u1) aim. Weight 0: the path ends. `v` is local, v.z > 0.
-FN BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vf u_lobe, vf u_glass, vf u0, vf u1) {
+// Does glass scatter, or a layer let light shine through? Light samples find their way then.
+FN vi scatters_through(const Surface* m) {
+  vi scatters = no_lanes();
+#ifdef NEED_ROUGH_TRANSMISSIVE
+  scatters = m->blurs;
+#endif
+#ifdef NEED_DIFFUSE_TRANSMISSION
+  scatters = scatters | (m->shining > zero_f());
+#endif
+  return scatters;
+}
+
+#ifdef NEED_DIFFUSE_TRANSMISSION
+// The layer that light shines through, under the lobe and all that lies on it: BSDF times |n.l| towards the mirror
+// image of `across` below the surface (across.z > 0), and the density with which sample_shining() takes it.
+FN v3 eval_shining_layer(const Scene* scene, const Surface* m, v3 v, v3 across, vf* pdf) {
+  vf cosine = across.z * INV_PI;
+  *pdf = cosine;
+#ifdef NEED_LOBE
+  cosine *= m->left_view * left_to_layer(scene, m, across.z) * (one_f() - m->metallic) / m->left_mean;
+#ifdef NEED_LAYERS
+  cosine *= eval_layers(scene, m, v, across).left_bent;
+#endif
+  *pdf *= one_f() - m->lobe_share;
+#endif
+  return scale3(m->shining_color, cosine);
+}
+
+// What lies above the layer, which reflects alone.
+FN v3 eval_above_shining(const Scene* scene, const Surface* m, v3 v, v3 l, vf* pdf) {
+  Surface lobes = *m;
+  lobes.layer_kept = zero_f();
+  return eval_bsdf(scene, &lobes, v, l, pdf);
+}
+#endif
+
+#ifdef NEED_ROUGH_TRANSMISSIVE
+// Rough glass and the layer that light shines through, in the proportion in which they are there; else as eval_glass().
+FN v3 eval_transmissive(const Scene* scene, const Surface* m, v3 v, v3 l, vf* pdf) {
+  v3 f = eval_glass(m, v, l, pdf);
+#ifdef NEED_DIFFUSE_TRANSMISSION
+  if (any_lane(m->shining > zero_f())) {
+    vi above = l.z > zero_f();
+    v3 across = make3(l.x, l.y, max_f(fabs(l.z), (vf)1e-6f));
+    vf pdf_above, pdf_below;
+    v3 reflected = eval_above_shining(scene, m, v, across, &pdf_above);
+    v3 shining = pick3(eval_shining_layer(scene, m, v, across, &pdf_below), reflected, above);
+    f = mad3(shining, m->shining, scale3(f, one_f() - m->shining));
+    *pdf = mix(*pdf, pick(pdf_below, pdf_above, above), m->shining);
+  }
+#endif
+  return f;
+}
+#endif
+
+#ifdef NEED_DIFFUSE_TRANSMISSION
+// Makes of a sample of the opaque surface, in `shining` lanes, one of the surface that light shines through: what the
+// layer scattered goes to the far side. Lanes of `mirrored` keep their sample.
+FN void sample_shining(const Scene* scene, const Surface* m, v3 v, vi shining, vi by_lobe, vi mirrored, BsdfSample* b) {
+  v3 d = b->direction;
+  v3 across = make3(d.x, d.y, max_f(d.z, (vf)1e-6f));
+  vf pdf_above, pdf_below;
+  v3 above = eval_above_shining(scene, m, v, across, &pdf_above);
+  v3 below = eval_shining_layer(scene, m, v, across, &pdf_below);
+  vf pdf = pick(pdf_below, pdf_above, by_lobe);
+  v3 weight = scale3(pick3(below, above, by_lobe), one_f() / pdf);
+  weight = pick3(splat3(zero_f()), weight, (d.z > (vf)1e-6f) & (pdf > zero_f()));
+  vi drawn = shining & none(mirrored);
+  b->weight = pick3(b->weight, weight, drawn);
+  b->direction.z = pick(d.z, -d.z, drawn & none(by_lobe));
+  b->crosses = drawn & none(by_lobe) & m->solid;
+}
+#endif
+
+// A sample of the opaque surface. *by_lobe: lanes that the lobe sends, or a layer above it; *mirrored: of these, lanes
+// that a perfect mirror sends.
+FN BsdfSample sample_opaque(const Scene* scene, const Surface* m, v3 v, vf u_lobe, vf u0, vf u1, vi* by_lobe,
+                            vi* mirrored_lanes) {
   BsdfSample b;
   b.eta = one_f();
   b.straight = no_lanes();
   b.crosses = no_lanes();
   b.direction = sample_cosine(u0, u1);
+  *by_lobe = no_lanes();
+  *mirrored_lanes = no_lanes();
 #ifdef NEED_LOBE
   vi specular = u_lobe < m->lobe_share;
   if (any_lane(specular)) {
@@ -498,73 +607,94 @@ FN BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vf u_lobe,
   b.weight = pick3(b.weight, scale3(lobe_fresnel(m, v.z), one_f() / m->lobe_share), mirrored);
 #endif
   b.pdf = pick(b.pdf, zero_f(), mirrored);
+  *by_lobe = specular;
+  *mirrored_lanes = mirrored;
 #else
   b.pdf = b.direction.z * INV_PI;
   b.weight = pick3(splat3(zero_f()), m->base, b.direction.z > (vf)1e-6f);
 #endif
+  return b;
+}
+
+#ifdef NEED_TRANSMISSIVE
+// Makes of the sample, in `glass` lanes, one of glass.
+FN void sample_glass(const Surface* m, v3 v, vf u_lobe, vf u0, vf u1, vi glass, BsdfSample* b) {
+  v3 h = uniform3(0.0f, 0.0f, 1.0f);
+#ifdef NEED_ROUGH_TRANSMISSIVE
+  vf glass_alpha = pick(one_f(), m->alpha, m->blurs);
+  h = pick3(h, sample_visible_normal(v, glass_alpha, glass_alpha, u0, u1), m->blurs);
+#endif
+  vf eta = m->eta;
+  vf vh = dot3(v, h);
+  vf ct;
+  vf fresnel = glass_fresnel(m, vh, &ct);
+  vi reflected = u_lobe < fresnel;
+#ifdef NEED_MEDIA
+  vi unbent = bends_nothing(m);
+  reflected = reflected & none(unbent);
+#endif
+  v3 mirror = sub3(scale3(h, 2.0f * vh), v);
+  v3 refracted = sub3(scale3(h, vh / eta - ct), scale3(v, one_f() / eta));
+  refracted = pick3(negate3(v), refracted, m->solid);
+#ifdef NEED_ROUGH_TRANSMISSIVE
+  refracted = pick3(refracted, make3(mirror.x, mirror.y, -mirror.z), m->blurs & none(m->solid));
+#endif
+  v3 direction = pick3(refracted, mirror, reflected);
+  // Radiance is squeezed into a smaller solid angle on its way into the denser side: (n_i / n_t)^2.
+  vf squeeze = pick(one_f(), one_f() / (eta * eta), m->solid);
+  v3 weight = pick3(scale3(m->base, squeeze), splat3(one_f()), reflected);
+  vf masking = one_f();
+#ifdef NEED_ROUGH_TRANSMISSIVE
+  {
+    vf nl = fabs(direction.z);
+    vf a2 = m->alpha * m->alpha;
+    masking = pick(one_f(), 2.0f * nl / (nl + sqrt(fma(one_f() - a2, nl * nl, a2))), m->blurs);
+    vi wrong_side = pick(direction.z, -direction.z, reflected) > (vf)-1e-6f;
+    masking = pick(masking, zero_f(), m->blurs & wrong_side);
+  }
+#endif
+#ifdef NEED_MEDIA
+  direction = pick3(direction, negate3(v), unbent);
+  weight = pick3(weight, pick3(m->base, splat3(one_f()), m->hidden), unbent);
+  eta = pick(eta, one_f(), unbent);
+#endif
+  b->direction = pick3(b->direction, direction, glass);
+  b->weight = pick3(b->weight, scale3(weight, masking), glass);
+  b->pdf = pick(b->pdf, zero_f(), glass);
+  vi refracts = glass & none(reflected) & m->solid;
+  b->crosses = b->crosses | refracts;
+  b->eta = pick(b->eta, eta, refracts);
+  b->straight = glass & none(reflected) & none(m->solid | m->blurs);
+#ifdef NEED_MEDIA
+  b->straight = b->straight | (glass & unbent);
+#endif
+}
+#endif
+
+// Draws a direction: u_lobe chooses, (u0, u1) aim. Weight 0: the path ends. `v` is local, v.z > 0.
+FN BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vf u_lobe, vf u_glass, vf u0, vf u1) {
+  vi by_lobe, mirrored;
+  BsdfSample b = sample_opaque(scene, m, v, u_lobe, u0, u1, &by_lobe, &mirrored);
 #ifdef NEED_TRANSMISSIVE
   // Light samples weigh against the density over all samples, of which glass takes its share.
   b.pdf *= one_f() - m->transmission;
   vi glass = u_glass < m->transmission;
-  if (any_lane(glass)) {
-    v3 h = uniform3(0.0f, 0.0f, 1.0f);
-#ifdef NEED_ROUGH_TRANSMISSIVE
-    vf glass_alpha = pick(one_f(), m->alpha, m->blurs);
-    h = pick3(h, sample_visible_normal(v, glass_alpha, glass_alpha, u0, u1), m->blurs);
+#ifdef NEED_DIFFUSE_TRANSMISSION
+  vi shining = u_glass < m->transmission * m->shining;
+  if (any_lane(shining)) sample_shining(scene, m, v, shining, by_lobe, mirrored, &b);
+  glass = glass & none(shining);
 #endif
-    vf eta = m->eta;
-    vf vh = dot3(v, h);
-    vf ct;
-    vf fresnel = glass_fresnel(m, vh, &ct);
-    vi reflected = u_lobe < fresnel;
-#ifdef NEED_MEDIA
-    vi unbent = bends_nothing(m);
-    reflected = reflected & none(unbent);
-#endif
-    v3 mirror = sub3(scale3(h, 2.0f * vh), v);
-    v3 refracted = sub3(scale3(h, vh / eta - ct), scale3(v, one_f() / eta));
-    refracted = pick3(negate3(v), refracted, m->solid);
-#ifdef NEED_ROUGH_TRANSMISSIVE
-    refracted = pick3(refracted, make3(mirror.x, mirror.y, -mirror.z), m->blurs & none(m->solid));
-#endif
-    v3 direction = pick3(refracted, mirror, reflected);
-    // Radiance is squeezed into a smaller solid angle on its way into the denser side: (n_i / n_t)^2.
-    vf squeeze = pick(one_f(), one_f() / (eta * eta), m->solid);
-    v3 weight = pick3(scale3(m->base, squeeze), splat3(one_f()), reflected);
-    vf masking = one_f();
-#ifdef NEED_ROUGH_TRANSMISSIVE
-    {
-      vf nl = fabs(direction.z);
-      vf a2 = m->alpha * m->alpha;
-      masking = pick(one_f(), 2.0f * nl / (nl + sqrt(fma(one_f() - a2, nl * nl, a2))), m->blurs);
-      vi wrong_side = pick(direction.z, -direction.z, reflected) > (vf)-1e-6f;
-      masking = pick(masking, zero_f(), m->blurs & wrong_side);
-    }
-#endif
-#ifdef NEED_MEDIA
-    direction = pick3(direction, negate3(v), unbent);
-    weight = pick3(weight, pick3(m->base, splat3(one_f()), m->hidden), unbent);
-    eta = pick(eta, one_f(), unbent);
-#endif
-    b.direction = pick3(b.direction, direction, glass);
-    b.weight = pick3(b.weight, scale3(weight, masking), glass);
-    b.pdf = pick(b.pdf, zero_f(), glass);
-    b.crosses = glass & none(reflected) & m->solid;
-    b.eta = pick(b.eta, eta, b.crosses);
-    b.straight = glass & none(reflected) & none(m->solid | m->blurs);
-#ifdef NEED_MEDIA
-    b.straight = b.straight | (glass & unbent);
-#endif
-  }
+  if (any_lane(glass)) sample_glass(m, v, u_lobe, u0, u1, glass, &b);
 #ifdef NEED_ROUGH_TRANSMISSIVE
   // Both kinds of samples may take any direction here; light samples weigh against the density of them together.
-  if (any_lane(m->blurs)) {
+  vi scatters = scatters_through(m) & none(glass & none(m->blurs)) & (glass | none(mirrored));
+  if (any_lane(scatters)) {
     vf glass_pdf, opaque_pdf;
-    eval_glass(m, v, b.direction, &glass_pdf);
+    eval_transmissive(scene, m, v, b.direction, &glass_pdf);
     eval_bsdf(scene, m, v, make3(b.direction.x, b.direction.y, fabs(b.direction.z)), &opaque_pdf);
     opaque_pdf = pick(zero_f(), opaque_pdf, b.direction.z > zero_f());
     vf both = fma(m->transmission, glass_pdf, (one_f() - m->transmission) * opaque_pdf);
-    b.pdf = pick(b.pdf, both, m->blurs & (max_component(b.weight) > zero_f()));
+    b.pdf = pick(b.pdf, both, scatters & (max_component(b.weight) > zero_f()));
   }
 #endif
 #endif

@@ -9,6 +9,10 @@
 // noise of its own: measured one in 1700 on a sphere far from the origin.) Boxes are tested with room for the shear's
 // rounding.
 //
+// Scenes with instances, or with meshes that deform, have TWO_LEVELS: leaves of the top level name entries, each a part
+// of the BVH and the instance that places it. There the ray is taken to the mesh's own space, its direction at the
+// length that this gives it, so that t stays the same; and back where the part is done.
+//
 // Tests are written in accept form: a NaN is a miss. A full stack raises a flag and the ray reports itself, nothing is
 // lost in silence. Contraction is off: the sign of an edge must not depend on which product was rounded.
 #pragma OPENCL FP_CONTRACT OFF
@@ -59,13 +63,15 @@ FN int make_line(float3 origin, float3 direction, Line* line) {
   return 1;
 }
 
-FN int hits_box(global const float* lower, global const float* upper, const Line* line, float far, float* entry) {
+// `units`: of 2^-24 of a corner's distance, that the box is given room by.
+FN int hits_box(global const float* lower, global const float* upper, const Line* line, float units, float far,
+                float* entry) {
   float3 lo = (float3)(lower[0], lower[1], lower[2]) - line->origin;
   float3 hi = (float3)(upper[0], upper[1], upper[2]) - line->origin;
   // With room around it, no box is flat and no product is 0 times infinity but where the ray passes well outside.
   // A corner's place in the sheared plane is off by at most 5 units of 2^-24 of its distance along any axis (from the
   // difference, the shear's factor, product and sum), a plane of the box by 2 more.
-  float room = 4.7683716e-7f * largest(fmax(fabs(lo), fabs(hi)));  // 8 of them
+  float room = units * 5.9604645e-8f * largest(fmax(fabs(lo), fabs(hi)));
   float3 s = (lo - room) * line->inverse, t = (hi + room) * line->inverse;
   float3 first = fmin(s, t), last = fmax(s, t);
   float enter = fmax(largest(first), 0.0f);
@@ -113,32 +119,90 @@ FN int hits_triangle(global const float* triangles, uint index, const Line* line
 typedef struct {
   float t, u, v;
   float3 normal;
-  uint primitive;
+  uint primitive, instance;
 } Hit;
 
-FN uint walk(global const BvhNode* nodes, global const uint* slots, global const float* triangles, float3 origin,
-             float3 direction, float far, uint source, int any, Hit* hit, global uint* overflow) {
+typedef struct {
+  global const BvhNode* nodes;
+  global const uint* slots;
+  global const float* triangles;
+  global const BvhNode* top;     // of the top level
+  global const uint* entries;    // of the top level's leaves: a part's root and an instance, or GLEANER_NONE
+  global const float* inverses;  // of the instances' transforms, 16 words each: the linear part, then the translation
+} Tables;
+
+// The roundings of a node's box, of a corner and of the shear; see hits_box().
+#define BOX_UNITS 8.0f
+// Of the top level: what taking a ray to a mesh's own space rounds comes on top.
+#define TOP_UNITS 64.0f
+
+#ifdef TWO_LEVELS
+// The ray in an instance's own space. 0 where nothing there can be hit.
+FN int to_instance(global const float* inverses, uint instance, const Line* world, Line* line) {
+  if (instance == GLEANER_NONE) {
+    *line = *world;
+    return 1;
+  }
+  global const float* m = inverses + (ulong)16u * instance;
+  float3 x = (float3)(m[0], m[3], m[6]), y = (float3)(m[1], m[4], m[7]), z = (float3)(m[2], m[5], m[8]);
+  float3 o = world->origin, d = world->direction;
+  return make_line(x * o.x + (y * o.y + (z * o.z + (float3)(m[9], m[10], m[11]))), x * d.x + (y * d.y + z * d.z), line);
+}
+#endif
+
+FN uint walk(const Tables* tables, float3 origin, float3 direction, float far, uint source, uint source_instance,
+             int any, Hit* hit, global uint* overflow) {
   uint stack[STACK_SIZE];
-  uint size = 0, node = 0, found = 0;
+  uint size = 0, node = 0, found = 0, instance = GLEANER_NONE;
+  float units = BOX_UNITS;
+  global const BvhNode* nodes = tables->nodes;
   Line line;
   if (!make_line(origin, direction, &line)) return 0;
+#ifdef TWO_LEVELS
+  const Line world = line;
+  uint floor = GLEANER_NONE;  // of the stack, below which the top level's nodes lie; at the top level, none
+  nodes = tables->top;
+  units = TOP_UNITS;
+#endif
   hit->t = far;
   hit->primitive = GLEANER_NONE;
   for (;;) {
     if (node & GLEANER_BVH_LEAF) {
       uint first = node & 0x07ffffffu, count = (node >> 27) & 15u;
+#ifdef TWO_LEVELS
+      if (floor == GLEANER_NONE) {
+        if (count) {
+          instance = tables->entries[2u * first + 1u];
+          if (to_instance(tables->inverses, instance, &world, &line)) {
+            node = tables->entries[2u * first];
+            nodes = tables->nodes;
+            units = BOX_UNITS;
+            floor = size;
+            continue;
+          }
+        }
+        count = 0;
+      }
+#endif
       for (uint k = 0; k < count; ++k) {
-        uint index = slots[first + k];
-        if (index == source) continue;  // a plane is never left through itself
+        uint index = tables->slots[first + k];
+        // A plane is never left through itself.
+#ifdef NEED_INSTANCES
+        if (index == source && instance == source_instance) continue;
+#else
+        if (index == source) continue;
+#endif
         float t, u, v;
         float3 n;
-        if (hits_triangle(triangles, index, &line, hit->t, &t, &u, &v, &n)) {
-          if (t < hit->t || (t == hit->t && index < hit->primitive)) {
+        if (hits_triangle(tables->triangles, index, &line, hit->t, &t, &u, &v, &n)) {
+          if (t < hit->t ||
+              (t == hit->t && (index < hit->primitive || (index == hit->primitive && instance < hit->instance)))) {
             hit->t = t;
             hit->u = u;
             hit->v = v;
             hit->normal = n;
             hit->primitive = index;
+            hit->instance = instance;
             found = 1;
             if (any) return 1;
           }
@@ -147,8 +211,8 @@ FN uint walk(global const BvhNode* nodes, global const uint* slots, global const
     } else {
       global const BvhNode* n = nodes + node;
       float entry0, entry1;
-      int in0 = hits_box(n->lower0, n->upper0, &line, hit->t, &entry0);
-      int in1 = hits_box(n->lower1, n->upper1, &line, hit->t, &entry1);
+      int in0 = hits_box(n->lower0, n->upper0, &line, units, hit->t, &entry0);
+      int in1 = hits_box(n->lower1, n->upper1, &line, units, hit->t, &entry1);
       uint child0 = n->child[0], child1 = n->child[1];
       if (in0 && in1) {
         if (size >= STACK_SIZE) {
@@ -165,6 +229,14 @@ FN uint walk(global const BvhNode* nodes, global const uint* slots, global const
         continue;
       }
     }
+#ifdef TWO_LEVELS
+    if (size == floor) {
+      floor = GLEANER_NONE;
+      nodes = tables->top;
+      units = TOP_UNITS;
+      line = world;
+    }
+#endif
     if (size == 0) return found;
     node = stack[--size];
   }
@@ -175,19 +247,23 @@ FN float3 read3(global const float* rays, uint i, uint rows, uint row) {
   return (float3)(rays[at], rays[at + 16u], rays[at + 32u]);
 }
 
-// Closest hits of rays [0, count): t, geometric normal (not unit), u, v, primitive; geometry 0 where something was hit.
+// Closest hits of rays [0, count): t, geometric normal (not unit; of an instance in its own
+// space), u, v, primitive, instance; geometry 0 where something was hit.
 kernel void trace_closest(global const BvhNode* restrict nodes, global const uint* restrict slots,
-                          global const float* restrict triangles, global float* rays, uint rows, uint count,
-                          global uint* overflow) {
+                          global const float* restrict triangles, global const BvhNode* restrict top,
+                          global const uint* restrict entries, global const float* restrict inverses,
+                          global float* rays, uint rows, uint count, global uint* overflow) {
   uint i = (uint)get_global_id(0);
   if (i >= count) return;
   ulong at = (ulong)(i >> 4) * rows * 16u + (i & 15u);
   float far = rays[at + 16u * ROW_FAR];
   if (!(far > 0.0f)) return;
   Hit hit;
+  Tables tables = {nodes, slots, triangles, top, entries, inverses};
   uint source = ((global uint*)rays)[at + 16u * ROW_SOURCE];
-  if (walk(nodes, slots, triangles, read3(rays, i, rows, ROW_ORIGIN), read3(rays, i, rows, ROW_DIRECTION), far, source,
-           0, &hit, overflow)) {
+  uint instance = ((global uint*)rays)[at + 16u * ROW_FLAGS];
+  if (walk(&tables, read3(rays, i, rows, ROW_ORIGIN), read3(rays, i, rows, ROW_DIRECTION), far, source, instance, 0,
+           &hit, overflow)) {
     rays[at + 16u * ROW_FAR] = hit.t;
     rays[at + 16u * ROW_NORMAL] = hit.normal.x;
     rays[at + 16u * (ROW_NORMAL + 1u)] = hit.normal.y;
@@ -196,21 +272,27 @@ kernel void trace_closest(global const BvhNode* restrict nodes, global const uin
     rays[at + 16u * ROW_V] = hit.v;
     ((global uint*)rays)[at + 16u * ROW_PRIMITIVE] = hit.primitive;
     ((global uint*)rays)[at + 16u * ROW_GEOMETRY] = 0u;
+#ifdef NEED_INSTANCES
+    ((global uint*)rays)[at + 16u * ROW_INSTANCE] = hit.instance;
+#endif
   }
 }
 
 // Any hit on rays [0, count): far becomes minus infinity where something is in the way.
 kernel void trace_any(global const BvhNode* restrict nodes, global const uint* restrict slots,
-                      global const float* restrict triangles, global float* rays, uint rows, uint count,
-                      global uint* overflow) {
+                      global const float* restrict triangles, global const BvhNode* restrict top,
+                      global const uint* restrict entries, global const float* restrict inverses, global float* rays,
+                      uint rows, uint count, global uint* overflow) {
   uint i = (uint)get_global_id(0);
   if (i >= count) return;
   ulong at = (ulong)(i >> 4) * rows * 16u + (i & 15u);
   float far = rays[at + 16u * ROW_FAR];
   if (!(far > 0.0f)) return;
   Hit hit;
+  Tables tables = {nodes, slots, triangles, top, entries, inverses};
   uint source = ((global uint*)rays)[at + 16u * ROW_SOURCE];
-  if (walk(nodes, slots, triangles, read3(rays, i, rows, ROW_ORIGIN), read3(rays, i, rows, ROW_DIRECTION), far, source,
-           1, &hit, overflow))
+  uint instance = ((global uint*)rays)[at + 16u * ROW_FLAGS];
+  if (walk(&tables, read3(rays, i, rows, ROW_ORIGIN), read3(rays, i, rows, ROW_DIRECTION), far, source, instance, 1,
+           &hit, overflow))
     rays[at + 16u * ROW_FAR] = -INFINITY;
 }

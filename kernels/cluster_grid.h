@@ -1,5 +1,6 @@
 // A regular grid over clusters' centres, and the nearest of the 27 cells about a point (algorithms 1 and 2 of the
-// Colom et al. 2022). FUZZINESS, a macro, says how many are wanted.
+// Colom et al. 2022). FUZZINESS, a macro, says how many are wanted; with WITH_NORMALS they are nearest by
+// position and normal.
 #ifndef GLEANER_KERNELS_CLUSTER_GRID_H
 #define GLEANER_KERNELS_CLUSTER_GRID_H
 
@@ -50,6 +51,12 @@ FN void nearest_seeds(v3 p, v3 n, vi active, global const float* grid, global co
         load_words(seeds, pick_u((vu)0u, k, here) * SEED_WORDS, s);
         v3 d = sub3(words3(s, SEED_POSITION), p);
         vf r = dot3(d, d);
+#ifdef WITH_NORMALS
+        // Eq. 2 of Wang et al. 2009, squared; positions come multiplied by its alpha.
+        v3 turn = sub3(words3(s, SEED_NORMAL), n);
+        r = sqrt(r) + sqrt(dot3(turn, turn));
+        r *= r;
+#endif
         here = here & (dot3(words3(s, SEED_NORMAL), n) > (vf)least_cosine) & (r < best[FUZZINESS - 1]);
 #ifdef SAME_SURFACE
         // A ledge above a wall is no part of it, however near: what lies between them blocks other light.

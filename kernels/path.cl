@@ -11,7 +11,8 @@
 //
 // camera_samples.h and shadow_rays.h have the kernels of those names. Where light passes surfaces straight, trace
 // (closest hits) and shadow_pass take turns on the shadow rays until none is left. With -D PATH_FILTER a partner method
-// has some of the light, and the path tracer the rest (kernels/path_filter.h).
+// has some of the light, and the path tracer the rest (kernels/path_filter.h). Photon maps gather by paths of this file
+// that leave places where a map is to be read, in `reads` (kernels/photon/gather.cl).
 //
 // What a path gathers depends on (scene, parameters, pixel, chunk, sample) alone: its random numbers are keyed by them,
 // its slot is its own, and survivors are traced one by one, so neither their order nor the wave's size can be seen in
@@ -59,7 +60,6 @@ FN Path load_path(global const float* paths, uint block, vu meta) {
 // Light that the path itself found.
 FN void add_found(global float* slots, uint slot_count, const Path* path, const PathFilter* filter, v3 found,
                   vi active) {
-  active = shows_emission(filter, active);
   add_to_slots(slots, slot_count, path->slot, path->indirect, found, active);
   add_compensation(slots, slot_count, path->slot, found, active & filter->compensates);
 }
@@ -75,7 +75,8 @@ FN void find_environment(const Scene* scene, global float* slots, uint slot_coun
   v3 radiance = environment_radiance(scene, u, v);
   vf light = environment_pdf(scene, u, v, safe_sqrt(one_f() - d.y * d.y)) * environment_chance(scene, path->total);
   vf weight = pick(one_f(), power_heuristic(path->pdf, light), path->pdf > zero_f());
-  add_found(slots, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight), missed);
+  add_found(slots, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight),
+            shows_emission(filter, missed));
 }
 #endif
 
@@ -106,7 +107,8 @@ FN void find_emission(const Scene* scene, global float* slots, uint slot_count, 
   vf light = light_pdf(scene, e, path->origin, path->direction, path->segment_length, path->total);
 #endif
   vf weight = pick(one_f(), power_heuristic(path->pdf, light), path->pdf > zero_f());
-  add_found(slots, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight), emits);
+  add_found(slots, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight),
+            shows_emission(filter, emits));
 }
 #endif
 
@@ -117,7 +119,7 @@ FN vi sees_lights(const Vertex* v, vi spent) {
 #ifdef NEED_TRANSMISSIVE
   vi opaque = m->transmission < one_f();
 #ifdef NEED_ROUGH_TRANSMISSIVE
-  opaque = opaque | m->blurs;
+  opaque = opaque | scatters_through(m);
 #endif
   lit = lit & opaque;
 #endif
@@ -125,7 +127,7 @@ FN vi sees_lights(const Vertex* v, vi spent) {
   // A bare mirror: no layer below and no rough lobe.
   vi bare = is_bare_mirror(m);
 #ifdef NEED_ROUGH_TRANSMISSIVE
-  bare = bare & none(m->blurs);
+  bare = bare & none(scatters_through(m));
 #endif
   lit = lit & none(bare);
 #endif
@@ -148,10 +150,11 @@ FN v3 light_reflectance(const Scene* scene, const Vertex* v, const PathFilter* f
   *pdf *= one_f() - m->transmission;
 #endif
 #ifdef NEED_ROUGH_TRANSMISSIVE
-  if (any_lane(m->blurs)) {
+  vi scatters = scatters_through(m);
+  if (any_lane(scatters)) {
     vf glass_pdf;
-    v3 g = filter_sharp(filter, eval_glass(m, frame->view, toward, &glass_pdf));
-    vi through = m->blurs & (toward.z < (vf)-1e-6f);
+    v3 g = filter_sharp(filter, eval_transmissive(scene, m, frame->view, toward, &glass_pdf));
+    vi through = scatters & (toward.z < (vf)-1e-6f);
     f = mad3(g, m->transmission, pick3(f, splat3(zero_f()), through));
     *pdf = fma(m->transmission, glass_pdf, pick(*pdf, zero_f(), through));
     *seen = *seen | through;
@@ -271,13 +274,13 @@ FN NextRay scatter_path(const Scene* scene, const Path* path, const PathFilter* 
 
 // Survivors, packed from `place` on; lanes that ended write behind the wave, where nobody reads.
 FN void write_survivors(global float* paths, uint capacity, uint place, vu rank, const Path* path, const NextRay* ray,
-                        const Carried* carried, vu primitive) {
+                        const Carried* carried, const Vertex* v) {
   vu to = ray_address(pick_u((vu)capacity, (vu)place + rank, ray->alive), PATH_ROWS);
   vu meta = ray->depth | (carried->diffuse_count << META_DIFFUSE) |
             pick_u((vu)0u, (vu)META_SPECULAR_SINCE, carried->specular_since) | ((path->bounce + 1u) << META_BOUNCE) |
             (path->sample << META_SAMPLE);
   vf rows[PATH_ROWS];
-  put_ray(rows, ray->origin, ray->direction, (vf)INFINITY, primitive);
+  put_ray(rows, ray->origin, ray->direction, (vf)INFINITY, v->primitive, hit_instance(&v->hit));
   rows[ROW_GEOMETRY] = as_vf((vu)GLEANER_NONE);
   rows[ROW_INSTANCE] = zero_f();
   put_words3(rows, ROW_THROUGHPUT, ray->throughput);
@@ -298,10 +301,41 @@ FN void write_survivors(global float* paths, uint capacity, uint place, vu rank,
   store_path(paths, to, rows);
 }
 
+#ifdef PHOTON_GATHER
+// Where the map is read for these paths, in the place of each.
+FN void write_reads(global float* reads, uint block, const Path* path, const PathFilter* filter, const Vertex* v,
+                    uint slot_count, uint most) {
+  const Surface* m = &v->surface;
+  v3 factor = scale3(mul3(path->throughput, layer_albedo(m)), (vf)INV_PI);
+#ifdef NEED_TRANSMISSIVE
+  factor = scale3(factor, one_f() - m->transmission);
+#endif
+  vi reading = (filter->reads | filter->reads_caustics) & v->active & none(v->passes) &
+               (max_component(factor) > zero_f()) & finite3(factor);
+  vf w[READ_WORDS];
+  put_words3(w, READ_POSITION, v->hit.p);
+  put_words3(w, READ_GEOMETRIC, v->frame.geometric);
+  put_words3(w, READ_NORMAL, v->frame.normal);
+  w[READ_TABLE] = as_vf((vu)GLEANER_NONE);
+  w[READ_ROW] = zero_f();
+#ifdef NEED_LOBE
+  w[READ_TABLE] = as_vf(m->table);
+  w[READ_ROW] = m->table_row;
+#endif
+  put_words3(w, READ_FACTOR, factor);
+  w[READ_SLOT] = as_vf(pick_u((vu)slot_count, path->slot, reading));
+  vu limits = min(scatterings_left(most, path->depth), (vu)PHOTON_MOST_DEPTH);
+  w[READ_LIMITS] = as_vf(limits | pick_u((vu)READ_CAUSTICS, (vu)0u, filter->reads));
+  store_words(reads, ((vu)(block * LANES) + lane_index()) * READ_WORDS, w);
+}
+#endif
+
+// `reads`: of PHOTON_GATHER alone.
 kernel WIDE void path_shade(global const PathParameters* restrict parameters, SCENE_PARAMETERS, uint survivors,
                             uint fresh_base, uint fresh_count, global const float* restrict paths,
                             global float* restrict next, global float* restrict shadows, global float* slots,
-                            global float* features, uint slot_count, uint capacity, global uint* counters) {
+                            global float* features, uint slot_count, uint capacity, global uint* counters,
+                            global float* reads) {
   uint block = (uint)get_global_id(0);
   if (block * LANES >= (fresh_count ? fresh_base + fresh_count : survivors)) return;
   Scene scene_value = SCENE_FROM_PARAMETERS;
@@ -317,6 +351,9 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   if (!any_lane(hit)) {
     set_row_f(shadows, SHADOW_ROWS, block, ROW_FAR, (vf)-1.0f);
     set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_SLOT, (vu)slot_count);
+#ifdef PHOTON_GATHER
+    scatter_u((global uint*)reads + READ_SLOT, ((vu)(block * LANES) + lane_index()) * READ_WORDS, (vu)slot_count);
+#endif
     return;
   }
   Vertex v = meet_surface(scene, paths, PATH_ROWS, block, hit);
@@ -335,7 +372,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   v.passes = stochastic_alpha(&v.surface, v.active, &u_glass);
 #ifdef NEED_UNLIT
   vi unlit = v.active & none(v.passes) & ((as_vu(v.hit.words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_UNLIT) != 0u);
-  if (any_lane(unlit)) add_found(slots, slot_count, &path, &filter, mul3(path.throughput, v.surface.base), unlit);
+  if (any_lane(unlit))
+    add_found(slots, slot_count, &path, &filter, mul3(path.throughput, v.surface.base), shows_unlit(&filter, unlit));
   v.active = v.active & none(unlit);
 #endif
   uint most = parameters->depth;
@@ -351,10 +389,13 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 #ifdef PASSES_GLASS
   v.active = v.active & (none(spent) | is_passable(&v.surface));
 #endif
+#ifdef PHOTON_GATHER
+  write_reads(reads, block, &path, &filter, &v, slot_count, most);
+#endif
 
   sample_pair(pair_key, path.sample, GLEANER_PATH_SEQUENCE, 0u, &u_choice, &u_roulette);
   Connection c = sample_direct_light(scene, &path, &filter, &v, spent, parameters->clamp, pair_key, u_choice);
-  write_connection(shadows, block, &c, v.primitive, path.slot, slot_count);
+  write_connection(shadows, block, &c, &v, path.slot, slot_count);
   Carried carried;
   NextRay ray = scatter_path(scene, &path, &filter, &v, spent, parameters, pair_key, u_lobe, u_glass, u_roulette,
                              row_f(paths, PATH_ROWS, block, ROW_ETA), c.total, &carried);
@@ -364,5 +405,5 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   if (asked) atomic_add(counters + COUNTER_SHADOW, asked);
   if (kept == 0u) return;
   uint place = atomic_add(counters + COUNTER_ALIVE, kept);
-  write_survivors(next, capacity, place, rank, &path, &ray, &carried, v.primitive);
+  write_survivors(next, capacity, place, rank, &path, &ray, &carried, &v);
 }

@@ -20,6 +20,15 @@ namespace gleaner::kernels {
 #define PATH_CLASS_MIXED 4u
 #define PATH_CLASS_GLOSSY 8u
 #define PATH_CLASSES 15u
+// Instead of these: indirect light that diffuse layers alone passed on, each straight to the next, from direct light on
+// (kernels/radiosity_filter.h).
+#define PATH_CLASS_RADIOSITY 16u
+// Instead of these: indirect light that leaves the first surface by its diffuse layer, but for caustics of perfect
+// mirrors and smooth glass (kernels/irradiance_filter.h).
+#define PATH_CLASS_IRRADIANCE 32u
+// With DIFFUSE and MIXED, which photon maps gather: what of these leaves the first surface by its diffuse layer is
+// interpolated between records (kernels/photon/cluster_gather.cl), so that paths gather the rest alone.
+#define PATH_CLASS_LAYER 64u
 
 // Stage kind "path". An item is (pixel, chunk): samples_per_item camera paths through one pixel. Without the input
 // "items", item i is pixel i % (width * height), chunk first_chunk + i / (width * height); with it, item i is what the

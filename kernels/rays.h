@@ -11,14 +11,14 @@
 #define ROW_FAR 8u
 #define ROW_MASK 9u
 #define ROW_SOURCE 10u  // RTCRay16::id: the triangle the ray leaves from, or 0xffffffff
-#define ROW_FLAGS 11u
+#define ROW_FLAGS 11u   // the instance the ray leaves from, in scenes with instances; else 0
 #define RAY_ROWS 12u
 #define ROW_NORMAL 12u
 #define ROW_U 15u
 #define ROW_V 16u
 #define ROW_PRIMITIVE 17u
 #define ROW_GEOMETRY 18u  // 0xffffffff: nothing was hit
-#define ROW_INSTANCE 19u
+#define ROW_INSTANCE 19u  // in scenes with instances: the one that was hit, 0xffffffff where the triangle is of none
 #define RAY_HIT_ROWS 20u
 
 #ifdef __OPENCL_VERSION__
@@ -54,8 +54,9 @@ FN void set_row_3(global float* rays, uint rows, uint block, uint row, v3 v) {
   set_row_f(rays, rows, block, row + 1u, v.y);
   set_row_f(rays, rows, block, row + 2u, v.z);
 }
-// Those rows that a query reads; a ray whose `far` is not positive asks nothing.
-FN void set_ray(global float* rays, uint rows, uint block, v3 origin, v3 direction, vf far, vu source) {
+// Those rows that a query reads; a ray whose `far` is not positive asks nothing. `source`: the triangle that the ray
+// leaves, GLEANER_NONE where it leaves none, and the `instance` that this is of (0 in scenes without instances).
+FN void set_ray(global float* rays, uint rows, uint block, v3 origin, v3 direction, vf far, vu source, vu instance) {
   set_row_3(rays, rows, block, ROW_ORIGIN, origin);
   set_row_f(rays, rows, block, ROW_NEAR, zero_f());
   set_row_3(rays, rows, block, ROW_DIRECTION, direction);
@@ -63,10 +64,10 @@ FN void set_ray(global float* rays, uint rows, uint block, v3 origin, v3 directi
   set_row_f(rays, rows, block, ROW_FAR, far);
   set_row_u(rays, rows, block, ROW_MASK, (vu)0xffffffffu);
   set_row_u(rays, rows, block, ROW_SOURCE, source);
-  set_row_u(rays, rows, block, ROW_FLAGS, (vu)0u);
+  set_row_u(rays, rows, block, ROW_FLAGS, instance);
 }
 // The same rows in private memory.
-FN void put_ray(vf* rows, v3 origin, v3 direction, vf far, vu source) {
+FN void put_ray(vf* rows, v3 origin, v3 direction, vf far, vu source, vu instance) {
   put_words3(rows, ROW_ORIGIN, origin);
   rows[ROW_NEAR] = zero_f();
   put_words3(rows, ROW_DIRECTION, direction);
@@ -74,7 +75,7 @@ FN void put_ray(vf* rows, v3 origin, v3 direction, vf far, vu source) {
   rows[ROW_FAR] = far;
   rows[ROW_MASK] = as_vf((vu)0xffffffffu);
   rows[ROW_SOURCE] = as_vf(source);
-  rows[ROW_FLAGS] = zero_f();
+  rows[ROW_FLAGS] = as_vf(instance);
 }
 // Where row 0 of ray `i` lies; add 16 for each row.
 FN vu ray_address(vu i, uint rows) { return (i >> 4) * (rows * 16u) + (i & 15u); }
@@ -88,7 +89,7 @@ FN vf next_toward(vf x, vf sign) {
 }
 
 // A point of a triangle by the weights of its second and third corner, and by how much each component may be off the
-// triangle's plane. Reckoned along the edges from the first corner, so that only the last sum is rounded to the
+// triangle's plane. Computed along the edges from the first corner, so that only the last sum is rounded to the
 // coordinates' size; the edges' part of the bound has room for the roundings of a ray query that begins there, which
 // are relative to the same edges. (Corners weighted by themselves are off by units of the coordinates: 0.25 m at 10^5
 // m.)

@@ -2,16 +2,19 @@
 #ifndef GLEANER_KERNELS_SCENE_ACCESS_H
 #define GLEANER_KERNELS_SCENE_ACCESS_H
 
+#include "kernels/instances.h"
 #include "kernels/rays.h"
 #include "kernels/scene_layout.h"
 
-#define SCENE_PARAMETERS                                                                      \
-  global const float *triangles, global const float *materials, global const uint *textures,  \
-      global const uint *texels, global const float *srgb, global const float *albedo_tables, \
-      global const float *emitters, global const float *clusters, global const float *environment
+#define SCENE_PARAMETERS                                                                             \
+  global const float *triangles, global const float *instances, global const float *materials,       \
+      global const uint *textures, global const uint *texels, global const float *srgb,              \
+      global const float *albedo_tables, global const float *emitters, global const float *clusters, \
+      global const float *environment
 
 typedef struct {
   global const float* triangles;
+  global const float* instances;
   global const float* materials;
   global const uint* textures;
   global const uint* texels;
@@ -23,7 +26,7 @@ typedef struct {
 } Scene;
 
 #define SCENE_FROM_PARAMETERS \
-  { triangles, materials, textures, texels, srgb, albedo_tables, emitters, clusters, environment }
+  { triangles, instances, materials, textures, texels, srgb, albedo_tables, emitters, clusters, environment }
 
 FN vf material_f(const Scene* scene, vu material, uint word) {
   return gather_f(scene->materials + word, material * MATERIAL_WORDS);

@@ -36,6 +36,16 @@
 #define TRIANGLE_SECOND_UV1 34u
 #define TRIANGLE_SECOND_UV2 36u
 
+// Instances: row 0 is of what stands in the world as it is, row i + 1 of instance i. The first line places points, the
+// second turns normals (the inverse transpose).
+#define INSTANCE_WORDS 32u
+#define INSTANCE_LINEAR 0u  // row by row
+#define INSTANCE_TRANSLATION 9u
+#define INSTANCE_ERROR 12u   // bound, an axis, of what placing and queries round (scene/model/instances.h)
+#define INSTANCE_SIDE 15u    // -1 where the transform turns triangles inside out, else 1
+#define INSTANCE_SECOND 16u  // where the second line begins
+#define INSTANCE_NORMAL 16u  // row by row
+
 // Materials: what every vertex needs in the first cache line, what few need behind it.
 #define MATERIAL_WORDS 64u
 #define MATERIAL_BASE_COLOR 0u
@@ -82,6 +92,10 @@
 #define MATERIAL_IRIDESCENCE_THICKNESS_TEXTURE 49u
 #define MATERIAL_CLEARCOAT_TABLE 50u
 #define MATERIAL_SHEEN_TABLE 51u
+#define MATERIAL_DIFFUSE_TRANSMISSION 52u
+#define MATERIAL_DIFFUSE_TRANSMISSION_COLOR 53u
+#define MATERIAL_DIFFUSE_TRANSMISSION_TEXTURE 56u
+#define MATERIAL_DIFFUSE_TRANSMISSION_COLOR_TEXTURE 57u
 
 // Textures: the words of gleaner::scene::Texture.
 #define TEXTURE_WORDS 16u

@@ -13,6 +13,10 @@ typedef struct {
   v3 e1, e2;     // edges
   vf b1, b2;     // weights of the second and third corner
   vu triangle;   // first word of its row
+#ifdef NEED_INSTANCES
+  vu instance;  // GLEANER_NONE: the triangle stands in the world as it is
+  vf side;      // -1 where the instance's transform turns triangles inside out
+#endif
   vu material;   // index
   vf first[16];  // the triangle's first line
   vf words[16];  // the material's first line
@@ -100,7 +104,11 @@ FN vi tangent_frame(const Scene* scene, const Hit* h, const vf* t2, const vf* t3
   vi usable = active & (dot3(tangent, tangent) > zero_f()) & (area != zero_f());
   tangent = normalize3(tangent);
   *tangent_out = tangent;
-  *bitangent_out = scale3(cross3(h->normal, tangent), pick(one_f(), (vf)-1.0f, area > zero_f()));
+  vf handedness = pick(one_f(), (vf)-1.0f, area > zero_f());
+#ifdef NEED_INSTANCES
+  handedness *= h->side;
+#endif
+  *bitangent_out = scale3(cross3(h->normal, tangent), handedness);
   return usable;
 }
 #endif
@@ -139,9 +147,35 @@ FN void load_tangents(const Scene* scene, Hit* h, const vf* t2, const vf* t3, vi
 }
 #endif
 
-// Triangles in `active` lanes; the others read triangle 0. The point is reckoned from the corners, not along the ray,
+// The instance that a hit's triangle is of; 0 in scenes without instances, as rays have it (set_ray).
+FN vu hit_instance(const Hit* h) {
+#ifdef NEED_INSTANCES
+  return h->instance;
+#else
+  return (vu)0u;
+#endif
+}
+
+#ifdef NEED_SMOOTH_NORMALS
+// The vertices' normals, interpolated; of any length.
+FN v3 interpolated_normal(const Scene* scene, const Hit* h, const vf* t2, vf b0) {
+  v3 n0 = words3(t2, TRIANGLE_N0 - TRIANGLE_SECOND), n1 = words3(t2, TRIANGLE_N1 - TRIANGLE_SECOND),
+     n2 = words3(t2, TRIANGLE_N2 - TRIANGLE_SECOND);
+#ifdef NEED_INSTANCES
+  // Each corner's by itself, as where the mesh is stored in the world.
+  vf turn[16];
+  load_words(scene->instances + INSTANCE_SECOND, instance_row(h->instance), turn);
+  n0 = normalize3(turn3(turn, n0));
+  n1 = normalize3(turn3(turn, n1));
+  n2 = normalize3(turn3(turn, n2));
+#endif
+  return mad3(n0, b0, mad3(n1, h->b1, scale3(n2, h->b2)));
+}
+#endif
+
+// Triangles in `active` lanes; the others read triangle 0. The point is computed from the corners, not along the ray,
 // so that its error is the corners' and not the distance's.
-FN Hit load_hit(const Scene* scene, vu primitive, vf b1, vf b2, vi active) {
+FN Hit load_hit(const Scene* scene, vu primitive, vu instance, vf b1, vf b2, vi active) {
   Hit h;
   h.triangle = primitive * TRIANGLE_WORDS;
   h.b1 = b1;
@@ -155,7 +189,19 @@ FN Hit load_hit(const Scene* scene, vu primitive, vf b1, vf b2, vi active) {
   h.e1 = sub3(words3(h.first, TRIANGLE_P1), p0);
   h.e2 = sub3(words3(h.first, TRIANGLE_P2), p0);
   h.p = surface_point(p0, h.e1, h.e2, b1, b2, &h.error);
+#ifdef NEED_INSTANCES
+  h.instance = pick_u((vu)GLEANER_NONE, instance, active);
+  vf place[16];
+  load_words(scene->instances, instance_row(h.instance), place);
+  h.side = place[INSTANCE_SIDE];
+  h.p = place_point(place, h.p);
+  h.error = placed_error(place, h.e1, h.e2, h.p);
+  h.e1 = place_vector(place, h.e1);
+  h.e2 = place_vector(place, h.e2);
+  h.geometric = scale3(normalize3(cross3(h.e1, h.e2)), h.side);
+#else
   h.geometric = normalize3(cross3(h.e1, h.e2));
+#endif
   h.material = as_vu(h.first[TRIANGLE_MATERIAL]);
   load_words(scene->materials, h.material * MATERIAL_WORDS, h.words);
 #ifdef HIT_READS_SECOND_LINE
@@ -185,9 +231,7 @@ FN Hit load_hit(const Scene* scene, vu primitive, vf b1, vf b2, vi active) {
   h.normal = h.geometric;
 #ifdef NEED_SMOOTH_NORMALS
   {
-    v3 n = mad3(
-        words3(t2, TRIANGLE_N0 - TRIANGLE_SECOND), b0,
-        mad3(words3(t2, TRIANGLE_N1 - TRIANGLE_SECOND), b1, scale3(words3(t2, TRIANGLE_N2 - TRIANGLE_SECOND), b2)));
+    v3 n = interpolated_normal(scene, &h, t2, b0);
     vf l2 = dot3(n, n);
     h.normal = pick3(h.geometric, scale3(n, one_f() / sqrt(l2)), l2 > (vf)1e-12f);
   }
@@ -373,6 +417,26 @@ FN void load_grain(const Scene* scene, const Hit* h, Surface* m, vi active) {
 }
 #endif
 
+#ifdef NEED_DIFFUSE_TRANSMISSION
+// The layer that light shines through, beside glass in what transmits light.
+FN void load_shining(const Scene* scene, const Hit* h, Surface* m, vi active) {
+  vf share = material_f(scene, h->material, MATERIAL_DIFFUSE_TRANSMISSION);
+  m->shining_color = material_3(scene, h->material, MATERIAL_DIFFUSE_TRANSMISSION_COLOR);
+#ifdef NEED_MATERIAL_TEXTURES
+  vi shines = active & (share > zero_f());
+  vf unused, alpha;
+  textured_value(scene, h, MATERIAL_DIFFUSE_TRANSMISSION_TEXTURE, shines, splat3(one_f()), &alpha);
+  share *= alpha;
+  m->shining_color =
+      textured_value(scene, h, MATERIAL_DIFFUSE_TRANSMISSION_COLOR_TEXTURE, shines, m->shining_color, &unused);
+#endif
+  vf layer = (one_f() - m->transmission) * share;
+  m->transmission += layer;
+  m->shining = pick(zero_f(), layer / m->transmission, m->transmission > zero_f());
+  m->layer_kept = one_f();
+}
+#endif
+
 // What scattering needs beyond load_color().
 FN void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active) {
 #if defined(NEED_LOBE) || defined(NEED_TRANSMISSIVE)
@@ -464,6 +528,9 @@ FN void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active) {
   m->transmission *= one_f() - m->metallic;
   vf left = one_f() - m->transmission;
   m->metallic = pick(zero_f(), m->metallic / left, left > zero_f());
+#endif
+#ifdef NEED_DIFFUSE_TRANSMISSION
+  load_shining(scene, h, m, active);
 #endif
 #ifdef NEED_TRANSMISSIVE
   m->hidden = no_lanes();
@@ -619,7 +686,11 @@ FN v3 straight_share(const Surface* m, vf nv) {
     fresnel = pick(fresnel, zero_f(), bends_nothing(m));
     tint = pick3(tint, splat3(one_f()), m->hidden);
 #endif
-    share = pick3(share, scale3(tint, m->transmission * (one_f() - fresnel)), passable);
+    vf glass = m->transmission;
+#ifdef NEED_DIFFUSE_TRANSMISSION
+    glass *= one_f() - m->shining;
+#endif
+    share = pick3(share, scale3(tint, glass * (one_f() - fresnel)), passable);
   }
 #endif
 #ifdef NEED_ALPHA

@@ -2,6 +2,7 @@
 #ifndef GLEANER_KERNELS_VPL_RECORDS_H
 #define GLEANER_KERNELS_VPL_RECORDS_H
 
+#include "kernels/lobe_rows.h"
 #include "kernels/records.h"
 
 #ifndef __OPENCL_VERSION__
@@ -57,15 +58,8 @@ GLEANER_SIZE(VplTraceParameters, 32);
 #define POINT_TRIANGLE 12u  // uint; GLEANER_NONE: nothing to shade
 #define POINT_B1 13u
 #define POINT_B2 14u
-#define POINT_COS 15u  // clusters: least cosine between the normal and a member's
-
-// A point's rough lobe: rows of LOBE_WORDS words beside those of the points.
-#define LOBE_WORDS 16u
-#define LOBE_VIEW 0u        // unit vector towards the viewer
-#define LOBE_THROUGHPUT 3u  // RGB
-#define LOBE_F0 6u          // RGB: colour at normal incidence
-#define LOBE_F90 9u         // and at grazing incidence
-#define LOBE_ALPHA 10u      // 0: no rough lobe
+#define POINT_INSTANCE 14u  // uint, in scenes with instances in place of B2: the triangle's, or GLEANER_NONE
+#define POINT_COS 15u       // clusters: least cosine between the normal and a member's
 
 // Camera paths that end at the first surface with a diffuse layer. Stage kinds "vpl_points" and "vpl_shade".
 typedef struct {

@@ -10,8 +10,9 @@ namespace gleaner {
 
 namespace {
 
-// The fastest that compresses well: 0.6 GB/s of records on a core. Higher levels save 1 % more of these.
-constexpr int level = 1;
+// Of a scene, level 1 leaves 40 %, 3 35 %; of records 3 and 9 do the same. A core packs 0.25 GB of scenes a second, and
+// 0.5 GB of records.
+constexpr int level = 3;
 constexpr std::size_t least_bytes = 256;  // fewer save nothing that counts
 
 struct FreeCompressor {

@@ -23,15 +23,15 @@ struct RecordedScene {
   const char* name;
   std::map<std::string, std::string> parameters;
   std::uint32_t side;  // of the pictures, pixels
+  std::vector<const char*> methods = {"path", "vpl"};
 };
 
 const RecordedScene kScenes[] = {
-    {"cornell-box", {}, 64},
-    {"cornell-glass", {}, 64},
+    {"cornell-box", {}, 64, {"path", "vpl", "ao", "links", "splat"}},
+    {"cornell-glass", {}, 64, {"path", "vpl", "photon"}},
     {"cornell-glossy", {}, 64},
     {"cornell-textured", {}, 64},
     {"punctual-lights", {}, 64},
-
     {"hall", {{"triangles", "50000"}}, 64},
 };
 
@@ -44,16 +44,18 @@ void record_rays(const worker::Device& device, const scene::Scene& scene, const 
 }
 
 // One batch of each kind of stage that the frame has: of a split stage its first tiles.
-void record_frame(worker::Executor& executor, const std::string& name, const scene::Scene& scene, const char* method,
-                  std::uint32_t side, const std::filesystem::path& folder) {
+void record_frame(worker::Executor& executor, const std::string& name, const scene::Scene& scene,
+                  const std::string& method, std::uint32_t side, const std::filesystem::path& folder) {
   coordinator::FrameSettings settings;
   settings.method = method;
   settings.width = settings.height = side;
   settings.spp = 16;
   settings.camera = scene.cameras.front().camera;
   settings.camera.half_width = settings.camera.half_height;
-  if (settings.method == "vpl")
-    settings.set = {{"vpl.count", "1000"}, {"vpl.clusters", "256"}, {"vpl.point_clusters", "256"}};
+  // Small counts: the answers of all stages must fit into a folder.
+  settings.set = {{"vpl.count", "1000"},     {"vpl.clusters", "256"},     {"vpl.point_clusters", "256"},
+                  {"photon.count", "4096"},  {"photon.caustics", "4096"}, {"photon.passes", "1"},
+                  {"links.vertices", "500"}, {"links.directions", "64"},  {"splat.gather_rays", "128"}};
   auto plan = coordinator::make_plan(settings, coordinator::summarize(scene));
   std::map<std::string, RecordedBatch> batches;
   cli::run_frame(
@@ -85,8 +87,7 @@ void record(const std::filesystem::path& folder) {
     record_rays(device, *scene, *bvh, folder / "rays" / (name + ".camera"), RayKind::camera);
     record_rays(device, *scene, *bvh, folder / "rays" / (name + ".scattered"), RayKind::scattered);
     executor.load_scene(name, scene, bvh);
-    for (const char* method : {"path", "vpl"})
-      record_frame(executor, name, *scene, method, one.side, folder / "batches");
+    for (const char* method : one.methods) record_frame(executor, name, *scene, method, one.side, folder / "batches");
     std::printf("%s: recorded on %s, %s\n", one.name, device.info().name.c_str(), device.info().driver.c_str());
     std::fflush(stdout);
   }

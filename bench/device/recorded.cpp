@@ -10,7 +10,7 @@
 namespace gleaner::bench {
 namespace {
 
-constexpr char kMagic[8] = {'G', 'L', 'B', 'A', 'T', 'C', 'H', '1'};
+constexpr char kMagic[8] = {'G', 'L', 'B', 'A', 'T', 'C', 'H', '2'};
 
 // Numbers of 64 bits; runs of bytes behind their length.
 class Writer {
@@ -24,6 +24,7 @@ class Writer {
 
  private:
   void append(const void* data, std::size_t size) {
+    if (size == 0) return;
     const auto* first = static_cast<const std::byte*>(data);
     bytes.insert(bytes.end(), first, first + size);
   }
@@ -73,6 +74,9 @@ void write_batch(const RecordedBatch& batch, const std::filesystem::path& file) 
     const auto bytes = input.load();
     out.run(name.data(), name.size());
     out.run(bytes->data(), bytes->size());
+    out.number(input.own_items ? 1 : 0);
+    const auto* offsets = input.offsets.get();
+    out.run(offsets ? offsets->data() : nullptr, offsets ? offsets->size() * sizeof(std::uint64_t) : 0);
   }
   out.number(batch.first);
   out.number(batch.count);
@@ -84,7 +88,7 @@ RecordedBatch read_batch(const std::filesystem::path& file) {
   const scene::Bytes bytes = read_file(file);
   Reader in(bytes, file.string());
   if (in.text() != std::string(kMagic, sizeof kMagic))
-    throw Error::bad_input(file.string(), "magic", "GLBATCH1", "other bytes");
+    throw Error::bad_input(file.string(), "magic", "GLBATCH2", "other bytes");
   RecordedBatch batch;
   batch.name = in.text();
   batch.task.kind = in.text();
@@ -92,7 +96,14 @@ RecordedBatch read_batch(const std::filesystem::path& file) {
   batch.task.parameters = in.run();
   for (std::uint64_t inputs = in.number(); inputs; --inputs) {
     const std::string name = in.text();
-    batch.task.inputs[name] = worker::TaskInput(std::make_shared<scene::Bytes>(in.run()));
+    worker::TaskInput& input = batch.task.inputs[name];
+    input = worker::TaskInput(std::make_shared<scene::Bytes>(in.run()));
+    input.own_items = in.number() != 0;
+    if (const scene::Bytes offsets = in.run(); !offsets.empty()) {
+      auto numbers = std::make_shared<std::vector<std::uint64_t>>(offsets.size() / sizeof(std::uint64_t));
+      std::memcpy(numbers->data(), offsets.data(), numbers->size() * sizeof(std::uint64_t));
+      input.offsets = std::move(numbers);
+    }
   }
   batch.first = in.number();
   batch.count = in.number();

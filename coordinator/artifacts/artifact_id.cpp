@@ -6,7 +6,7 @@
 
 namespace gleaner::coordinator {
 
-ArtifactId artifact_id(const std::string& scene_blob, const StageSpec& stage) {
+ArtifactId artifact_id(const SceneLineage& scene, const StageSpec& stage) {
   Sha256 hash;
   // Each field goes in behind its length, so that no two lists of fields give the same bytes.
   const auto add_bytes = [&](std::span<const std::byte> bytes) {
@@ -19,7 +19,7 @@ ArtifactId artifact_id(const std::string& scene_blob, const StageSpec& stage) {
 
   add(std::string("gleaner artifact ") + version);
   add(kernels_build());
-  add(scene_blob);
+  add(scene.of(stage.scene_parts));
   add(stage.kind);
   add_number(stage.items);
   add_number(stage.tile);

@@ -9,10 +9,10 @@
 
 namespace gleaner::coordinator {
 
-// SHA-256 over (build of the kernels, scene, kind, items, tile, layout, parameters, and each input's name, id and
-// extent). `scene_blob` is the id of the scene's blob. Where the records stay, how urgent the stage is and what people
+// SHA-256 over (build of the kernels, the parts of the scene that the stage reads, kind, items, tile, layout,
+// parameters, and each input's name, id and extent). Where the records stay, how urgent the stage is and what people
 // call it do not change them, and are left out. The inputs' `artifact` must be ids as these functions make them.
-ArtifactId artifact_id(const std::string& scene_blob, const StageSpec& stage);
+ArtifactId artifact_id(const SceneLineage& scene, const StageSpec& stage);
 
 // SHA-256 of the bytes.
 ArtifactId data_id(std::span<const std::byte> bytes);

@@ -129,13 +129,13 @@ bool BlobStore::has(const std::string& id) const {
 
 std::vector<Blob> BlobStore::in_memory(const std::string& id) const {
   if (auto found = kept_.find(id); found != kept_.end()) return {found->second};
-  std::vector<Blob> segments;
-  if (auto found = lent_.find(id); found != lent_.end())
-    for (const auto& segment : found->second) {
-      segments.push_back(segment.lock());
-      if (!segments.back()) return {};
-    }
-  return segments;
+  const auto [first, last] = lent_.equal_range(id);
+  for (auto lent = first; lent != last; ++lent) {
+    std::vector<Blob> segments;
+    for (const auto& segment : lent->second) segments.push_back(segment.lock());
+    if (std::ranges::find(segments, nullptr) == segments.end()) return segments;
+  }
+  return {};
 }
 
 std::shared_ptr<const BlobSource> BlobStore::source(const std::string& id) {
@@ -228,7 +228,7 @@ Blob BlobStore::get(const std::string& id) {
   lock.lock();
   reading_.erase(id);
   // What is in use need not be read again; lent segments stay what they are.
-  if (blob && in_memory(id).empty()) lent_[id] = {blob};
+  if (blob && in_memory(id).empty()) lent_.emplace(id, LentSegments{blob});
   lock.unlock();
   read.set_value(blob);
   return blob;
@@ -253,7 +253,7 @@ void BlobStore::lend(const std::string& id, const std::vector<Blob>& segments) {
   std::erase_if(lent_, [](const auto& entry) {
     return std::any_of(entry.second.begin(), entry.second.end(), [](const auto& segment) { return segment.expired(); });
   });
-  lent_[id].assign(segments.begin(), segments.end());
+  lent_.emplace(id, LentSegments(segments.begin(), segments.end()));
 }
 
 std::string BlobStore::lend(Blob blob) {

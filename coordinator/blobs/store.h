@@ -91,12 +91,15 @@ class BlobStore {
 
   std::filesystem::path folder_;
   mutable std::mutex mutex_;
-  std::map<std::string, Blob> kept_;                                     // without a folder
-  std::map<std::string, std::vector<std::weak_ptr<const Bytes>>> lent_;  // or read from a file and still in use
-  std::map<std::string, std::shared_future<Blob>> reading_;              // by get(), at the moment
-  std::map<std::string, std::shared_future<void>> checking_;             // by source(), at the moment
-  std::map<std::string, std::filesystem::file_time_type> checked_;       // files whose bytes are those of their ids
-  std::map<std::string, std::uint64_t> uploading_;                       // claimed: bytes received
+  std::map<std::string, Blob> kept_;  // without a folder
+  // By each of its lenders, or read from a file and still in use. Two frames may have equal lists: when one has ended,
+  // the other's must still be found.
+  using LentSegments = std::vector<std::weak_ptr<const Bytes>>;
+  std::multimap<std::string, LentSegments> lent_;
+  std::map<std::string, std::shared_future<Blob>> reading_;         // by get(), at the moment
+  std::map<std::string, std::shared_future<void>> checking_;        // by source(), at the moment
+  std::map<std::string, std::filesystem::file_time_type> checked_;  // files whose bytes are those of their ids
+  std::map<std::string, std::uint64_t> uploading_;                  // claimed: bytes received
   std::condition_variable upload_ended_;
   std::uint64_t uploads_ = 0, bytes_checked_ = 0;
 };

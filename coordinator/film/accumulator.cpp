@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <string>
 #include <utility>
 
@@ -17,6 +18,11 @@ constexpr const char* kAxis[] = {"X", "Y", "Z"};
 constexpr double kBrightest = 1e12;
 
 float mean(double sum, std::uint32_t samples) { return samples ? static_cast<float>(sum / samples) : 0.0f; }
+
+// A variance beyond a float's range is the largest there is: layers hold finite numbers.
+float bounded(double variance) {
+  return static_cast<float>(std::min(variance, double{std::numeric_limits<float>::max()}));
+}
 
 template <typename Value>
 void free_memory(std::vector<Value>& values) {
@@ -167,7 +173,7 @@ void Accumulator::add_pass(std::span<const float> rgb) {
   pass_square_.resize(pixel_count() * 3);
   for (std::size_t i = 0; i < rgb.size(); ++i) {
     pass_sum_[i] += rgb[i];
-    pass_square_[i] += rgb[i] * rgb[i];
+    pass_square_[i] = bounded(pass_square_[i] + rgb[i] * rgb[i]);
   }
   if (halves_ && passes_ % 2 == 0) {
     pass_half_.resize(pixel_count() * 3);
@@ -215,7 +221,7 @@ Film Accumulator::take_film() {
                                             : mean(direct_[k][i] + indirect_[k][i], samples(i));
   };
   for (int k = 0; k < 3; ++k) {
-    spread[k] = layer([&](std::size_t i) { return static_cast<float>(variance(i, k)); });
+    spread[k] = layer([&](std::size_t i) { return bounded(variance(i, k)); });
     if (halves_) half[k] = layer([&](std::size_t i) { return half_mean(i, k); });
     free_memory(first_[k]);
     direct[k] = layer([&](std::size_t i) { return mean(direct_[k][i], samples(i)); });
@@ -291,7 +297,11 @@ void Accumulator::add_passes(Film& film) {
       indirect[i] += sum / n;
       all[i] = direct[i] + indirect[i];
       // Between the passes; a single one tells nothing of itself.
-      if (passes_ > 1) variance[i] += std::max(0.0f, pass_square_[3 * i + k] - sum * sum / n) / (n * (n - 1));
+      if (passes_ > 1) {
+        const float square = sum * sum / n;
+        const float deviations = std::isfinite(square) ? std::max(0.0f, pass_square_[3 * i + k] - square) : square;
+        variance[i] = bounded(variance[i] + deviations / (n * (n - 1)));
+      }
     }
   }
 }

@@ -19,19 +19,15 @@ namespace {
   throw Error::failed(path + ": cannot " + step + ": " + std::generic_category().message(code));
 }
 
-struct Temporary {
-  std::string path;
-  int fd;
-};
-
-// The name does not grow from the target's, which may be as long as the file system allows.
-Temporary create_beside(const std::filesystem::path& folder, const std::string& target) {
+// Calls `make` with names of temporary files in the folder until one is free. They do not grow from the target's, which
+// may be as long as the file system allows.
+template <typename Make>
+std::string make_beside(const std::filesystem::path& folder, const std::string& target, const Make& make) {
   static std::atomic<unsigned> counter{0};
   while (true) {
     const auto name = ".gleaner-" + std::to_string(::getpid()) + "-" + std::to_string(counter++) + ".tmp";
     const auto path = (folder / name).string();
-    const int fd = ::open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
-    if (fd >= 0) return {path, fd};
+    if (make(path.c_str()) >= 0) return path;
     if (errno != EEXIST) fail(target, "write", errno);
   }
 }
@@ -47,9 +43,13 @@ AtomicFile::AtomicFile(const std::string& path) : path_(path), target_(path) {
   if (std::filesystem::exists(kind) && !std::filesystem::is_regular_file(kind))
     throw Error::failed(path_ + ": cannot write: not a regular file");
   folder_ = target_.has_parent_path() ? target_.parent_path() : std::filesystem::path(".");
-  const Temporary temporary = create_beside(folder_, path_);
-  temporary_ = temporary.path;
-  descriptor_ = temporary.fd;
+  // Without a name, nothing of it is left where the process is killed.
+  descriptor_ = ::open(folder_.c_str(), O_TMPFILE | O_WRONLY | O_CLOEXEC, 0666);
+  if (descriptor_ >= 0) return;
+  // Not every file system has such files.
+  temporary_ = make_beside(folder_, path_, [&](const char* name) {
+    return descriptor_ = ::open(name, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
+  });
 }
 
 AtomicFile::~AtomicFile() {
@@ -78,6 +78,13 @@ void AtomicFile::write_at(std::uint64_t offset, std::span<const std::byte> bytes
 
 void AtomicFile::commit() {
   check(::fsync(descriptor_) == 0, "flush");
+  // A link cannot take another file's place; a rename can.
+  if (temporary_.empty()) {
+    const std::string own = "/proc/self/fd/" + std::to_string(descriptor_);
+    temporary_ = make_beside(folder_, path_, [&](const char* name) {
+      return ::linkat(AT_FDCWD, own.c_str(), AT_FDCWD, name, AT_SYMLINK_FOLLOW);
+    });
+  }
   // NFS and quotas report a failed write here, so the result of close counts.
   const int descriptor = std::exchange(descriptor_, -1);
   check(::close(descriptor) == 0, "close");

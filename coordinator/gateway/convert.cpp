@@ -148,6 +148,12 @@ FrameSettings from_proto(const pb::FrameSettings& in) {
 pb::Job to_proto(const JobStatus& status) {
   pb::Job out;
   out.set_id(status.id);
+  out.set_name(printable(status.name));
+  out.set_priority(status.priority);
+  out.set_paused(status.paused);
+  for (const std::string& other : status.after) out.add_after(other);
+  out.set_worker_seconds(status.worker_seconds);
+  out.set_rays(status.rays);
   out.set_state(to_proto(status.state));
   out.set_scene_name(printable(status.scene_name));
   out.set_method(status.method);
@@ -155,10 +161,19 @@ pb::Job to_proto(const JobStatus& status) {
   out.set_height(status.height);
   out.set_frames(status.frames);
   out.set_frames_done(status.frames_done);
+  out.set_frames_failed(status.frames_failed);
+  out.set_frame_step(status.frame_step);
+  for (const auto& [first, last] : status.written) {
+    pb::FrameRange* range = out.add_written();
+    range->set_first(first);
+    range->set_last(last);
+  }
+  for (const std::uint32_t frame : status.running) out.add_running(frame);
   for (const StageStatus& stage : status.stages) {
     pb::StageProgress* to = out.add_stages();
     to->set_name(stage.name);
     to->set_kind(stage.kind);
+    to->set_frame(stage.frame);
     to->set_items(stage.items);
     to->set_items_done(stage.items_done);
     to->set_items_per_second(stage.items_per_second);
@@ -178,6 +193,12 @@ pb::Job to_proto(const JobStatus& status) {
 JobStatus from_proto(const pb::Job& job) {
   JobStatus out;
   out.id = job.id();
+  out.name = job.name();
+  out.priority = job.priority();
+  out.paused = job.paused();
+  out.after.assign(job.after().begin(), job.after().end());
+  out.worker_seconds = job.worker_seconds();
+  out.rays = job.rays();
   out.state = from_proto(job.state());
   out.scene_name = job.scene_name();
   out.method = job.method();
@@ -185,9 +206,13 @@ JobStatus from_proto(const pb::Job& job) {
   out.height = job.height();
   out.frames = job.frames();
   out.frames_done = job.frames_done();
+  out.frames_failed = job.frames_failed();
+  out.frame_step = std::max(1u, job.frame_step());
+  for (const pb::FrameRange& range : job.written()) out.written.emplace_back(range.first(), range.last());
+  out.running.assign(job.running().begin(), job.running().end());
   for (const pb::StageProgress& stage : job.stages())
-    out.stages.push_back({stage.name(), stage.kind(), stage.items(), stage.items_done(), stage.items_per_second(),
-                          stage.seconds_left()});
+    out.stages.push_back({stage.name(), stage.kind(), stage.frame(), stage.items(), stage.items_done(),
+                          stage.items_per_second(), stage.seconds_left()});
   out.seconds = job.seconds();
   out.message = job.message();
   out.preview_available = job.preview_available();
@@ -214,7 +239,7 @@ pb::Device to_proto(const DeviceDescription& device) {
 }
 
 DeviceDescription from_proto(const pb::Device& device) {
-  auto text = [](const std::string& words) { return words.substr(0, 256); };
+  auto text = [](const std::string& words) { return printable(words, most_name_bytes); };
   return {.name = text(device.name()),
           .platform = text(device.platform()),
           .driver = text(device.driver()),
@@ -233,6 +258,7 @@ pb::Worker to_proto(const WorkerStatus& status) {
   *out.mutable_device() = to_proto(status.device);
   out.set_leases(status.leases);
   out.set_draining(status.draining);
+  out.set_aside(printable(status.aside));
   out.set_connected_seconds(status.connected_seconds);
   out.set_silent_seconds(status.silent_seconds);
   for (const auto& [kind, rate] : status.items_per_second) (*out.mutable_items_per_second())[kind] = rate;
@@ -245,6 +271,7 @@ WorkerStatus from_proto(const pb::Worker& worker) {
                    .device = from_proto(worker.device()),
                    .leases = worker.leases(),
                    .draining = worker.draining(),
+                   .aside = worker.aside(),
                    .connected_seconds = worker.connected_seconds(),
                    .silent_seconds = worker.silent_seconds(),
                    .items_per_second = {}};
@@ -268,6 +295,22 @@ WorkerHello from_proto(const pb::Hello& hello) {
           .token = {}};
 }
 
+ShownFrame from_proto(const pb::ShownFrame& shown) {
+  for (double seconds : {shown.load_seconds(), shown.pose_seconds(), shown.table_seconds(), shown.refit_seconds(),
+                         shown.rebuild_seconds(), shown.top_level_seconds(), shown.most_growth()})
+    require(seconds >= 0 && seconds < 1e9, "result.cost.shown", "seconds that are not negative");
+  return {.load_seconds = shown.load_seconds(),
+          .pose_seconds = shown.pose_seconds(),
+          .table_seconds = shown.table_seconds(),
+          .written_bytes = shown.written_bytes(),
+          .refit_seconds = shown.refit_seconds(),
+          .rebuild_seconds = shown.rebuild_seconds(),
+          .top_level_seconds = shown.top_level_seconds(),
+          .refitted = shown.refitted(),
+          .rebuilt = shown.rebuilt(),
+          .most_growth = shown.most_growth()};
+}
+
 BatchCost from_proto(const pb::BatchCost& cost) {
   for (double seconds : {cost.seconds(), cost.trace_seconds(), cost.kernel_seconds()})
     require(seconds >= 0 && seconds < 1e9, "result.cost", "seconds that are not negative");
@@ -282,6 +325,7 @@ BatchCost from_proto(const pb::BatchCost& cost) {
                 .nonfinite_items = {},
                 .fetched_bytes = cost.fetched_bytes(),
                 .peer_bytes = cost.peer_bytes()};
+  if (cost.has_shown()) out.shown = from_proto(cost.shown());
   out.nonfinite_items.assign(cost.nonfinite_items().begin(), cost.nonfinite_items().end());
   return out;
 }

@@ -3,11 +3,13 @@
 #include <chrono>
 #include <cmath>
 #include <fstream>
+#include <set>
 #include <thread>
 
 #include "coordinator/film/write.h"
 #include "coordinator/gateway/convert.h"
 #include "scene/model/error.h"
+#include "scene/model/frame_state.h"
 #include "scene/model/names.h"
 
 namespace gleaner::gateway {
@@ -20,6 +22,8 @@ using grpc::StatusCode;
 namespace {
 
 constexpr int most_ids = 1024;  // in one MissingBlobs call
+constexpr std::uint64_t most_frames_bytes = std::uint64_t{64} << 20;
+constexpr std::size_t most_awaited = 1000;  // jobs that one may wait for
 
 Status no_job(const std::string& id) { return {StatusCode::NOT_FOUND, "no job " + id.substr(0, 80)}; }
 
@@ -35,6 +39,22 @@ Bytes read_file(const fs::path& path) {
 
 std::string text_of(const Bytes& bytes) { return {reinterpret_cast<const char*>(bytes.data()), bytes.size()}; }
 
+// Which job it is, and when it is its turn.
+void take_order(const pb::SubmitJobRequest& request, JobRequest& job) {
+  const auto check = [](const std::string& field, const std::string& word) {
+    if (word.size() > most_name_bytes) throw Error::bad_input("request", field, "at most 256 bytes");
+  };
+  check("name", request.name());
+  check("request_id", request.request_id());
+  if (static_cast<std::size_t>(request.after_size()) > most_awaited)
+    throw Error::bad_input("request", "after", "at most " + std::to_string(most_awaited) + " jobs");
+  for (const std::string& other : request.after()) check("after", other);
+  job.name = printable(request.name(), most_name_bytes);
+  job.priority = request.priority();
+  job.after.assign(request.after().begin(), request.after().end());
+  job.request_id = request.request_id();
+}
+
 }  // namespace
 
 Status FarmService::MissingBlobs(grpc::ServerContext*, const pb::MissingBlobsRequest* request,
@@ -49,8 +69,13 @@ Status FarmService::MissingBlobs(grpc::ServerContext*, const pb::MissingBlobsReq
   return Status::OK;
 }
 
-Status FarmService::UploadBlob(grpc::ServerContext*, grpc::ServerReader<pb::UploadBlobRequest>* stream,
+Status FarmService::UploadBlob(grpc::ServerContext* context, grpc::ServerReader<pb::UploadBlobRequest>* stream,
                                pb::UploadBlobReply* reply) {
+  const Seat seat(uploads_);
+  if (seat.before >= settings_.most_uploads)
+    return {StatusCode::RESOURCE_EXHAUSTED, "this coordinator takes " + std::to_string(settings_.most_uploads) +
+                                                " uploads at the same time: try again"};
+  SilenceWatch::Call call(silence_, *context, settings_.silent_seconds);
   pb::UploadBlobRequest part;
   if (!stream->Read(&part) || !part.has_header())
     return {StatusCode::INVALID_ARGUMENT, "an upload begins with its header"};
@@ -59,10 +84,10 @@ Status FarmService::UploadBlob(grpc::ServerContext*, grpc::ServerReader<pb::Uplo
   if (!is_sha256_hex(id))
     return {StatusCode::INVALID_ARGUMENT,
             "blob id: expected 64 lower-case hexadecimal digits, found \"" + id.substr(0, 80) + "\""};
-  if (bytes > upload_bytes_)
+  if (bytes > settings_.upload_bytes)
     return {StatusCode::RESOURCE_EXHAUSTED, "blob " + id + ": " + std::to_string(bytes) +
                                                 " bytes are over this coordinator's limit of " +
-                                                std::to_string(upload_bytes_)};
+                                                std::to_string(settings_.upload_bytes)};
   if (blobs_.has(id)) {
     reply->set_held_before(true);
     return Status::OK;
@@ -74,6 +99,7 @@ Status FarmService::UploadBlob(grpc::ServerContext*, grpc::ServerReader<pb::Uplo
       return Status::OK;
     }
     while (stream->Read(&part)) {
+      call.heard();
       if (part.part_case() != pb::UploadBlobRequest::kData)
         return {StatusCode::INVALID_ARGUMENT, "blob " + id + ": a second header"};
       if (part.data().size() > piece_bytes)
@@ -103,28 +129,66 @@ SceneSummary FarmService::summary_of(const std::string& scene_blob, const std::s
   return summaries_[scene_blob] = summary;
 }
 
+pb::JobFrames FarmService::frames_of(const pb::SubmitJobRequest& request) {
+  pb::JobFrames frames;
+  const std::string& id = request.frames_blob();
+  if (id.empty()) {
+    *frames.mutable_cameras() = request.frame_cameras();
+    *frames.mutable_scenes() = request.frame_scenes();
+    return frames;
+  }
+  if (!is_sha256_hex(id)) throw Error::bad_input("request", "frames_blob", "64 lower-case hexadecimal digits");
+  const auto source = blobs_.source(id);
+  if (!source) throw Error::bad_input("blob " + id, "", "to be uploaded first");
+  if (source->bytes() > most_frames_bytes)
+    throw Error::bad_input("blob " + id, "", "at most " + std::to_string(most_frames_bytes) + " bytes of frames",
+                           std::to_string(source->bytes()));
+  const Blob blob = blobs_.get(id);
+  if (!blob || !frames.ParseFromArray(blob->data(), static_cast<int>(blob->size())))
+    throw Error::bad_input("blob " + id, "", "the frames of a job");
+  return frames;
+}
+
+void FarmService::check_state(const FrameScene& scene) {
+  const Blob blob = blobs_.get(scene.state_blob);
+  const std::string origin = "state blob " + scene.state_blob;
+  if (!blob) throw Error::failed(origin + " has gone");
+  const scene::FrameState state = scene::parse_frame_state(*blob, origin);
+  scene::check_counts(state, scene.summary.matrices, scene.summary.morph_weights, origin);
+}
+
 Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* request, pb::SubmitJobReply* reply) {
   return guarded([&]() -> Status {
-    if (const std::uint64_t most = most_frames; static_cast<std::uint64_t>(request->frame_scenes_size()) > most)
-      return {StatusCode::INVALID_ARGUMENT, "frame_scenes: expected at most " + std::to_string(most)};
+    const pb::JobFrames frames = frames_of(*request);
+    const std::uint64_t most = most_frames;
+    if (static_cast<std::uint64_t>(std::max(frames.scenes_size(), frames.cameras_size())) > most)
+      return {StatusCode::INVALID_ARGUMENT, "frame_scenes, frame_cameras: expected at most " + std::to_string(most)};
     std::vector<FrameScene> scenes;
-    for (const pb::FrameScene& scene : request->frame_scenes())
-      scenes.push_back({scene.scene_blob(), scene.bvh_blob(), {}});
-    if (scenes.empty()) scenes.push_back({request->scene_blob(), request->bvh_blob(), {}});
+    const auto add = [&](const std::string& scene_blob, const std::string& bvh_blob, const std::string& state_blob) {
+      FrameScene& scene = scenes.emplace_back();
+      scene.scene_blob = scene_blob;
+      scene.bvh_blob = bvh_blob;
+      scene.state_blob = state_blob;
+    };
+    for (const pb::FrameScene& scene : frames.scenes()) add(scene.scene_blob(), scene.bvh_blob(), scene.state_blob());
+    if (scenes.empty()) add(request->scene_blob(), request->bvh_blob(), {});
     for (const FrameScene& scene : scenes)
-      for (const std::string& id : {scene.scene_blob, scene.bvh_blob}) {
+      for (const std::string* each : {&scene.scene_blob, &scene.bvh_blob, &scene.state_blob}) {
+        const std::string& id = *each;
+        if (each == &scene.state_blob && id.empty()) continue;
         if (!is_sha256_hex(id))
           return {StatusCode::INVALID_ARGUMENT,
                   "blob id: expected 64 lower-case hexadecimal digits, found \"" + id.substr(0, 80) + "\""};
         if (!blobs_.has(id)) return {StatusCode::FAILED_PRECONDITION, "blob " + id + " must be uploaded first"};
       }
-    if (request->scene_name().empty() || request->scene_name().size() > 256 || request->camera_name().size() > 256)
+    if (request->scene_name().empty() || request->scene_name().size() > most_name_bytes ||
+        request->camera_name().size() > most_name_bytes)
       return {StatusCode::INVALID_ARGUMENT, "scene_name, camera_name: expected at most 256 bytes, and a scene name"};
     if (!std::isfinite(request->exposure_stops()) || std::abs(request->exposure_stops()) > 100)
       return {StatusCode::INVALID_ARGUMENT, "exposure_stops: expected -100 to 100"};
     JobRequest job;
-    job.scene_name = request->scene_name();
-    job.camera_name = request->camera_name();
+    job.scene_name = printable(request->scene_name(), most_name_bytes);
+    job.camera_name = printable(request->camera_name(), most_name_bytes);
     job.settings = from_proto(request->settings());
     job.exposure_stops = request->exposure_stops();
     job.time_limit = request->settings().time_limit_seconds();
@@ -134,8 +198,15 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
       job.first_frame = request->first_frame();
       job.last_frame = request->last_frame();
     }
-    for (const pb::Camera& camera : request->frame_cameras()) job.cameras.push_back(from_proto(camera));
-    for (FrameScene& scene : scenes) scene.summary = summary_of(scene.scene_blob, job.scene_name);
+    if (request->frame_step() != 0) job.frame_step = request->frame_step();
+    job.numbers.assign(request->frame_numbers().begin(), request->frame_numbers().end());
+    take_order(*request, job);
+    for (const pb::Camera& camera : frames.cameras()) job.cameras.push_back(from_proto(camera));
+    std::set<std::string> checked;
+    for (FrameScene& scene : scenes) {
+      scene.summary = summary_of(scene.scene_blob, job.scene_name);
+      if (!scene.state_blob.empty() && checked.insert(blobs_of(scene)).second) check_state(scene);
+    }
     job.scenes = std::move(scenes);
     reply->set_job(farm_.submit(job));
     return Status::OK;
@@ -161,9 +232,26 @@ Status FarmService::CancelJob(grpc::ServerContext*, const pb::CancelJobRequest* 
   return Status::OK;
 }
 
+Status FarmService::PauseJob(grpc::ServerContext*, const pb::PauseJobRequest* request, pb::Job* reply) {
+  auto status = farm_.pause(request->job(), !request->resume());
+  if (!status) return no_job(request->job());
+  *reply = to_proto(*status);
+  return Status::OK;
+}
+
+Status FarmService::RetryJob(grpc::ServerContext*, const pb::RetryJobRequest* request, pb::Job* reply) {
+  return guarded([&]() -> Status {
+    auto status = farm_.retry(request->job());
+    if (!status) return no_job(request->job());
+    *reply = to_proto(*status);
+    return Status::OK;
+  });
+}
+
 Status FarmService::WatchJob(grpc::ServerContext* context, const pb::WatchJobRequest* request,
                              grpc::ServerWriter<pb::Job>* stream) {
   using namespace std::chrono_literals;
+  SilenceWatch::Call call(silence_, *context, settings_.silent_seconds);
   std::uint64_t seen = 0;
   while (!context->IsCancelled()) {
     // Silence of a second is broken, so that seconds and rates keep moving; a farm that goes away ends the wait.
@@ -171,6 +259,7 @@ Status FarmService::WatchJob(grpc::ServerContext* context, const pb::WatchJobReq
     if (!status) return no_job(request->job());
     seen = status->version;
     if (!stream->Write(to_proto(*status))) return Status::OK;
+    call.heard();
     if (ended(status->state)) return Status::OK;
     std::this_thread::sleep_for(100ms);
   }
@@ -229,7 +318,7 @@ Status FarmService::ListFiles(grpc::ServerContext*, const pb::ListFilesRequest* 
   return Status::OK;
 }
 
-Status FarmService::FetchFile(grpc::ServerContext*, const pb::FetchFileRequest* request,
+Status FarmService::FetchFile(grpc::ServerContext* context, const pb::FetchFileRequest* request,
                               grpc::ServerWriter<pb::FetchFileReply>* stream) {
   if (!farm_.status(request->job())) return no_job(request->job());
   // Only names that the job itself gave: nothing else of the disk can be asked for.
@@ -237,6 +326,7 @@ Status FarmService::FetchFile(grpc::ServerContext*, const pb::FetchFileRequest* 
     if (path.filename() != request->name()) continue;
     std::ifstream file(path, std::ios::binary | std::ios::ate);
     if (!file) return {StatusCode::INTERNAL, path.filename().string() + ": cannot open"};
+    SilenceWatch::Call call(silence_, *context, settings_.silent_seconds);
     pb::FetchFileReply piece;
     piece.set_total_bytes(static_cast<std::uint64_t>(file.tellg()));
     std::uint64_t left = piece.total_bytes();
@@ -247,6 +337,7 @@ Status FarmService::FetchFile(grpc::ServerContext*, const pb::FetchFileRequest* 
         return {StatusCode::INTERNAL, path.filename().string() + ": cannot read"};
       left -= piece.data().size();
       if (!stream->Write(piece)) return Status::OK;
+      call.heard();
     } while (left > 0);
     return Status::OK;
   }
@@ -255,6 +346,12 @@ Status FarmService::FetchFile(grpc::ServerContext*, const pb::FetchFileRequest* 
 
 Status FarmService::ListWorkers(grpc::ServerContext*, const pb::ListWorkersRequest*, pb::ListWorkersReply* reply) {
   for (const WorkerStatus& status : farm_.workers()) *reply->add_workers() = to_proto(status);
+  return Status::OK;
+}
+
+Status FarmService::DrainWorker(grpc::ServerContext*, const pb::DrainWorkerRequest* request, pb::DrainWorkerReply*) {
+  if (!farm_.drain(request->worker()))
+    return {StatusCode::NOT_FOUND, "no worker " + printable(request->worker(), most_name_bytes) + " is connected"};
   return Status::OK;
 }
 

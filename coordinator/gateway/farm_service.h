@@ -1,11 +1,14 @@
 #pragma once
 // gleaner.v1.Farm: what people call.
 
+#include <atomic>
 #include <map>
 #include <mutex>
 #include <string>
 
 #include "coordinator/blobs/store.h"
+#include "coordinator/gateway/server.h"
+#include "coordinator/gateway/silence_watch.h"
 #include "coordinator/jobs/farm.h"
 #include "gleaner/v1/farm.grpc.pb.h"
 
@@ -15,8 +18,9 @@ namespace pb = gleaner::v1;
 
 class FarmService final : public pb::Farm::Service {
  public:
-  FarmService(coordinator::Farm& farm, coordinator::BlobStore& blobs, std::uint64_t upload_bytes)
-      : farm_(farm), blobs_(blobs), upload_bytes_(upload_bytes) {}
+  FarmService(coordinator::Farm& farm, coordinator::BlobStore& blobs, SilenceWatch& silence,
+              const ServerSettings& settings)
+      : farm_(farm), blobs_(blobs), silence_(silence), settings_(settings) {}
 
   grpc::Status MissingBlobs(grpc::ServerContext*, const pb::MissingBlobsRequest*, pb::MissingBlobsReply*) override;
   grpc::Status UploadBlob(grpc::ServerContext*, grpc::ServerReader<pb::UploadBlobRequest>*,
@@ -25,6 +29,9 @@ class FarmService final : public pb::Farm::Service {
   grpc::Status ListJobs(grpc::ServerContext*, const pb::ListJobsRequest*, pb::ListJobsReply*) override;
   grpc::Status GetJob(grpc::ServerContext*, const pb::GetJobRequest*, pb::Job*) override;
   grpc::Status CancelJob(grpc::ServerContext*, const pb::CancelJobRequest*, pb::Job*) override;
+  grpc::Status PauseJob(grpc::ServerContext*, const pb::PauseJobRequest*, pb::Job*) override;
+  grpc::Status RetryJob(grpc::ServerContext*, const pb::RetryJobRequest*, pb::Job*) override;
+  grpc::Status DrainWorker(grpc::ServerContext*, const pb::DrainWorkerRequest*, pb::DrainWorkerReply*) override;
   grpc::Status WatchJob(grpc::ServerContext*, const pb::WatchJobRequest*, grpc::ServerWriter<pb::Job>*) override;
   grpc::Status GetPreview(grpc::ServerContext*, const pb::GetPreviewRequest*, pb::GetPreviewReply*) override;
   grpc::Status Why(grpc::ServerContext*, const pb::WhyRequest*, pb::WhyReply*) override;
@@ -36,11 +43,17 @@ class FarmService final : public pb::Farm::Service {
  private:
   // The last preview that was shown of a job that runs: what is shown while its plan computes.
   std::string remember_preview(const std::string& job, std::string png);
+  // Throws Error::bad_input where the frame's state is none, or not one of its base.
+  // What the request says of each frame, in itself or in a blob.
+  pb::JobFrames frames_of(const pb::SubmitJobRequest& request);
+  void check_state(const coordinator::FrameScene& scene);
   coordinator::SceneSummary summary_of(const std::string& scene_blob, const std::string& scene_name);
 
   coordinator::Farm& farm_;
   coordinator::BlobStore& blobs_;
-  std::uint64_t upload_bytes_;  // largest blob
+  SilenceWatch& silence_;
+  const ServerSettings settings_;
+  std::atomic<unsigned> uploads_{0};
   std::mutex summaries_mutex_;
   std::map<std::string, coordinator::SceneSummary> summaries_;  // by scene blob
   std::mutex previews_mutex_;

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "gleaner/version.h"
+#include "scene/model/names.h"
 
 namespace gleaner::gateway {
 
@@ -16,22 +17,6 @@ using namespace gleaner::coordinator;
 namespace {
 
 using Labels = std::vector<std::pair<const char*, std::string>>;
-
-// The length of the UTF-8 character that `text` begins with, by RFC 3629; 0: it begins with none.
-std::size_t utf8_length(std::string_view text) {
-  const auto byte = [&](std::size_t i) { return static_cast<unsigned char>(text[i]); };
-  const unsigned char lead = byte(0);
-  if (lead < 0x80) return 1;
-  const std::size_t length = lead >= 0xf0 ? 4 : lead >= 0xe0 ? 3 : 2;
-  if (lead < 0xc2 || lead > 0xf4 || text.size() < length) return 0;
-  for (std::size_t i = 1; i < length; ++i)
-    if ((byte(i) & 0xc0) != 0x80) return 0;
-  const unsigned char second = byte(1);
-  const bool overlong = (lead == 0xe0 && second < 0xa0) || (lead == 0xf0 && second < 0x90);
-  const bool surrogate = lead == 0xed && second >= 0xa0;
-  const bool past_the_last = lead == 0xf4 && second >= 0x90;
-  return overlong || surrogate || past_the_last ? 0 : length;
-}
 
 class Page {
  public:
@@ -91,7 +76,7 @@ void jobs_section(Page& page, const std::vector<JobStatus>& jobs) {
   for (const JobStatus& job : jobs) {
     ++jobs_in[job.state];
     if (ended(job.state)) continue;
-    frames_queued += job.frames - job.frames_done;
+    frames_queued += job.frames - job.frames_done - job.frames_failed;
     for (const StageStatus& stage : job.stages)
       if (stage.items_done < stage.items) items_per_second[stage.kind] += stage.items_per_second;
   }

@@ -8,6 +8,7 @@
 
 #include "coordinator/blobs/store.h"
 #include "coordinator/jobs/farm.h"
+#include "proto/credentials.h"
 
 namespace gleaner::gateway {
 
@@ -16,6 +17,10 @@ struct ServerSettings {
   std::uint64_t upload_bytes = std::uint64_t{64} << 30;  // largest blob
   unsigned most_workers = 4096;
   double heartbeat_seconds = 5;
+  double hello_seconds = 10;   // in which a worker must say who it is
+  double silent_seconds = 60;  // in which a peer that uploads or fetches must send or take a piece
+  unsigned most_uploads = 256;
+  std::shared_ptr<const Keys> keys;  // null: in the clear
 };
 
 class Server {

@@ -14,6 +14,7 @@
 #include "proto/packing.h"
 #include "proto/sha256.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 
 namespace gleaner::gateway {
 
@@ -26,13 +27,11 @@ namespace {
 
 constexpr std::chrono::seconds last_words{2};  // for a write that is under way when a session ends
 
-// A worker's words end up on terminals and in other messages: what is not plain text is left out, and so is what is too
-// long.
-std::string printable(const std::string& words) {
-  std::string text = words.substr(0, 4096);
-  std::replace_if(
-      text.begin(), text.end(), [](unsigned char c) { return c != '\n' && (c < 0x20 || c > 0x7e); }, '?');
-  return text;
+// A worker's words end up on terminals and in other messages. They may have lines, which are made one.
+std::string said_by_worker(std::string words) {
+  constexpr std::size_t most_bytes = 4096;
+  std::replace(words.begin(), words.end(), '\n', ' ');
+  return printable(words, most_bytes);
 }
 
 Status no_such_reader() { return {StatusCode::PERMISSION_DENIED, "no lease of this worker reads the artifact"}; }
@@ -95,6 +94,7 @@ class StreamSession final : public WorkerSession {
       out.set_most_records(work->output.most_records);
       out.set_scene_blob(work->scene_blob);
       out.set_bvh_blob(work->bvh_blob);
+      out.set_state_blob(work->state_blob);
     });
   }
 
@@ -277,16 +277,16 @@ class ResultAssembly {
 }  // namespace
 
 Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
-  struct Seat {
-    std::atomic<unsigned>& taken;
-    unsigned before = taken.fetch_add(1);
-    ~Seat() { taken.fetch_sub(1); }
-  } seat{workers_};
-  if (seat.before >= most_workers_)
-    return {StatusCode::RESOURCE_EXHAUSTED, "this coordinator takes " + std::to_string(most_workers_) + " workers"};
-
   pb::WorkerMessage message;
-  if (!stream->Read(&message)) return Status::OK;
+  {
+    // Who takes no seat yet holds a thread all the same.
+    const SilenceWatch::Call call(silence_, *context, settings_.hello_seconds);
+    if (!stream->Read(&message)) return Status::OK;
+  }
+  const Seat seat(workers_);
+  if (seat.before >= settings_.most_workers)
+    return {StatusCode::RESOURCE_EXHAUSTED,
+            "this coordinator takes " + std::to_string(settings_.most_workers) + " workers"};
   if (!message.has_hello()) return {StatusCode::INVALID_ARGUMENT, "a worker's first message must be Hello"};
   if (message.hello().protocol() != protocol_version)
     return {StatusCode::FAILED_PRECONDITION, "this coordinator speaks protocol " + std::to_string(protocol_version) +
@@ -305,7 +305,7 @@ Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
   hello.peer_address = reachable_address(hello.peer_address, hello.address);
   hello.token = new_token();
 
-  auto session = std::make_shared<StreamSession>(*context, *stream, heartbeat_seconds_, hello.token);
+  auto session = std::make_shared<StreamSession>(*context, *stream, settings_.heartbeat_seconds, hello.token);
   const WorkerId worker = farm_.join(hello, session).id;
   Status status = guarded([&]() -> Status {
     ResultAssembly assembly(farm_, worker);
@@ -316,7 +316,7 @@ Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
           break;
         case pb::WorkerMessage::kFailed:
           farm_.failed(worker, message.failed().lease(), message.failed().epoch(),
-                       printable(message.failed().message()), message.failed().input_unavailable());
+                       said_by_worker(message.failed().message()), message.failed().input_unavailable());
           break;
         case pb::WorkerMessage::kHeartbeat:
           farm_.heard(worker);
@@ -343,7 +343,7 @@ Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
   return status;
 }
 
-Status WorkerHub::FetchBlob(grpc::ServerContext*, const pb::FetchBlobRequest* request,
+Status WorkerHub::FetchBlob(grpc::ServerContext* context, const pb::FetchBlobRequest* request,
                             grpc::ServerWriter<pb::BlobPiece>* stream) {
   return guarded([&]() -> Status {
     if (!is_sha256_hex(request->id()))
@@ -359,6 +359,7 @@ Status WorkerHub::FetchBlob(grpc::ServerContext*, const pb::FetchBlobRequest* re
     std::uint64_t left = request->length() > 0 ? request->length() : blob->bytes() - request->offset();
     std::uint64_t offset = request->offset();
     Bytes bytes;
+    SilenceWatch::Call call(silence_, *context, settings_.silent_seconds);
     pb::BlobPiece piece;
     piece.set_total_bytes(blob->bytes());
     do {
@@ -373,6 +374,7 @@ Status WorkerHub::FetchBlob(grpc::ServerContext*, const pb::FetchBlobRequest* re
       else
         piece.set_data(std::move(packed));
       if (!stream->Write(piece)) return Status::OK;
+      call.heard();
     } while (left > 0);
     return Status::OK;
   });
@@ -451,7 +453,7 @@ Status WorkerHub::DeliverPart(grpc::ServerContext*, const pb::DeliverPartRequest
   if (!worker) return {StatusCode::PERMISSION_DENIED, "no connected worker has this token"};
   if (request->data().size() > piece_bytes) return {StatusCode::INVALID_ARGUMENT, "a piece is at most 1 MiB"};
   farm_.heard(*worker);
-  if (!relay_.deliver(*worker, request->request(), request->data(), printable(request->error())))
+  if (!relay_.deliver(*worker, request->request(), request->data(), said_by_worker(request->error())))
     return {StatusCode::NOT_FOUND, "nobody waits for it"};
   return Status::OK;
 }

@@ -5,6 +5,8 @@
 
 #include "coordinator/artifacts/relay.h"
 #include "coordinator/blobs/store.h"
+#include "coordinator/gateway/server.h"
+#include "coordinator/gateway/silence_watch.h"
 #include "coordinator/jobs/farm.h"
 #include "gleaner/v1/worker.grpc.pb.h"
 
@@ -14,8 +16,9 @@ namespace pb = gleaner::v1;
 
 class WorkerHub final : public pb::WorkerHub::Service {
  public:
-  WorkerHub(coordinator::Farm& farm, coordinator::BlobStore& blobs, unsigned most_workers, double heartbeat_seconds)
-      : farm_(farm), blobs_(blobs), most_workers_(most_workers), heartbeat_seconds_(heartbeat_seconds) {}
+  WorkerHub(coordinator::Farm& farm, coordinator::BlobStore& blobs, SilenceWatch& silence,
+            const ServerSettings& settings)
+      : farm_(farm), blobs_(blobs), silence_(silence), settings_(settings) {}
 
   grpc::Status Work(grpc::ServerContext*, grpc::ServerReaderWriter<pb::HubMessage, pb::WorkerMessage>*) override;
   grpc::Status FetchBlob(grpc::ServerContext*, const pb::FetchBlobRequest*,
@@ -30,8 +33,8 @@ class WorkerHub final : public pb::WorkerHub::Service {
   coordinator::Farm& farm_;
   coordinator::BlobStore& blobs_;
   coordinator::Relay relay_;
-  unsigned most_workers_;
-  double heartbeat_seconds_;
+  SilenceWatch& silence_;
+  const ServerSettings settings_;
   std::atomic<unsigned> workers_{0};
 };
 

@@ -3,6 +3,7 @@
 // plan gets them in item order.
 
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <optional>
 
@@ -15,6 +16,7 @@ class ArrivedRecords {
   struct Batch {
     std::uint64_t first = 0, count = 0;  // items
     scene::Bytes records;
+    std::function<scene::Bytes()> read{};  // where they are not in memory
   };
 
   void put(Batch batch);  // of items that did not arrive before

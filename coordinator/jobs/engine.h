@@ -1,6 +1,6 @@
 #pragma once
 // Inside the farm: its state and the steps that its files share. Everything is guarded by `mutex` unless it says
-// otherwise; a job's plan is guarded by the job's `plan_mutex`, which is taken first where both are held.
+// otherwise; a frame's plan is guarded by the frame's `plan_mutex`, which is taken first where both are held.
 
 #include <condition_variable>
 #include <deque>
@@ -9,6 +9,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <random>
 #include <set>
 #include <string>
 #include <thread>
@@ -17,6 +18,8 @@
 #include "coordinator/jobs/farm.h"
 #include "coordinator/jobs/frame.h"
 #include "coordinator/jobs/kept_records.h"
+#include "coordinator/jobs/running_job.h"
+#include "coordinator/journal/journal.h"
 
 namespace gleaner::coordinator {
 
@@ -27,23 +30,33 @@ struct Worker {
   std::shared_ptr<WorkerSession> session;
   Seconds joined = 0, heard = 0;
   bool draining = false;
-  unsigned wrong_copies = 0;  // of its parts that turned out to be other bytes
-  unsigned waits = 0;         // results of its that wait for the plan: it cannot be heard meanwhile
+  unsigned wrong_copies = 0;              // of its parts that turned out to be other bytes
+  std::string kind;                       // of its device
+  std::string aside;                      // why it gets nothing any more; empty: it does
+  std::set<std::string> rechecked_kinds;  // of stages of which its first batch was computed again
+  unsigned waits = 0;                     // results of its that wait for the plan: it cannot be heard meanwhile
   std::set<Epoch> leases;
+  Seconds idle_since = -1;  // it could work, and has had no lease since then; negative: it has one
 };
 
 // An output that stays with the workers, for as long as somebody may read it.
 struct RetainedArtifact {
   std::shared_ptr<const Recipe> recipe;
-  std::set<Job*> frames;        // that have it
+  std::set<Frame*> frames;      // that have it
   unsigned readers = 0;         // stages that compute something again and read it
   std::vector<ItemRange> lost;  // while a stage makes it: what that stage had made, and nobody holds any more
   Bytes facts;
+  bool untrusted = false;  // a liar may have had a part in it: no other frame gets it
 };
 
-struct Cancelled {};  // thrown on a job's thread
+struct Cancelled {};   // thrown on a frame's thread
+struct Distrusted {};  // likewise: the frame rests on what a liar made
 
-// Memory of a job's that may be large: destroyed where the farm's mutex is not held.
+// Devices of one kind make the same bytes of the same items.
+std::string device_kind(const DeviceDescription& device);
+std::string digest_of(const Bytes& bytes);
+
+// Memory of a frame's or a job's that may be large: destroyed where the farm's mutex is not held.
 struct JobRemains {
   std::vector<std::shared_ptr<RunningStage>> stages;
   std::vector<std::shared_ptr<const Bytes>> records;
@@ -53,10 +66,16 @@ struct JobRemains {
   std::deque<UndrawnItems> undrawn;
   std::vector<scene::Camera> cameras;
   std::vector<FrameScene> scenes;
+  std::vector<JobRemains> frames;
 };
 
-// The job's settings, with the camera that sees this frame; the way on which it lies was put there by submit().
-FrameSettings settings_of(const JobRequest& request, std::uint32_t frame);
+// The job's settings, with the camera that sees the frame at this place; the way on which it lies was put there by
+// submit().
+FrameSettings settings_of(const JobRequest& request, std::uint64_t place);
+// Of the frame among those of its job that run: 0 is the earliest one.
+unsigned rank_of(const Frame& frame);
+// What the scheduler is told: a job's priority goes before that of a stage within its plan.
+int with_priority(int of_stage, const JobRequest& request);
 
 struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   Impl(FarmSettings farm_settings, BlobStore& store);
@@ -75,78 +94,142 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void lose(WorkerId id, const std::string& why);
   void watch_clock();
   void tick();
+  void note_idle(Worker& worker);  // after its leases may have become none, or some
 
   // Jobs (job_queue.cpp).
   void changed(Job& job);                                  // mutex held
   std::shared_ptr<Job> find(const std::string& id) const;  // mutex held
   std::shared_ptr<Job> accept(const JobRequest& request);  // checks it
   void start_queued();                                     // mutex held
-  bool has_memory_for(const Job& job) const;               // mutex held
-  std::string why_queued(const Job& job) const;            // mutex held
+  // Mutex held. Where its priority puts it, behind those of the same.
+  void put_in_queue(const std::shared_ptr<Job>& job);
+  std::shared_ptr<Job> next_queued() const;            // mutex held; the first that may begin; null: none
+  std::size_t active() const;                          // mutex held; jobs that run and are not paused
+  std::shared_ptr<Job> awaited(const Job& job) const;  // mutex held; one that must be done first; null: none
+  bool is_awaited(const std::string& id) const;        // mutex held; by a job that waits
+  // The job of that request, if it was submitted before. Throws Error::usage where the id was another request's.
+  std::shared_ptr<Job> submitted_before(const JobRequest& request) const;  // mutex held
+  std::uint64_t posing_memory(const JobRequest& request);
+  bool has_memory_for(const Job& job) const;     // mutex held
+  std::string why_queued(const Job& job) const;  // mutex held
   // Mutex held. The job has ended: it is shown so, its leases are revoked, the next one may start. What it held is
   // handed out, to be destroyed where the mutex is not held.
   JobRemains end_job(Job& job, JobState state, const std::string& message);
-  void forget_ended();  // mutex held; those beyond the bounds
-  void join_ended_threads();
-  static void run(std::shared_ptr<Impl> self, std::shared_ptr<Job> job);  // the job's thread
+  bool stop_frames(Job& job);  // mutex held; true: a plan of one computes, and may do so for long
+  void forget_ended();         // mutex held; those beyond the bounds
 
-  // Frames (frame_run.cpp, write_frame.cpp; on the job's thread).
-  void run_frames(const std::shared_ptr<Job>& job);
-  static bool same_picture(const Job& job, std::uint32_t a, std::uint32_t b);
+  // Frames side by side (frames.cpp; mutex held). Each frame that runs has a thread, which alone calls its plan.
+  // Begins the first of the job's frames that wait; false: none waits, or no thread can be started for it.
+  bool begin_frame(const std::shared_ptr<Job>& job);
+  void wait_again(const std::shared_ptr<Job>& job);  // in the queue: it runs no frame, and has some to come
+  bool may_begin_another(const Job& job) const;      // beside those that run
+  std::shared_ptr<Job> job_for_another_frame() const;
+  bool further_frame_comes() const;  // one that was begun has no stage yet, or one may be begun
+  // When workers will have been idle for so long that a further frame is begun; none: no frame may be.
+  std::optional<Seconds> next_frame_due() const;
+  void begin_another_frame();  // where it is due
+  void rank_frames(Job& job);  // the earliest comes first
+  // The frame at its place is written, or failed. False: it was the last one that shows its picture.
+  bool frame_over(Frame& frame, const std::string& failure);
+  std::string failures_of(const Job& job) const;
+  static void run(std::shared_ptr<Impl> self, std::shared_ptr<Frame> frame);  // the frame's thread
+  // The frame has ended: the job's next one begins, or the job ends.
+  JobRemains frame_ended(const std::shared_ptr<Frame>& frame, const std::string& failure);
+
+  // The journal (journal_jobs.cpp); without one they do nothing. journal_added() waits for it, and throws.
+  void journal_added(const Job& job);
+  void journal_changed(const Job& job, JobState state);  // mutex held
+  Bytes journal_frames(const Job& job) const;            // of its request; throws without a journal
+  void journal_retry(const Job& job);                    // waits for the journal, and throws
+  void restore();                                        // the journal's jobs, when the farm is made
+  std::shared_ptr<Job> restored(const JournalJob& entry, std::string& failure);
+
+  // Accepted records in files (remembered.cpp); without a journal they do nothing.
+  std::filesystem::path records_of(const Frame& frame) const;
+  void drop_left_records(const std::set<std::string>& waiting) const;  // of jobs that are over
+  void recall(Frame& frame);                            // what of it was accepted, checked; on its thread
+  void use_held(RunningStage& stage);                   // mutex held
+  void feed_held(RunningStage& stage, Bytes* records);  // `records`: of a collected output of fixed stride
+  // Appends the records to the stage's file; none: that failed.
+  std::optional<JournalRange> store(RunningStage& stage, const Lease& lease, const Bytes& image, const Bytes& facts,
+                                    const std::string& digest);
+  void remember(RunningStage& stage, WorkerId maker, JournalRange range);  // mutex held
+  void forget_records(const Frame& frame, const std::string& failure);     // the frame at its place is over
+  void forget_records(const Job& job);
+  void join_ended_threads();
+
+  // A frame (frame_run.cpp, write_frame.cpp; on its thread).
+  void render_and_write(const std::shared_ptr<Frame>& frame);
   // Runs `call`, which asks the plan or makes one, with the plan to itself; then a cancelled job ends here.
   template <typename Call>
-  auto compute(Job& job, const Call& call);
-  void aim(Job& job, std::uint32_t frame);  // a plan for the frame
-  FrameReport new_report(const Job& job, std::uint32_t frame) const;
-  Film render(const std::shared_ptr<Job>& job, std::uint32_t frame);
-  void warn(Job& job, std::uint32_t frame);  // mutex held; what the report's warnings say
-  void reuse(Job& job, std::uint32_t frame, std::uint32_t rendered);
+  auto compute(Frame& frame, const Call& call);
+  void aim(Frame& frame);  // makes its plan
+  // Of the scene as the frame's state shows it. Throws Error::bad_input where the state does not fit its base.
+  SceneSummary summary_of(const Frame& frame);
+  FrameReport new_report(const Frame& frame) const;
+  Film render(const std::shared_ptr<Frame>& frame);
+  Film render_trusted(const std::shared_ptr<Frame>& frame);  // again where a liar had a part in it
+  void warn(Frame& frame);                                   // mutex held; what the report's warnings say
+  void reuse(Frame& frame, std::uint32_t rendered);          // what was made for the frame of that number
   // Draws accepted batches until a stage is whole. None: the time limit has ended the frame.
-  std::optional<FinishedStage> await_stage(Job& job);
+  std::optional<FinishedStage> await_stage(Frame& frame);
   // Hand records to the plan: those of a streamed stage, those that the preview does not show. False: there are none.
   // The lock is held before and after.
-  bool stream(Job& job, std::unique_lock<std::mutex>& lock);
-  bool draw(Job& job, std::unique_lock<std::mutex>& lock);
+  bool stream(Frame& frame, std::unique_lock<std::mutex>& lock);
+  bool draw(Frame& frame, std::unique_lock<std::mutex>& lock);
   // Hands the plan the next batch of a streamed stage, which has arrived.
-  void take_next(Job& job, std::shared_ptr<RunningStage> stage, std::unique_lock<std::mutex>& lock);
+  void take_next(Frame& frame, std::shared_ptr<RunningStage> stage, std::unique_lock<std::mutex>& lock);
   // Hands the plan what of streamed stages has arrived by now, in item order.
-  void take_what_arrived(Job& job, std::unique_lock<std::mutex>& lock);
+  void take_what_arrived(Frame& frame, std::unique_lock<std::mutex>& lock);
   // Offers the plan what came in of the stages that run. The lock is held before and after.
-  bool conclude(Job& job, std::unique_lock<std::mutex>& lock);
+  bool conclude(Frame& frame, std::unique_lock<std::mutex>& lock);
   // Whatever the frame still has with scheduler and workers is taken back; its figures move into the report.
-  void end_frame(Job& job);
-  JobRemains withdraw(Job& job);  // mutex held; as end_frame()
-  void write(Job& job, std::uint32_t frame, const Film& film, Seconds begun);
+  void end_frame(Frame& frame);
+  JobRemains withdraw(Frame& frame);  // mutex held; as end_frame()
+  void write(Frame& frame, const Film& film);
 
   // Stages (stages.cpp).
   // Hands a step's stages to the scheduler. The memory for their results is taken while the first batches run.
   // `work_to_come`: predicted, of stages after these.
-  void post(const std::shared_ptr<Job>& job, const Step& step, double work_to_come);
-  // What follows: mutex held. Null: the stage's records exist already, and were handed to the job.
-  std::shared_ptr<RunningStage> schedule(const std::shared_ptr<Job>& job, const StageSpec& spec);
-  void provide(Job& job, const ArtifactId& id, const std::string& blob, std::shared_ptr<const Bytes> bytes);
-  void add_input(Job& job, RunningStage& stage, StageWork& work, const StageInput& input) const;
+  void post(const std::shared_ptr<Frame>& frame, const Step& step, double work_to_come);
+  // Without the mutex: takes the memory of a stage that was started, and reads back what was accepted before.
+  void prepare(RunningStage& stage);
+  // What follows: mutex held. Null: the stage's records exist already and were handed to the frame, or another frame's
+  // stage is about to make them.
+  std::shared_ptr<RunningStage> schedule(const std::shared_ptr<Frame>& frame, const StageSpec& spec);
+  void provide(Frame& frame, const ArtifactId& id, const std::string& blob, std::shared_ptr<const Bytes> bytes);
+  void add_input(Frame& frame, RunningStage& stage, StageWork& work, const StageInput& input) const;
   bool find_kept(RunningStage& stage);
   void remember_output(const RunningStage& stage);
   void start(const std::shared_ptr<RunningStage>& stage);
+  void hand_over(const std::shared_ptr<RunningStage>& stage, const std::string& why);  // what existed already
+  // Stages of several frames that make the same (followers.cpp): the first one runs, the others get what it made.
+  bool follow(const std::shared_ptr<RunningStage>& stage);  // false: nobody makes it
+  void deliver_to_followers(RunningStage& stage);
+  void release_followers(RunningStage& stage);  // it will not be made: the first of them runs in its place
+  void start_in_place(const std::shared_ptr<RunningStage>& stage);
+  // Those of the frame that have followed a stage which is gone. False: there are none. The lock is held before and
+  // after.
+  bool start_what_follows_no_more(Frame& frame, std::unique_lock<std::mutex>& lock);
   static void join_counted(RunningStage& stage);
-  // The last of {all accepted, all copied in, memory there, retained parts whole} hands the stage to its job; of a
+  // The last of {all accepted, all copied in, memory there, retained parts whole} hands the stage to its frame; of a
   // streamed stage that of {all accepted, all given to the plan}.
   void deliver_if_complete(const std::shared_ptr<RunningStage>& shared);
 
   // Retained outputs (retained.cpp; mutex held).
-  bool retain_output(Job& job, RunningStage& stage);      // true: it exists already
-  void release_retained(Job& job, const ArtifactId& id);  // the frame reads it no more
-  void release_all_retained(Job& job);
+  bool retain_output(RunningStage& stage);                    // true: it exists already
+  void release_retained(Frame& frame, const ArtifactId& id);  // the frame reads it no more
+  void release_all_retained(Frame& frame);
   void release_if_unused(const ArtifactId& id);
   void place_near_inputs(const RunningStage& stage, ScheduledStage& scheduled);
   bool inputs_exist(const RunningStage& stage) const;
   void pause_if_inputs_lack(RunningStage& stage);
+  void settle_pause(const RunningStage& stage);  // with the scheduler: for its inputs, or for its job
   // Computes again what is missing and needed, and pauses who waits for it.
   void settle_retained();
   std::vector<Gap> missing(const ArtifactId& id, bool being_made);
-  void compute_again(Job& job, const ArtifactId& id, const std::vector<Gap>& gaps);
-  void start_again(Job& job, const ArtifactId& id, std::vector<ItemRange> items, const Gap* special);
+  void compute_again(Frame& frame, const ArtifactId& id, const std::vector<Gap>& gaps);
+  void start_again(Frame& frame, const ArtifactId& id, std::vector<ItemRange> items, const Gap* special);
   void require_inputs(const RunningStage& stage);
   bool is_computed(const ArtifactId& id, const ItemRange& items) const;
   void end_again(const std::shared_ptr<RunningStage>& stage);
@@ -163,17 +246,40 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   const Worker* worker_with(const std::string& token) const;
   const RunningStage* reader(const Worker& worker, Epoch epoch, const ArtifactId& id, ItemRange* own) const;
 
+  // Batches that are computed again to find liars (recheck.cpp; mutex held but by the frame's thread).
+  bool wants_recheck(const RunningStage& stage, Worker& worker);
+  void recheck(const std::shared_ptr<RunningStage>& stage, WorkerId maker, const Lease& lease, std::string digest);
+  // False: there is nobody to ask.
+  bool ask_another(Frame& frame, const RunningStage& like, std::unique_ptr<Recheck> what);
+  void take_recheck(const std::shared_ptr<RunningStage>& stage, const Worker& worker, std::string digest);
+  void end_recheck(const std::shared_ptr<RunningStage>& stage);
+  void disagree(Frame& frame, const Recheck& recheck);
+  void drop_hopeless_rechecks();  // a worker is gone
+  std::set<WorkerId> witnesses(const Recheck& recheck) const;
+  void distrust(WorkerId liar, const std::string& why);
+  void await_rechecks(Frame& frame);    // the frame's thread
+  void give_up_rechecks(Frame& frame);  // those that nobody answers in time, of a frame that waits for nothing else
+  void start_over(Frame& frame);        // the frame's thread; with what honest workers made of it
+
   // Results (results.cpp).
+  // Mutex held. The stage of the worker's lease, and the lease; null: there is none such.
+  std::shared_ptr<RunningStage> stage_of(WorkerId id, LeaseId lease_id, Epoch epoch, Lease& lease) const;
   Verdict result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutput output, const BatchCost& cost);
-  // Why the output is not what the lease asks for; empty: it is.
+  // Why the output is not what the lease asks for; empty: it is. Without the mutex: it reads all of it.
   static std::string misfit(const RunningStage& stage, const Lease& lease, const BatchOutput& output);
+  // What of a batch needs its digest: the journal, and what is computed again. The lock is held before and after.
+  // Returns where the batch lies in the stage's file, if it does.
+  std::optional<std::uint64_t> put_on_record(const std::shared_ptr<RunningStage>& stage, WorkerId id,
+                                             const Lease& lease, const Bytes& image, bool rechecked,
+                                             std::unique_lock<std::mutex>& lock);
   // Mutex held. Puts an accepted batch where its stage's records go.
   void collect(const std::shared_ptr<RunningStage>& stage, const Lease& lease, const Bytes& records,
                std::unique_lock<std::mutex>& lock);
   void collect_counted(const std::shared_ptr<RunningStage>& stage, const Lease& lease, Bytes image);
   void keep(const std::shared_ptr<RunningStage>& stage, Worker& worker, const Lease& lease,
             const BatchOutput::Retained& part);
-  void stream_in(RunningStage& stage, const Lease& lease, Bytes records, std::unique_lock<std::mutex>& lock);
+  void stream_in(RunningStage& stage, const Lease& lease, Bytes records, std::optional<std::uint64_t> on_file,
+                 std::unique_lock<std::mutex>& lock);
   void account(RunningStage& stage, const Worker& worker, const Lease& lease, const BatchCost& cost,
                std::size_t bytes);  // mutex held
   void failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::string& message, bool input_unavailable);
@@ -198,15 +304,21 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   ArtifactRegistry registry;
   std::map<ArtifactId, RetainedArtifact> retained;
   std::map<std::string, WorkerId> tokens;
+  std::set<WorkerId> liars;
+  std::mt19937_64 random{std::random_device{}()};
   std::map<WorkerId, std::string> names_of_gone;  // the last few: they may still be in dispute
   KeptRecords kept{settings.kept_bytes};
   std::map<std::string, std::shared_ptr<Job>> jobs;
-  std::list<std::shared_ptr<Job>> order;        // of submission
-  std::deque<std::shared_ptr<Job>> queue;       // those that wait
-  std::deque<std::shared_ptr<Job>> ended_jobs;  // the oldest end first
-  std::size_t running = 0;
+  std::map<std::string, std::string> request_ids;  // to jobs
+  std::mutex request_ids_mutex;                    // taken first: one request with an id is submitted at a time
+  std::list<std::shared_ptr<Job>> order;           // of submission
+  std::deque<std::shared_ptr<Job>> queue;          // those that wait
+  std::deque<std::shared_ptr<Job>> ended_jobs;     // the oldest end first
+  std::vector<std::shared_ptr<Job>> running;       // in the order of their start
+  Seconds last_frame_begun = 0;
+  bool said_no_thread = false;
   std::uint64_t memory_taken = 0;  // predicted, by plans that are there
-  std::map<const Job*, std::thread> threads;
+  std::map<const Frame*, std::thread> threads;
   std::vector<std::thread> ended_threads;  // to be joined
   std::condition_variable thread_ended;
   std::set<std::string> kinds;  // of stages that ran so far

@@ -37,16 +37,30 @@ Farm::Impl::Impl(FarmSettings farm_settings, BlobStore& store)
     };
   if (!settings.plan)
     settings.plan = [](const FrameSettings& frame, const SceneSummary& scene) { return make_plan(frame, scene); };
+  if (!settings.start_thread)
+    settings.start_thread = [](std::function<void()> what) { return std::thread(std::move(what)); };
   if (!settings.log) settings.log = [](const std::string&) {};
   timer = std::thread([this] { watch_clock(); });
 }
 
-Farm::Farm(FarmSettings settings, BlobStore& blobs) : impl_(std::make_shared<Impl>(std::move(settings), blobs)) {}
+Farm::Farm(FarmSettings settings, BlobStore& blobs) : impl_(std::make_shared<Impl>(std::move(settings), blobs)) {
+  try {
+    impl_->restore();
+  } catch (...) {
+    {
+      std::lock_guard lock(impl_->mutex);
+      impl_->stopping = true;
+    }
+    impl_->timer_wakes.notify_all();
+    impl_->timer.join();
+    throw;
+  }
+}
 
 Farm::~Farm() {
   if (!end(usual_grace)) {
     std::lock_guard lock(impl_->mutex);
-    for (auto& [job, thread] : impl_->threads) thread.detach();
+    for (auto& [frame, thread] : impl_->threads) thread.detach();
     impl_->threads.clear();
   }
   impl_->join_ended_threads();
@@ -59,9 +73,7 @@ bool Farm::end(Seconds grace) {
   impl_->stopping = true;
   for (const auto& job : impl_->order) {
     if (ended(job->state)) continue;
-    job->cancel = true;
-    job->events.notify_all();
-    if (job->state == JobState::running && job->computing)
+    if (impl_->stop_frames(*job) && job->state == JobState::running)
       remains.push_back(impl_->end_job(*job, JobState::cancelled, ""));
   }
   impl_->timer_wakes.notify_all();
@@ -107,13 +119,22 @@ std::optional<Film> Farm::preview(const std::string& id) {
     job = impl_->find(id);
   }
   if (!job) return std::nullopt;
-  std::unique_lock plan_lock(job->plan_mutex, std::try_to_lock);
-  for (int tried = 1; !plan_lock && tried < preview_tries; ++tried) {
-    std::this_thread::sleep_for(preview_pause);
-    static_cast<void>(plan_lock.try_lock());
+  std::vector<std::shared_ptr<Frame>> frames;
+  {
+    std::lock_guard lock(impl_->mutex);
+    for (const auto& [place, frame] : job->frames) frames.push_back(frame);
   }
-  if (!plan_lock || !job->plan || !job->drawn) return std::nullopt;
-  return job->plan->preview_film();
+  for (int tried = 0; tried < preview_tries; ++tried) {
+    if (tried > 0) std::this_thread::sleep_for(preview_pause);
+    bool all_seen = true;
+    for (const auto& frame : frames) {
+      const std::unique_lock plan_lock(frame->plan_mutex, std::try_to_lock);
+      all_seen = all_seen && plan_lock;
+      if (plan_lock && frame->plan && frame->drawn) return frame->plan->preview_film();
+    }
+    if (all_seen) break;
+  }
+  return std::nullopt;
 }
 
 std::optional<std::vector<std::string>> Farm::why(const std::string& id) const {
@@ -122,28 +143,48 @@ std::optional<std::vector<std::string>> Farm::why(const std::string& id) const {
   if (!job) return std::nullopt;
   std::vector<std::string> reasons;
   if (job->state == JobState::queued) reasons.push_back(impl_->why_queued(*job));
+  if (job->state == JobState::running && job->paused) return std::vector{impl_->why_queued(*job)};
   if (job->state == JobState::running && impl_->workers.empty()) reasons.push_back("no worker is connected");
-  for (const auto& stage : job->stages) {
-    if (stage->delivered || !impl_->active_stages.count(stage->id)) continue;
-    std::string reason = impl_->scheduler.why_waiting(stage->id, impl_->now());
-    if (!reason.empty()) reasons.push_back("stage " + stage->spec.name + ": " + reason);
-    if (!stage->last_failure.empty()) reasons.push_back("last failure: " + stage->last_failure);
+  // Of a stage of another job, the job too.
+  const Scheduler::Names names{[&](WorkerId worker) { return impl_->name_of(worker); },
+                               [&](StageId stage) {
+                                 const auto found = impl_->active_stages.find(stage);
+                                 if (found == impl_->active_stages.end()) return std::string("that ends");
+                                 const Job& of = *found->second->frame->job;
+                                 return found->second->spec.name + (&of == job.get() ? "" : " of job " + of.id);
+                               }};
+  std::size_t compared = 0;
+  for (const auto& [place, frame] : job->frames) {
+    compared += frame->rechecks.size();
+    const std::string which =
+        job->frames.size() > 1 ? "frame " + std::to_string(frame_at(job->request, frame->place)) + ", " : "";
+    for (const auto& stage : frame->stages) {
+      if (stage->delivered || !impl_->active_stages.count(stage->id)) continue;
+      std::string reason = impl_->scheduler.why_waiting(stage->id, impl_->now(), names);
+      if (!reason.empty()) reasons.push_back(which + "stage " + stage->spec.name + ": " + reason);
+      if (!stage->last_failure.empty()) reasons.push_back("last failure: " + stage->last_failure);
+    }
   }
+  if (compared > 0)
+    reasons.push_back(std::to_string(compared) + " batches are computed a second time, to compare workers");
+  if (job->state == JobState::running)
+    for (const auto& [worker_id, worker] : impl_->workers)
+      if (!worker.aside.empty()) reasons.push_back("worker " + worker.name + " is put aside: " + worker.aside);
   return reasons;
 }
 
 std::vector<fs::path> Farm::files(const std::string& id) const {
-  std::uint32_t first = 0, count = 0;
+  std::vector<std::uint32_t> frames;
   {
     std::lock_guard lock(impl_->mutex);
     auto job = impl_->find(id);
     if (!job) return {};
-    first = job->request.first_frame;
-    count = job->frames_done;
+    for (const auto& [first, last] : job->written.ranges())
+      for (std::uint64_t place = first; place <= last; ++place) frames.push_back(frame_at(job->request, place));
   }
   std::vector<fs::path> files;
-  for (std::uint32_t frame = 0; frame < count; ++frame) {
-    const FramePaths paths = impl_->settings.paths(id, first + frame);
+  for (const std::uint32_t frame : frames) {
+    const FramePaths paths = impl_->settings.paths(id, frame);
     for (const fs::path& path : {paths.exr, paths.png, paths.report})
       if (!path.empty()) files.push_back(path);
   }

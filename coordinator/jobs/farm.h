@@ -8,6 +8,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "coordinator/artifacts/registry.h"
@@ -20,6 +21,8 @@
 #include "coordinator/schedule/scheduler.h"
 
 namespace gleaner::coordinator {
+
+class JournalWriter;
 
 // Where a frame's files go; an empty path: that file is not wanted.
 struct FramePaths {
@@ -35,45 +38,65 @@ struct FarmSettings {
   // is given.
   std::function<std::uint64_t(const FrameSettings&, const SceneSummary&)> check;
   std::function<FramePaths(const std::string& job, std::uint32_t frame)> paths;  // folders are made
+  std::function<std::thread(std::function<void()>)> start_thread;                // of a frame; empty: std::thread
   std::function<void(const std::string&)> log;                                   // one line each; empty: silence
   unsigned active_jobs = 2;  // jobs that run at the same time: the second fills the first one's tail
-  bool preview = true;       // accepted batches are drawn as they come
+  // Frames of a job that run side by side, where workers idle that fewer cannot feed: at most, and never more than
+  // there are workers.
+  unsigned frames_at_once = 8;
+  bool preview = true;                                     // accepted batches are drawn as they come
   std::uint64_t artifact_bytes = std::uint64_t{32} << 30;  // largest result of a stage
+  std::uint64_t arrived_bytes = std::uint64_t{32} << 20;   // of a stage's records that wait for its plan
   std::uint64_t kept_bytes = std::uint64_t{512} << 20;     // of stages' records that later frames may use again
   std::uint64_t retained_bytes = std::uint64_t{8} << 30;  // the same of those that workers retain, all workers together
   // Predicted bytes of the plans that run at the same time: a job that needs more than all of it is refused, one that
   // needs more than what is free waits.
   std::uint64_t memory_bytes = std::numeric_limits<std::uint64_t>::max();
   Seconds silence = 30;  // a worker not heard of for so long is lost
+  // Of accepted batches, the share that another worker of the same kind computes again, beside each worker's first
+  // batch of each kind of stage (jobs/recheck.cpp).
+  double recheck_share = 0;
   // Jobs that ended are listed, and their files are fetched, until there are more of them or they are older. Files
   // stay.
   std::size_t ended_jobs = 1000;
   Seconds ended_seconds = 30.0 * 24 * 3600;
+  // Jobs are written to it, and those that it knows are there when the farm is made: what had ended is listed, what
+  // had not goes on. Null: jobs end with the farm.
+  std::shared_ptr<JournalWriter> journal{};
+  std::filesystem::path records{};  // folder of accepted records, with a journal; empty: frames begin again
 };
 
 class Farm {
  public:
+  // Throws Error::failed where the journal cannot be read.
   Farm(FarmSettings settings, BlobStore& blobs);
   ~Farm();  // end() with the grace of a plan's usual call
   Farm(const Farm&) = delete;
   Farm& operator=(const Farm&) = delete;
 
-  // Cancels all jobs and waits for their threads. False: a plan's call has not returned within `grace` seconds. Its
+  // Stops all jobs and waits for their threads. False: a plan's call has not returned within `grace` seconds. Its
   // thread goes on without touching anything of the farm's owner, but the process should be ended by std::_Exit().
   bool end(Seconds grace);
 
-  // Returns the job's id. Throws Error::usage for settings that no plan takes or that need more memory than there may
-  // be, Error::bad_input for a blob that is not there.
+  // Returns the job's id: of a request with an id that was submitted before, that job's. Throws Error::usage for
+  // settings that no plan takes or that need more memory than there may be, Error::bad_input for a blob that is not
+  // there, Error::failed where the journal cannot be written.
   std::string submit(const JobRequest& request);
   // The status after it; none: no such job. What has ended stays as it ended. A job whose plan computes has ended when
   // this returns: nobody waits for the plan.
   std::optional<JobStatus> cancel(const std::string& job);
+  // Nothing more of a paused job is handed out, and it keeps no other from running; what its workers compute they
+  // finish. The status after it; none: no such job. What has ended stays as it is.
+  std::optional<JobStatus> pause(const std::string& job, bool paused);
+  // A job that failed or was cancelled is queued again, for the frames that are not written. Throws Error::usage for
+  // one that did not, Error::failed without a journal, Error::bad_input where its scene is gone.
+  std::optional<JobStatus> retry(const std::string& job);
   std::optional<JobStatus> status(const std::string& job) const;
   std::vector<JobStatus> list() const;  // oldest first
   // Waits until the job's version is over `seen`, it ended, or `timeout` seconds went by.
   std::optional<JobStatus> wait(const std::string& job, std::uint64_t seen, Seconds timeout) const;
-  // The frame that runs, as far as its batches came in. None: no such job, nothing to show, or a plan that computes at
-  // this moment (it is not waited for).
+  // The first of the frames that run, as far as its batches came in. None: no such job, nothing to show, or a plan that
+  // computes at this moment (it is not waited for).
   std::optional<Film> preview(const std::string& job);
   // One line for every stage that has items which nobody runs. None: no such job.
   std::optional<std::vector<std::string>> why(const std::string& job) const;
@@ -88,7 +111,8 @@ class Farm {
   // The worker is gone; its leases go to others at once. Unknown workers are ignored, here and below.
   void leave(WorkerId worker);
   void drain(WorkerId worker);
-  void heard(WorkerId worker);  // it lives
+  bool drain(const std::string& worker);  // by what it goes by; false: there is none such
+  void heard(WorkerId worker);            // it lives
   std::vector<WorkerStatus> workers() const;
   FarmTotals totals() const;
 

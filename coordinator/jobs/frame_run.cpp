@@ -1,4 +1,6 @@
-// A job's thread: one frame after the other, each from its plan's first stages to its film.
+// A frame's thread: from the plan's first stages to the film and its files.
+
+#include <malloc.h>
 
 #include <algorithm>
 #include <chrono>
@@ -6,43 +8,40 @@
 #include <type_traits>
 #include <utility>
 
+#include "coordinator/artifacts/scene_lineage.h"
 #include "coordinator/film/exposure.h"
 #include "coordinator/jobs/engine.h"
 #include "scene/model/error.h"
+#include "scene/model/frame_state.h"
 
 namespace gleaner::coordinator {
 
 namespace {
 
-constexpr std::size_t most_warnings = 8;                      // of a job's frames, in its status
-constexpr std::uint64_t most_drawn = std::uint64_t{4} << 20;  // bytes of records that a preview takes at a time
+constexpr std::uint64_t large_plan = std::uint64_t{256} << 20;  // bytes, as predicted
+constexpr std::size_t most_warnings = 8;                        // of a job's frames, in its status
+constexpr std::uint64_t most_drawn = std::uint64_t{4} << 20;    // bytes of records that a preview takes at a time
 
 }  // namespace
 
-FrameSettings settings_of(const JobRequest& request, std::uint32_t frame) {
-  FrameSettings settings = request.settings;
-  if (!request.cameras.empty()) settings.camera = request.cameras[frame - request.first_frame];
-  return settings;
-}
-
 template <typename Call>
-auto Farm::Impl::compute(Job& job, const Call& call) {
+auto Farm::Impl::compute(Frame& frame, const Call& call) {
   struct Computing {
     Impl& farm;
-    Job& job;
+    Frame& frame;
     ~Computing() {
       std::lock_guard lock(farm.mutex);
-      job.computing = false;
+      frame.computing = false;
     }
   };
   const auto stop_if_cancelled = [&] {
     std::lock_guard lock(mutex);
-    if (job.cancel || stopping) throw Cancelled{};
-    job.computing = true;
+    if (frame.job->cancel || stopping) throw Cancelled{};
+    frame.computing = true;
   };
   stop_if_cancelled();
-  Computing computing{*this, job};
-  std::lock_guard plan_lock(job.plan_mutex);
+  Computing computing{*this, frame};
+  std::lock_guard plan_lock(frame.plan_mutex);
   if constexpr (std::is_void_v<decltype(call())>) {
     call();
     stop_if_cancelled();
@@ -53,80 +52,100 @@ auto Farm::Impl::compute(Job& job, const Call& call) {
   }
 }
 
-void Farm::Impl::run_frames(const std::shared_ptr<Job>& job) {
-  Film film;
-  Seconds begun = job->accepted;
-  const std::uint32_t first = job->request.first_frame;
-  const std::uint64_t frames = frames_of(job->request);
-  std::uint32_t rendered = first;
-  for (std::uint64_t done = 0; done < frames; ++done) {
-    const auto frame = static_cast<std::uint32_t>(first + done);
-    {
-      std::lock_guard lock(mutex);
-      job->frame_begun = now();
-      job->work_asked = job->work_done = job->work_to_come = 0;
-      job->progress = FrameProgress(job->frame_begun);
-    }
-    if (done == 0 || !same_picture(*job, frame, rendered)) {
-      film = {};  // before the next plan takes its memory
-      aim(*job, frame);
-      film = render(job, frame);
-      rendered = frame;
-    } else {
-      // Neither scene nor camera moves: what was made for the one frame holds for the other.
-      reuse(*job, frame, rendered);
-    }
-    write(*job, frame, film, begun);
-    begun = now();
-    std::lock_guard lock(mutex);
-    ++job->frames_done;
-    job->progress = FrameProgress(begun);  // of the next one
-    ++totals.frames_written;
-    changed(*job);
+void Farm::Impl::render_and_write(const std::shared_ptr<Frame>& frame) {
+  Job& job = *frame->job;
+  if (job.restored) recall(*frame);
+  const std::uint32_t rendered = frame_at(job.request, frame->place);
+  const Film film = render_trusted(frame);
+  write(*frame, film);
+  std::unique_lock lock(mutex);
+  while (frame_over(*frame, "")) {
+    lock.unlock();
+    // Neither scene nor camera moves: what was made for the one frame holds for the other.
+    reuse(*frame, rendered);
+    write(*frame, film);
+    lock.lock();
   }
 }
 
-bool Farm::Impl::same_picture(const Job& job, std::uint32_t a, std::uint32_t b) {
-  if (scene_of(job.request, a).scene_blob != scene_of(job.request, b).scene_blob) return false;
-  const scene::Camera first = settings_of(job.request, a).camera, second = settings_of(job.request, b).camera;
-  return std::memcmp(&first, &second, sizeof first) == 0;
+Film Farm::Impl::render_trusted(const std::shared_ptr<Frame>& frame) {
+  for (;;) {
+    aim(*frame);
+    try {
+      return render(frame);
+    } catch (const Distrusted&) {
+    } catch (const Error&) {
+      // A plan may choke on what a liar made.
+      std::lock_guard lock(mutex);
+      if (!frame->distrusted) throw;
+    }
+    start_over(*frame);
+  }
 }
 
-void Farm::Impl::aim(Job& job, std::uint32_t frame) {
-  const FrameSettings frame_settings = settings_of(job.request, frame);
-  compute(job, [&] {
-    job.plan.reset();  // before the next one takes its memory
-    job.plan = settings.plan(frame_settings, scene_of(job.request, frame).summary);
-    job.drawn = false;
+SceneSummary Farm::Impl::summary_of(const Frame& frame) {
+  const FrameScene& shown = frame.scene;
+  if (shown.state_blob.empty()) return shown.summary;
+  Job& job = *frame.job;
+  const auto fetch = [&](const std::string& id) {
+    Blob blob = blobs.get(id);
+    if (!blob) throw Error::failed("blob " + id + " has gone");
+    return blob;
+  };
+  std::shared_ptr<const scene::Scene> base;
+  {
+    std::lock_guard lock(job.base_mutex);
+    if (job.base_blob != shown.scene_blob) {
+      job.base = nullptr;  // before the next one takes its memory
+      job.base =
+          std::make_shared<const scene::Scene>(scene::parse_scene(*fetch(shown.scene_blob), job.request.scene_name));
+      job.base_blob = shown.scene_blob;
+    }
+    base = job.base;
+  }
+  const std::string origin = job.request.scene_name + ", frame " + std::to_string(frame_at(job.request, frame.place));
+  const scene::FrameState state = scene::parse_frame_state(*fetch(shown.state_blob), origin);
+  SceneSummary summary = summarize(scene::posed(*base, state, origin));
+  summary.lineage = lineage_of(shown.scene_blob, *base, state);
+  return summary;
+}
+
+void Farm::Impl::aim(Frame& frame) {
+  compute(frame, [&] {
+    frame.plan.reset();  // before the next one takes its memory
+    const SceneSummary summary = summary_of(frame);
+    frame.lineage = summary.lineage;
+    frame.plan = settings.plan(frame.settings, summary);
+    frame.drawn = false;
   });
   std::lock_guard lock(mutex);
-  job.scene = scene_of(job.request, frame);
-  job.stages.clear();
-  changed(job);
+  frame.stages.clear();
+  changed(*frame.job);
 }
 
-FrameReport Farm::Impl::new_report(const Job& job, std::uint32_t frame) const {
+FrameReport Farm::Impl::new_report(const Frame& frame) const {
+  const Job& job = *frame.job;
   FrameReport report;
   report.scene = job.request.scene_name;
   report.camera = job.request.camera_name;
   report.job = job.id;
-  report.frame = frame;
-  report.settings = settings_of(job.request, frame);
+  report.frame = frame_at(job.request, frame.place);
+  report.settings = frame.settings;
   report.time_limit = job.request.time_limit;
   return report;
 }
 
-Film Farm::Impl::render(const std::shared_ptr<Job>& job, std::uint32_t frame) {
+Film Farm::Impl::render(const std::shared_ptr<Frame>& frame) {
   {
     std::lock_guard lock(mutex);
-    job->report = new_report(*job, frame);
+    frame->report = new_report(*frame);
   }
   double plan_seconds = 0;
   // The plan's calls are timed: with the stages' seconds they say where a frame's time went.
   auto timed = [&](auto call) {
-    return compute(*job, [&] {
+    return compute(*frame, [&] {
       const auto before = std::chrono::steady_clock::now();
-      auto value = call(*job->plan);
+      auto value = call(*frame->plan);
       plan_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - before).count();
       return value;
     });
@@ -142,130 +161,143 @@ Film Farm::Impl::render(const std::shared_ptr<Job>& job, std::uint32_t frame) {
   };
   Step step = next_step(nullptr);
   while (!step.done) {
-    post(job, step, to_come);
-    std::optional<FinishedStage> finished = await_stage(*job);
+    post(frame, step, to_come);
+    if (step.again) {
+      step = next_step(nullptr);
+      continue;
+    }
+    std::optional<FinishedStage> finished = await_stage(*frame);
     if (!finished) break;  // the time limit; the plan has made do with what there is
+    // What the threads that received the stage's results have freed, glibc keeps in their arenas.
+    if (frame->memory > large_plan) ::malloc_trim(0);
     step = next_step(&*finished);
   }
-  end_frame(*job);
+  await_rechecks(*frame);
+  end_frame(*frame);
   Film film = timed([](Plan& plan) { return plan.take_film(); });
-  std::lock_guard plan_lock(job->plan_mutex);
+  std::lock_guard plan_lock(frame->plan_mutex);
   std::lock_guard lock(mutex);
-  job->drawn = false;  // the plan has given its picture away
-  job->report.skips = job->plan->skips();
-  for (Skip& skip : job->reused) job->report.skips.push_back(std::move(skip));
-  job->reused.clear();
-  job->report.plan_parameters = job->plan->parameters_json();
-  job->report.warnings = job->plan->warnings();
-  if (std::string warning = exposure_warning(film, job->request.exposure_stops); !warning.empty())
-    job->report.warnings.push_back(std::move(warning));
-  warn(*job, frame);
-  job->report.plan_seconds = plan_seconds;
+  frame->drawn = false;  // the plan has given its picture away
+  frame->report.skips = frame->plan->skips();
+  for (Skip& skip : frame->reused) frame->report.skips.push_back(std::move(skip));
+  frame->reused.clear();
+  frame->report.plan_parameters = frame->plan->parameters_json();
+  frame->report.warnings = frame->plan->warnings();
+  if (std::string warning = exposure_warning(film, frame->job->request.exposure_stops); !warning.empty())
+    frame->report.warnings.push_back(std::move(warning));
+  warn(*frame);
+  frame->report.plan_seconds = plan_seconds;
   return film;
 }
 
-void Farm::Impl::warn(Job& job, std::uint32_t frame) {
-  for (const std::string& warning : job.report.warnings) {
-    const std::string words = frames_of(job.request) > 1 ? "frame " + std::to_string(frame) + ": " + warning : warning;
+void Farm::Impl::warn(Frame& frame) {
+  Job& job = *frame.job;
+  for (const std::string& warning : frame.report.warnings) {
+    const std::string words =
+        frames_of(job.request) > 1 ? "frame " + std::to_string(frame.report.frame) + ": " + warning : warning;
     settings.log("job " + job.id + ": " + words);
     if (job.warnings.size() < most_warnings) job.warnings.push_back(words);
   }
 }
 
-void Farm::Impl::reuse(Job& job, std::uint32_t frame, std::uint32_t rendered) {
+void Farm::Impl::reuse(Frame& frame, std::uint32_t rendered) {
   std::lock_guard lock(mutex);
-  FrameReport report = new_report(job, frame);
-  report.plan_parameters = job.report.plan_parameters;
-  report.devices = job.report.devices;
-  report.warnings = job.report.warnings;
-  report.skips = job.report.skips;
+  FrameReport report = new_report(frame);
+  report.plan_parameters = frame.report.plan_parameters;
+  report.devices = frame.report.devices;
+  report.warnings = frame.report.warnings;
+  report.skips = frame.report.skips;
   std::erase_if(report.skips, [](const Skip& skip) { return skip.what == "frame"; });
   report.skips.push_back({"frame", "same scene, camera and settings as frame " + std::to_string(rendered), 1});
-  job.report = std::move(report);
+  frame.report = std::move(report);
 }
 
-std::optional<FinishedStage> Farm::Impl::await_stage(Job& job) {
-  const double limit = job.request.time_limit;
+std::optional<FinishedStage> Farm::Impl::await_stage(Frame& frame) {
+  const double limit = frame.job->request.time_limit;
   bool concludes = limit > 0;
   std::unique_lock lock(mutex);
   for (;;) {
-    if (job.cancel || stopping) throw Cancelled{};
-    if (!job.failure.empty()) throw Error::failed(job.failure);
-    if (!job.finished.empty()) {
-      auto stage = job.finished.front();
-      job.finished.pop_front();
+    if (frame.job->cancel || stopping) throw Cancelled{};
+    if (!frame.failure.empty()) throw Error::failed(frame.failure);
+    if (frame.distrusted) throw Distrusted{};
+    if (start_what_follows_no_more(frame, lock)) continue;
+    if (!frame.finished.empty()) {
+      auto stage = frame.finished.front();
+      frame.finished.pop_front();
       return FinishedStage{stage->spec.name, std::exchange(stage->records, nullptr), stage->record_count, stage->facts};
     }
-    const double left = job.frame_begun + limit - now();
+    const double left = frame.begun + limit - now();
     if (concludes && left <= 0) {
-      take_what_arrived(job, lock);
-      if (!job.finished.empty() || job.cancel || stopping || !job.failure.empty()) continue;
-      if (conclude(job, lock)) return std::nullopt;
+      take_what_arrived(frame, lock);
+      if (!frame.finished.empty() || frame.job->cancel || stopping || !frame.failure.empty()) continue;
+      if (conclude(frame, lock)) return std::nullopt;
       concludes = false;  // too early for a picture: this stage must be whole, the next one need not
       continue;
     }
-    if (stream(job, lock) || draw(job, lock)) continue;
+    if (stream(frame, lock) || draw(frame, lock)) continue;
     if (concludes)
-      job.events.wait_for(lock, std::chrono::duration<double>(left));
+      frame.events.wait_for(lock, std::chrono::duration<double>(left));
     else
-      job.events.wait(lock);
+      frame.events.wait(lock);
   }
 }
 
-bool Farm::Impl::stream(Job& job, std::unique_lock<std::mutex>& lock) {
-  for (const auto& stage : job.stages)
+bool Farm::Impl::stream(Frame& frame, std::unique_lock<std::mutex>& lock) {
+  for (const auto& stage : frame.stages)
     if (!stage->delivered && stage->arrived.ready()) {
-      take_next(job, stage, lock);
+      take_next(frame, stage, lock);
       return true;
     }
   return false;
 }
 
-void Farm::Impl::take_next(Job& job, std::shared_ptr<RunningStage> stage, std::unique_lock<std::mutex>& lock) {
-  const ArrivedRecords::Batch batch = *stage->arrived.next();
+void Farm::Impl::take_next(Frame& frame, std::shared_ptr<RunningStage> stage, std::unique_lock<std::mutex>& lock) {
+  ArrivedRecords::Batch batch = *stage->arrived.next();
   lock.unlock();
-  compute(job, [&] {
-    job.plan->take(stage->spec.name, batch.first, batch.count, batch.records);
-    job.drawn = true;
+  if (batch.read) batch.records = batch.read();
+  compute(frame, [&] {
+    frame.plan->take(stage->spec.name, batch.first, batch.count, batch.records);
+    frame.drawn = true;
   });
   lock.lock();
   records_ready.notify_all();
   deliver_if_complete(stage);
 }
 
-void Farm::Impl::take_what_arrived(Job& job, std::unique_lock<std::mutex>& lock) {
+void Farm::Impl::take_what_arrived(Frame& frame, std::unique_lock<std::mutex>& lock) {
   std::vector<std::pair<std::shared_ptr<RunningStage>, std::uint64_t>> ends;
-  for (const auto& stage : job.stages) ends.emplace_back(stage, stage->arrived.ready_end());
+  for (const auto& stage : frame.stages) ends.emplace_back(stage, stage->arrived.ready_end());
   for (const auto& [stage, end] : ends)
-    while (!stage->delivered && !job.cancel && !stopping && stage->arrived.given() < end) take_next(job, stage, lock);
+    while (!stage->delivered && !frame.job->cancel && !stopping && stage->arrived.given() < end)
+      take_next(frame, stage, lock);
 }
 
-bool Farm::Impl::draw(Job& job, std::unique_lock<std::mutex>& lock) {
-  if (job.undrawn.empty()) return false;
-  UndrawnItems& next = job.undrawn.front();
+bool Farm::Impl::draw(Frame& frame, std::unique_lock<std::mutex>& lock) {
+  if (frame.undrawn.empty()) return false;
+  UndrawnItems& next = frame.undrawn.front();
   const std::shared_ptr<RunningStage> stage = next.stage;
   const std::uint64_t stride = stage->spec.output.record_bytes, first = next.first;
   const std::uint64_t count = std::min(next.count, std::max<std::uint64_t>(1, most_drawn / stride));
   next.first += count;
   next.count -= count;
-  if (next.count == 0) job.undrawn.pop_front();
+  if (next.count == 0) frame.undrawn.pop_front();
   const std::shared_ptr<const Bytes> all = stage->records;
   if (!all) return true;  // the plan has the stage, and draws it no more
   lock.unlock();
   const auto begin = all->begin() + static_cast<std::ptrdiff_t>(first * stride);
   const Bytes records(begin, begin + static_cast<std::ptrdiff_t>(count * stride));
-  compute(job, [&] {
-    job.plan->preview(stage->spec.name, first, count, records);
-    job.drawn = true;
+  compute(frame, [&] {
+    frame.plan->preview(stage->spec.name, first, count, records);
+    frame.drawn = true;
   });
   lock.lock();
   return true;
 }
 
-bool Farm::Impl::conclude(Job& job, std::unique_lock<std::mutex>& lock) {
+bool Farm::Impl::conclude(Frame& frame, std::unique_lock<std::mutex>& lock) {
   std::vector<CutStage> cut;
   std::vector<std::shared_ptr<RunningStage>> stages;
-  for (const auto& stage : job.stages)
+  for (const auto& stage : frame.stages)
     if (!stage->delivered && !stage->computes_again) {
       stages.push_back(stage);
       cut.push_back({{stage->spec.name, stage->records}, stage->copied});
@@ -275,10 +307,10 @@ bool Farm::Impl::conclude(Job& job, std::unique_lock<std::mutex>& lock) {
   for (CutStage& part : cut)
     std::sort(part.whole.begin(), part.whole.end(),
               [](const ItemRange& a, const ItemRange& b) { return a.first < b.first; });
-  const bool concluded = compute(job, [&] { return job.plan->conclude(cut); });
+  const bool concluded = compute(frame, [&] { return frame.plan->conclude(cut); });
   lock.lock();
   if (!concluded) return false;
-  job.report.time_limit_reached = true;
+  frame.report.time_limit_reached = true;
   for (std::size_t i = 0; i < cut.size(); ++i) {
     stages[i]->report.items = 0;  // what the picture is made of
     for (const ItemRange& range : cut[i].whole) stages[i]->report.items += range.count;
@@ -286,38 +318,41 @@ bool Farm::Impl::conclude(Job& job, std::unique_lock<std::mutex>& lock) {
   return true;
 }
 
-JobRemains Farm::Impl::withdraw(Job& job) {
+JobRemains Farm::Impl::withdraw(Frame& frame) {
   JobRemains remains;
-  for (const auto& stage : job.stages) {
+  for (const auto& stage : frame.stages) {
     if (!stage->delivered) {
       if (stage->computes_again) end_again(stage);
       revoke(scheduler.remove_stage(stage->id));
       active_stages.erase(stage->id);
       stage->delivered = true;
     }
+    release_followers(*stage);
     if (stage->last_result >= 0) stage->report.seconds = stage->last_result - stage->first_lease;
     remains.records.push_back(std::exchange(stage->records, nullptr));
     remains.arrived.push_back(std::exchange(stage->arrived, {}));
     remains.counted.push_back(std::exchange(stage->counted, {}));
   }
+  while (!frame.rechecks.empty()) end_recheck(std::shared_ptr<RunningStage>(frame.rechecks.back()));
   records_ready.notify_all();
-  for (const auto& stage : job.finished) remains.stages.push_back(stage);
-  job.finished.clear();
-  job.undrawn.swap(remains.undrawn);
-  job.data.swap(remains.data);
-  job.outputs.clear();
-  release_all_retained(job);
+  for (const auto& stage : frame.finished) remains.stages.push_back(stage);
+  frame.finished.clear();
+  frame.to_start.clear();
+  frame.undrawn.swap(remains.undrawn);
+  frame.data.swap(remains.data);
+  frame.outputs.clear();
+  release_all_retained(frame);
   settle_retained();  // what this frame computed again, others may need
-  if (job.report.stages.empty())
-    for (const auto& stage : job.stages) job.report.stages.push_back(stage->report);
+  if (frame.report.stages.empty())
+    for (const auto& stage : frame.stages) frame.report.stages.push_back(stage->report);
   offer_to_unserved_soon();
   return remains;
 }
 
-void Farm::Impl::end_frame(Job& job) {
+void Farm::Impl::end_frame(Frame& frame) {
   JobRemains remains;  // destroyed last
   std::lock_guard lock(mutex);
-  remains = withdraw(job);
+  remains = withdraw(frame);
 }
 
 }  // namespace gleaner::coordinator

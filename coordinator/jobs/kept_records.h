@@ -22,6 +22,10 @@ class KeptRecords {
 
   Records find(const std::string& address);  // null: not kept
   void put(const std::string& address, Records records);
+  void clear() {
+    entries_.clear();
+    bytes_ = 0;
+  }
 
  private:
   std::uint64_t most_, bytes_ = 0;

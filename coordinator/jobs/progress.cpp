@@ -6,7 +6,6 @@ namespace gleaner::coordinator {
 
 namespace {
 
-constexpr Seconds rate_window = 10;
 constexpr Seconds sample_interval = 0.1;  // a frame has thousands of results
 
 }  // namespace
@@ -20,7 +19,7 @@ void FrameProgress::update(Seconds now, double done, double left) {
     samples_.back() = {now, done};
   else
     samples_.emplace_back(now, done);
-  while (samples_.size() > 2 && samples_[1].first < now - rate_window) samples_.pop_front();
+  while (samples_.size() > 2 && samples_[1].first < now - window_) samples_.pop_front();
 }
 
 Seconds FrameProgress::seconds_left() const {

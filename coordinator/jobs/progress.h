@@ -1,6 +1,6 @@
 #pragma once
 // How far a frame is, and how long it will take, over all its stages: those to come included, by the work that the plan
-// predicts for them.
+// predicts for them. And the same of a job, whose work is its frames.
 
 #include <deque>
 #include <utility>
@@ -12,7 +12,9 @@ namespace gleaner::coordinator {
 class FrameProgress {
  public:
   FrameProgress() = default;
-  explicit FrameProgress(Seconds begun) : samples_{{begun, 0.0}} {}
+  // `done`: what was done before. The rate is that of the last `window` seconds.
+  explicit FrameProgress(Seconds begun, double done = 0, Seconds window = 10)
+      : window_(window), samples_{{begun, done}} {}
 
   // Work that is done and that is left, in the units of StageSpec::work. A prediction may change what is left.
   void update(Seconds now, double done, double left);
@@ -23,6 +25,7 @@ class FrameProgress {
   Seconds seconds_left() const;
 
  private:
+  Seconds window_ = 10;
   double left_ = 0, part_ = 0;
   std::deque<std::pair<Seconds, double>> samples_;  // (when, work done), the oldest first; the last is the latest
 };

@@ -32,6 +32,20 @@ json stage_json(const StageReport& stage) {
           {"kernel_seconds", stage.kernel_seconds}};
 }
 
+json motion_json(const std::string& worker, const ShownFrame& shown) {
+  return {{"worker", worker},
+          {"load_seconds", shown.load_seconds},
+          {"pose_seconds", shown.pose_seconds},
+          {"table_seconds", shown.table_seconds},
+          {"written_bytes", shown.written_bytes},
+          {"refitted", shown.refitted},
+          {"refit_seconds", shown.refit_seconds},
+          {"rebuilt", shown.rebuilt},
+          {"rebuild_seconds", shown.rebuild_seconds},
+          {"top_level_seconds", shown.top_level_seconds},
+          {"most_growth", shown.most_growth}};
+}
+
 }  // namespace
 
 std::string report_json(const FrameReport& report) {
@@ -76,6 +90,7 @@ std::string report_json(const FrameReport& report) {
       {"pixels_sha256", report.pixels_sha256},
       {"frame", report.frame},
       {"job", report.job}};
+  for (const auto& [worker, shown] : report.motion) root["motion"].push_back(motion_json(worker, shown));
   if (report.time_limit > 0)
     root["time_limit"] = {{"seconds", report.time_limit}, {"reached", report.time_limit_reached}};
   // Names come from people and drivers: bytes that are not UTF-8 are replaced instead of failing the frame.

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <map>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "coordinator/jobs/job.h"
@@ -46,6 +47,9 @@ struct FrameReport {
   };
   std::vector<NonfiniteItem> nonfinite_items;        // the first few
   std::map<std::string, DeviceDescription> devices;  // by worker id
+  // By worker id, in order: a base shown in the frame's state. Where a worker went back and forth between frames, once
+  // for each time.
+  std::vector<std::pair<std::string, ShownFrame>> motion;
   std::string pixels_sha256;
 };
 

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "coordinator/jobs/engine.h"
+#include "coordinator/journal/record_file.h"
 
 namespace gleaner::coordinator {
 
@@ -16,7 +17,21 @@ constexpr std::size_t most_nonfinite_items = 16;  // in a report
 constexpr std::size_t most_facts_bytes = std::size_t{64} << 10;
 constexpr std::uint64_t count_bytes = 4;
 constexpr Seconds unavailable_for = 60;  // that inputs may lack, beyond the time in which a lost worker is noticed
-constexpr std::uint64_t most_arrived = std::uint64_t{64} << 20;  // bytes of a stage that wait for its plan
+
+// Sums of a film's samples must stay finite: a record beyond is no light.
+constexpr int most_exponent = 108;
+
+// The first of the 32-bit floats that is not a number of sane size; their count: none.
+std::size_t first_insane(const Bytes& image) {
+  const std::size_t words = image.size() / sizeof(std::uint32_t);
+  constexpr std::uint32_t sign = 0x80000000u, most = static_cast<std::uint32_t>(most_exponent + 127) << 23;
+  for (std::size_t word = 0; word < words; ++word) {
+    std::uint32_t bits;
+    std::memcpy(&bits, image.data() + word * sizeof bits, sizeof bits);
+    if ((bits & ~sign) >= most) return word;
+  }
+  return words;
+}
 
 // Adds the time from here on to a total, until it is stopped.
 class Stopwatch {
@@ -61,31 +76,51 @@ std::string Farm::Impl::misfit(const RunningStage& stage, const Lease& lease, co
     }
     expected = lease.count * count_bytes + records * wanted.record_bytes;
   }
-  return output.image.size() == expected
-             ? ""
-             : "sent " + std::to_string(output.image.size()) + " bytes instead of " + std::to_string(expected);
+  if (output.image.size() != expected)
+    return "sent " + std::to_string(output.image.size()) + " bytes instead of " + std::to_string(expected);
+  if (!wanted.floats) return "";
+  const std::size_t words = output.image.size() / sizeof(float), bad = first_insane(output.image);
+  if (bad == words) return "";
+  float value;
+  std::memcpy(&value, output.image.data() + bad * sizeof value, sizeof value);
+  return "sent " + std::to_string(value) + " in the record of item " +
+         std::to_string(lease.first + bad * sizeof value / wanted.record_bytes) + ", expected finite numbers below 2^" +
+         std::to_string(most_exponent);
+}
+
+std::shared_ptr<RunningStage> Farm::Impl::stage_of(WorkerId id, LeaseId lease_id, Epoch epoch, Lease& lease) const {
+  const auto known = leases.find(epoch);
+  if (known == leases.end() || known->second.worker != id || known->second.id != lease_id) return nullptr;
+  lease = known->second;
+  const auto found = active_stages.find(lease.stage);
+  return found == active_stages.end() ? nullptr : found->second;
 }
 
 Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutput output, const BatchCost& cost) {
-  std::unique_lock lock(mutex);
-  Stopwatch held(totals.result_lock_seconds);
-  auto worker = workers.find(id);
-  if (worker == workers.end()) return Verdict::unknown_lease;
-  worker->second.heard = now();
-  auto known = leases.find(epoch);
-  const bool own = known != leases.end() && known->second.worker == id && known->second.id == lease_id;
-  const Lease lease = own ? known->second : Lease{};
+  Lease lease;
   std::shared_ptr<RunningStage> stage;
-  if (auto found = active_stages.find(lease.stage); own && found != active_stages.end()) stage = found->second;
-  if (stage)
+  std::unique_lock lock(mutex);
+  {
+    const Stopwatch held(totals.result_lock_seconds);
+    stage = stage_of(id, lease_id, epoch, lease);
+  }
+  if (stage) {
+    lock.unlock();
     if (const std::string why = misfit(*stage, lease, output); !why.empty()) {
-      held.stop();
-      lock.unlock();
       failed(id, lease_id, epoch, why, false);
       return Verdict::stale;
     }
+    lock.lock();
+  }
+  Stopwatch held(totals.result_lock_seconds);
+  const auto worker = workers.find(id);
+  if (worker == workers.end()) return Verdict::unknown_lease;
+  worker->second.heard = now();
+  stage = stage_of(id, lease_id, epoch, lease);  // it may have ended meanwhile
   ResultOutcome outcome = scheduler.result(id, lease_id, epoch, cost.seconds, now());
-  if (own) forget_lease(epoch);
+  if (const auto known = leases.find(epoch);
+      known != leases.end() && known->second.worker == id && known->second.id == lease_id)
+    forget_lease(epoch);
   revoke(outcome.revoke);
   offer(worker->second);  // it gets its next batch before this one is put away
   offer_to_unserved_soon();
@@ -93,14 +128,22 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutp
     if (output.part) take_late_part(worker->second, outcome.verdict, *output.part);
     return outcome.verdict;
   }
-  account(*stage, worker->second, lease, cost, output.sent_bytes ? output.sent_bytes : output.image.size());
-  stage->complete = outcome.stage_complete;
-  stage->unavailable_since = -1;
-  if (stage->spec.solo) stage->facts = std::move(output.facts);
-  changed(*stage->job);
+  bool rechecked = false;
+  if (!stage->recheck) {
+    rechecked = wants_recheck(*stage, worker->second);
+    account(*stage, worker->second, lease, cost, output.sent_bytes ? output.sent_bytes : output.image.size());
+    stage->complete = outcome.stage_complete;
+    stage->unavailable_since = -1;
+    if (stage->spec.solo) stage->facts = std::move(output.facts);
+    changed(*stage->frame->job);
+  }
   held.stop();
+  std::optional<std::uint64_t> on_file;
+  if (stage->recheck || stage->file || rechecked)
+    on_file = put_on_record(stage, id, lease, output.image, rechecked, lock);
+  if (stage->recheck) return outcome.verdict;
   if (stage->streamed())
-    stream_in(*stage, lease, std::move(output.image), lock);
+    stream_in(*stage, lease, std::move(output.image), on_file, lock);
   else if (stage->retained())
     keep(stage, worker->second, lease, *output.part);
   else if (stage->spec.output.counted)
@@ -108,6 +151,27 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutp
   else
     collect(stage, lease, output.image, lock);
   return outcome.verdict;
+}
+
+std::optional<std::uint64_t> Farm::Impl::put_on_record(const std::shared_ptr<RunningStage>& stage, WorkerId id,
+                                                       const Lease& lease, const Bytes& image, bool rechecked,
+                                                       std::unique_lock<std::mutex>& lock) {
+  ++stage->writers;  // the stage is not whole before this batch is put away
+  const Bytes facts = stage->facts;
+  lock.unlock();
+  const std::string digest = digest_of(image);
+  std::optional<JournalRange> range;
+  if (stage->file) range = store(*stage, lease, image, facts, digest);
+  lock.lock();
+  --stage->writers;
+  if (stage->delivered) return std::nullopt;  // the frame is over, or begins again
+  std::optional<std::uint64_t> offset;
+  if (range) offset = range->offset;
+  if (range) remember(*stage, id, std::move(*range));
+  if (rechecked) recheck(stage, id, lease, digest);
+  if (stage->recheck)
+    if (const auto worker = workers.find(id); worker != workers.end()) take_recheck(stage, worker->second, digest);
+  return offset;
 }
 
 void Farm::Impl::collect_counted(const std::shared_ptr<RunningStage>& stage, const Lease& lease, Bytes image) {
@@ -147,21 +211,34 @@ void Farm::Impl::collect(const std::shared_ptr<RunningStage>& stage, const Lease
   --stage->writers;
   deliver_if_complete(stage);
   if (!settings.preview || stage->delivered || !target) return;
-  std::deque<UndrawnItems>& undrawn = stage->job->undrawn;
+  std::deque<UndrawnItems>& undrawn = stage->frame->undrawn;
   if (!undrawn.empty() && undrawn.back().stage == stage && undrawn.back().first + undrawn.back().count == lease.first)
     undrawn.back().count += lease.count;
   else
     undrawn.push_back({stage, lease.first, lease.count});
-  stage->job->events.notify_all();
+  stage->frame->events.notify_all();
 }
 
-void Farm::Impl::stream_in(RunningStage& stage, const Lease& lease, Bytes records, std::unique_lock<std::mutex>& lock) {
+void Farm::Impl::stream_in(RunningStage& stage, const Lease& lease, Bytes records, std::optional<std::uint64_t> on_file,
+                           std::unique_lock<std::mutex>& lock) {
   Stopwatch held(totals.result_lock_seconds);
-  stage.arrived.put({lease.first, lease.count, std::move(records)});
-  stage.job->events.notify_all();
+  ArrivedRecords::Batch batch{lease.first, lease.count, std::move(records)};
+  const bool full = stage.arrived.bytes() + batch.records.size() > settings.arrived_bytes;
+  if (on_file && full && !stage.arrived.ready() && lease.first != stage.arrived.given()) {
+    // It waits for a batch that is late, and lies in a file anyway: a slow worker costs the coordinator no memory.
+    batch.read = [file = stage.file, offset = *on_file, bytes = batch.records.size()] {
+      return file->read(offset, bytes);
+    };
+    batch.records = {};
+    ++totals.batches_read_back;
+  }
+  stage.arrived.put(std::move(batch));
+  stage.frame->events.notify_all();
   // A plan that takes records in more slowly than they arrive holds their workers up; one that waits for a batch that
   // has not arrived does not, or that batch might never come.
-  const auto room = [&] { return stage.delivered || !stage.arrived.ready() || stage.arrived.bytes() <= most_arrived; };
+  const auto room = [&] {
+    return stage.delivered || !stage.arrived.ready() || stage.arrived.bytes() <= settings.arrived_bytes;
+  };
   if (room()) return;
   held.stop();
   const WorkerId id = lease.worker;
@@ -181,22 +258,27 @@ void Farm::Impl::account(RunningStage& stage, const Worker& worker, const Lease&
   ++totals.batches_accepted;
   stage.last_result = time;
   remember_progress(stage, time);
-  Job& job = *stage.job;
-  job.work_done += stage.work_per_item() * static_cast<double>(lease.count);
-  job.progress.update(time, job.work_done, job.work_asked - job.work_done + job.work_to_come);
+  Frame& frame = *stage.frame;
+  frame.makers.insert(worker.id);
+  frame.work_done += stage.work_per_item() * static_cast<double>(lease.count);
+  frame.progress.update(time, frame.work_done, frame.work_asked - frame.work_done + frame.work_to_come);
+  update_progress(*frame.job, time);
   ++stage.report.batches;
   stage.report.trace_seconds += cost.trace_seconds;
   stage.report.kernel_seconds += cost.kernel_seconds;
   auto& share = stage.report.workers[worker.name];
   share.items += lease.count;
   share.seconds += cost.seconds;
-  FrameReport& report = stage.job->report;
+  FrameReport& report = frame.report;
   report.camera_rays += cost.camera_rays;
   report.scatter_rays += cost.scatter_rays;
   report.shadow_rays += cost.shadow_rays;
+  frame.job->worker_seconds += cost.seconds;
+  frame.job->rays += cost.camera_rays + cost.scatter_rays + cost.shadow_rays;
   report.uploaded_bytes += cost.fetched_bytes;
   report.peer_bytes += cost.peer_bytes;
   report.downloaded_bytes += bytes;
+  if (cost.shown) report.motion.emplace_back(worker.name, *cost.shown);
   report.nonfinite += cost.nonfinite;
   for (std::uint64_t item : cost.nonfinite_items)
     if (report.nonfinite_items.size() < most_nonfinite_items)
@@ -227,12 +309,17 @@ void Farm::Impl::failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::s
     stage->last_failure = "stage " + stage->spec.name + ", items " + std::to_string(lease.first) + " to " +
                           std::to_string(lease.first + lease.count - 1) + ", worker " + worker->second.name + ": " +
                           message;
-    settings.log("job " + stage->job->id + ": " + stage->last_failure);
-    if (outcome.stage_failed && stage->job->failure.empty()) {
-      stage->job->failure = stage->last_failure;
-      stage->job->events.notify_all();
+    settings.log("job " + stage->frame->job->id + ": " + stage->last_failure);
+    if (outcome.stage_failed && !stage->recheck && stage->frame->failure.empty()) {
+      stage->frame->failure = stage->last_failure;
+      stage->frame->events.notify_all();
     }
     forget_lease(epoch);
+    if (stage->recheck && (outcome.stage_failed || input_unavailable)) {
+      // Nobody can compare: where the answers so far differ, nobody decides.
+      end_recheck(stage);
+      if (stage->recheck->answers.size() > 1) disagree(*stage->frame, *stage->recheck);
+    }
   }
   offer(worker->second);
   offer_to_unserved_soon();

@@ -27,14 +27,6 @@ ArtifactLayout layout_of(const StageSpec& spec) {
           .most_records = spec.output.most_records};
 }
 
-// Devices of one kind make the same bytes of the same items.
-std::string kind_of(const DeviceDescription& device) {
-  std::string kind;
-  for (const std::string* word : {&device.name, &device.platform, &device.driver, &device.version, &device.tracer})
-    kind += *word + "\n";
-  return kind;
-}
-
 bool overlap(const ItemRange& a, const ItemRange& b) {
   return a.first < b.first + b.count && b.first < a.first + a.count;
 }
@@ -48,7 +40,7 @@ std::string words_of(const ItemRange& items) {
 // --- Lifetimes (mutex held)
 // -------------------------------------------------------------------------------------------
 
-bool Farm::Impl::retain_output(Job& job, RunningStage& stage) {
+bool Farm::Impl::retain_output(RunningStage& stage) {
   auto recipe = std::make_shared<Recipe>();
   recipe->id = stage.artifact;
   recipe->spec = stage.spec;
@@ -57,7 +49,7 @@ bool Farm::Impl::retain_output(Job& job, RunningStage& stage) {
   stage.recipe = recipe;
   RetainedArtifact& artifact = retained[stage.artifact];
   if (!artifact.recipe) artifact.recipe = std::move(recipe);
-  artifact.frames.insert(&job);
+  artifact.frames.insert(stage.frame.get());
   registry.take(stage.artifact);
   registry.add(stage.artifact, layout_of(stage.spec));
   if (stage.spec.items > 0 && registry.whole(stage.artifact)) {
@@ -71,8 +63,8 @@ bool Farm::Impl::retain_output(Job& job, RunningStage& stage) {
   return false;
 }
 
-void Farm::Impl::release_retained(Job& job, const ArtifactId& id) {
-  if (const auto at = retained.find(id); at != retained.end() && at->second.frames.erase(&job) > 0)
+void Farm::Impl::release_retained(Frame& frame, const ArtifactId& id) {
+  if (const auto at = retained.find(id); at != retained.end() && at->second.frames.erase(&frame) > 0)
     release_if_unused(id);
 }
 
@@ -80,7 +72,8 @@ void Farm::Impl::release_if_unused(const ArtifactId& id) {
   const auto at = retained.find(id);
   if (at == retained.end() || !at->second.frames.empty() || at->second.readers > 0) return;
   std::vector<ArtifactId> gone = {id};
-  if (at->second.recipe->spec.output.reusable) gone = registry.keep(id, settings.retained_bytes);
+  if (at->second.recipe->spec.output.reusable && !at->second.untrusted)
+    gone = registry.keep(id, settings.retained_bytes);
   for (const ArtifactId& artifact : gone) {
     for (const WorkerId holder : registry.release(artifact))
       if (auto worker = workers.find(holder); worker != workers.end()) worker->second.session->release({artifact});
@@ -88,11 +81,11 @@ void Farm::Impl::release_if_unused(const ArtifactId& id) {
   }
 }
 
-void Farm::Impl::release_all_retained(Job& job) {
+void Farm::Impl::release_all_retained(Frame& frame) {
   std::vector<ArtifactId> held;
   for (const auto& [id, artifact] : retained)
-    if (artifact.frames.contains(&job)) held.push_back(id);
-  for (const ArtifactId& id : held) release_retained(job, id);
+    if (artifact.frames.contains(&frame)) held.push_back(id);
+  for (const ArtifactId& id : held) release_retained(frame, id);
 }
 
 // --- Placing and pausing (mutex held)
@@ -134,7 +127,11 @@ void Farm::Impl::pause_if_inputs_lack(RunningStage& stage) {
   const bool lack = !inputs_exist(stage);
   if (lack == stage.paused) return;
   stage.paused = lack;
-  if (lack)
+  settle_pause(stage);
+}
+
+void Farm::Impl::settle_pause(const RunningStage& stage) {
+  if (stage.paused || stage.frame->job->paused)
     scheduler.pause(stage.id);
   else
     scheduler.resume(stage.id);
@@ -188,21 +185,21 @@ std::vector<Gap> Farm::Impl::missing(const ArtifactId& id, bool being_made) {
   return gaps;
 }
 
-void Farm::Impl::compute_again(Job& job, const ArtifactId& id, const std::vector<Gap>& gaps) {
+void Farm::Impl::compute_again(Frame& frame, const ArtifactId& id, const std::vector<Gap>& gaps) {
   if (gaps.empty()) return;
   std::vector<ItemRange> together;
   for (const Gap& gap : gaps)
     if (gap.in_one_piece || !gap.avoid.empty())
-      start_again(job, id, {gap.items}, &gap);
+      start_again(frame, id, {gap.items}, &gap);
     else
       together.push_back(gap.items);
-  if (!together.empty()) start_again(job, id, std::move(together), nullptr);
+  if (!together.empty()) start_again(frame, id, std::move(together), nullptr);
 }
 
-void Farm::Impl::start_again(Job& job, const ArtifactId& id, std::vector<ItemRange> items, const Gap* special) {
+void Farm::Impl::start_again(Frame& frame, const ArtifactId& id, std::vector<ItemRange> items, const Gap* special) {
   const std::shared_ptr<const Recipe> recipe = retained.at(id).recipe;
   auto stage = std::make_shared<RunningStage>();
-  stage->job = job.shared_from_this();
+  stage->frame = frame.shared_from_this();
   stage->spec = recipe->spec;
   stage->spec.name += " (again)";
   stage->spec.priority = priority_again;
@@ -219,7 +216,7 @@ void Farm::Impl::start_again(Job& job, const ArtifactId& id, std::vector<ItemRan
   stage->report.name = stage->spec.name;
   stage->report.kind = stage->spec.kind;
   for (const ItemRange& range : stage->again) stage->report.items += range.count;
-  settings.log("job " + job.id + ": stage " + recipe->spec.name + ": " + std::to_string(stage->report.items) +
+  settings.log("job " + frame.job->id + ": stage " + recipe->spec.name + ": " + std::to_string(stage->report.items) +
                " items are computed again");
   // What it reads may have been released meanwhile: it is needed again, as far as these items read it.
   for (std::size_t i = 0; i < stage->reads.size(); ++i) {
@@ -247,7 +244,7 @@ void Farm::Impl::require_inputs(const RunningStage& stage) {
     else
       needed = registry.gaps(input->id);
     std::erase_if(needed, [&](const Gap& gap) { return is_computed(input->id, gap.items); });
-    compute_again(*stage.job, input->id, needed);
+    compute_again(*stage.frame, input->id, needed);
   }
 }
 
@@ -287,14 +284,11 @@ bool Farm::Impl::fits(const RunningStage& stage, const Lease& lease, const Batch
 
 void Farm::Impl::take_part(const RunningStage& stage, Worker& worker, const ItemRange& items,
                            const BatchOutput::Retained& sent) {
-  const Part part{.items = items,
-                  .bytes = sent.bytes,
-                  .records = sent.records,
-                  .digest = sent.digest,
-                  .device_kind = kind_of(worker.hello.device)};
+  const Part part{
+      .items = items, .bytes = sent.bytes, .records = sent.records, .digest = sent.digest, .device_kind = worker.kind};
   const ArtifactId id = stage.artifact;
   const PartOutcome outcome = registry.accept(id, part, worker.id);
-  const std::string what = "job " + stage.job->id + ": stage " + stage.spec.name + ", " + words_of(items);
+  const std::string what = "job " + stage.frame->job->id + ": stage " + stage.spec.name + ", " + words_of(items);
   if (outcome.verdict == PartVerdict::disputed) {
     std::string names;
     for (const PartClaim& claim : outcome.claims) {
@@ -303,9 +297,9 @@ void Farm::Impl::take_part(const RunningStage& stage, Worker& worker, const Item
         holder->second.session->drop_part(id, items.first, claim.digest);
     }
     settings.log(what + ": workers " + names + " made different records; none counts");
-    if ((outcome.claims.size() > 2 || outcome.rounds >= most_rounds) && stage.job->failure.empty()) {
-      stage.job->failure = what + ": the records differ each time they are computed (workers " + names + ")";
-      stage.job->events.notify_all();
+    if ((outcome.claims.size() > 2 || outcome.rounds >= most_rounds) && stage.frame->failure.empty()) {
+      stage.frame->failure = what + ": the records differ each time they are computed (workers " + names + ")";
+      stage.frame->events.notify_all();
     }
     if (auto at = retained.find(id); at != retained.end()) at->second.lost.push_back(items);
     settle_retained();
@@ -316,9 +310,11 @@ void Farm::Impl::take_part(const RunningStage& stage, Worker& worker, const Item
   for (const WorkerId liar : outcome.outvoted) quarantine(liar, what + ": made other records than two others");
 }
 
-// Nothing that it made counts any more: its parts are lost, its leases go to others, and it gets none.
+// Nothing that it made counts any more: its parts are lost, its leases go to others, and it gets none. It stays
+// connected, so that people see it and nobody starts it anew.
 void Farm::Impl::quarantine(WorkerId id, const std::string& why) {
   settings.log("worker " + name_of(id) + " is quarantined: " + why);
+  liars.insert(id);
   const auto found = workers.find(id);
   if (found == workers.end()) return;
   Worker& worker = found->second;
@@ -328,9 +324,10 @@ void Farm::Impl::quarantine(WorkerId id, const std::string& why) {
   }
   scheduler.worker_lost(id, now());
   worker.draining = true;
+  worker.aside = why;
   unserved.erase(id);
-  worker.session->drain();
   lose_parts(id);
+  drop_hopeless_rechecks();
   offer_to_unserved_soon();
 }
 
@@ -469,8 +466,8 @@ void Farm::relayed(Epoch epoch, std::uint64_t bytes) {
   const auto stage = impl_->active_stages.find(lease->second.stage);
   if (stage == impl_->active_stages.end()) return;
   // They come from one worker, and go to another one.
-  stage->second->job->report.uploaded_bytes += bytes;
-  stage->second->job->report.downloaded_bytes += bytes;
+  stage->second->frame->report.uploaded_bytes += bytes;
+  stage->second->frame->report.downloaded_bytes += bytes;
 }
 
 std::optional<WorkerId> Farm::worker_of(const std::string& token) const {

@@ -31,6 +31,15 @@ struct WorkerHello {
   std::string token{};         // secret of this connection (worker.proto); empty: it can neither hold nor fetch parts
 };
 
+// What it took a worker to show a scene's base in a frame's state (worker.proto).
+struct ShownFrame {
+  double load_seconds = 0, pose_seconds = 0, table_seconds = 0;
+  std::uint64_t written_bytes = 0;
+  double refit_seconds = 0, rebuild_seconds = 0, top_level_seconds = 0;
+  std::uint32_t refitted = 0, rebuilt = 0;
+  double most_growth = 0;
+};
+
 // What a batch cost, as its worker says. Seconds are wall time there.
 struct BatchCost {
   double seconds = 0, trace_seconds = 0, kernel_seconds = 0;
@@ -39,6 +48,7 @@ struct BatchCost {
   std::vector<std::uint64_t> nonfinite_items;  // the first few
   std::uint64_t fetched_bytes = 0;             // blobs that the worker fetched for this batch
   std::uint64_t peer_bytes = 0;                // parts that it fetched from other workers, not through the coordinator
+  std::optional<ShownFrame> shown{};           // where the worker showed another frame before
 };
 
 // What a worker answers to a lease.
@@ -73,7 +83,7 @@ struct StageWork {
   std::vector<Input> inputs;
   std::string artifact;  // id of what the stage makes
   StageOutput output;
-  std::string scene_blob, bvh_blob;  // ids
+  std::string scene_blob, bvh_blob, state_blob;  // ids; see FrameScene
 };
 
 // The farm's way to one worker. Calls come with the farm locked: they queue what is to be said and return.

@@ -1,5 +1,6 @@
 // A stage from the plan's step to its whole records.
 
+#include <algorithm>
 #include <cstring>
 #include <new>
 #include <span>
@@ -13,6 +14,10 @@
 namespace gleaner::coordinator {
 
 namespace {
+
+// Of the records that a batch sends. A result is put together before the farm takes it, and so many workers may be
+// sending theirs.
+constexpr std::uint64_t most_batch_bytes = std::uint64_t{8} << 20;
 
 // Why the farm cannot take the stage's output; empty: it can.
 std::string refusal(const StageSpec& spec, std::uint64_t most_bytes) {
@@ -34,74 +39,80 @@ std::string refusal(const StageSpec& spec, std::uint64_t most_bytes) {
 
 }  // namespace
 
-void Farm::Impl::post(const std::shared_ptr<Job>& job, const Step& step, double work_to_come) {
+void Farm::Impl::post(const std::shared_ptr<Frame>& frame, const Step& step, double work_to_come) {
   // Names are made of bytes that may be many: before the mutex is taken.
   std::map<ArtifactId, std::string> names;
   for (const auto& [id, bytes] : step.artifacts) names[id] = is_sha256_hex(id) ? id : data_id(*bytes);
   std::vector<std::shared_ptr<const ArtifactData>> released;  // destroyed where the mutex is not held
-  std::vector<std::shared_ptr<RunningStage>> posted;
+  std::vector<std::shared_ptr<const StageWork>> ended;        // likewise: they hold their inputs
+  std::vector<std::shared_ptr<RunningStage>> started;
   {
     std::lock_guard lock(mutex);
-    if (job->cancel || stopping) throw Cancelled{};
-    for (const auto& [id, bytes] : step.artifacts) provide(*job, id, names.at(id), bytes);
-    for (const StageSpec& spec : step.stages) {
-      auto stage = schedule(job, spec);
-      if (!stage) continue;
-      if (stage->collected() && !spec.output.counted)
-        posted.push_back(stage);
-      else
-        deliver_if_complete(stage);  // one of no items
-    }
+    if (frame->job->cancel || stopping) throw Cancelled{};
+    for (const auto& [id, bytes] : step.artifacts) provide(*frame, id, names.at(id), bytes);
+    for (const StageSpec& spec : step.stages)
+      if (auto stage = schedule(frame, spec)) started.push_back(std::move(stage));
     for (const ArtifactId& id : step.released) {
-      if (auto data = job->data.extract(id)) released.push_back(std::move(data.mapped()));
-      job->outputs.erase(id);
-      release_retained(*job, id);
+      if (auto data = frame->data.extract(id)) released.push_back(std::move(data.mapped()));
+      frame->outputs.erase(id);
+      release_retained(*frame, id);
     }
-    job->work_to_come = work_to_come;
+    for (const auto& stage : frame->stages)
+      if (stage->delivered) ended.push_back(std::move(stage->work));
+    frame->work_to_come = work_to_come;
+    frame->posted = true;
     offer_to_all();
     timer_rearm = true;
     timer_wakes.notify_all();
-    changed(*job);
+    changed(*frame->job);
   }
-  for (const auto& stage : posted) {
-    std::shared_ptr<Bytes> records;
-    try {
-      records = std::make_shared<Bytes>(stage->spec.items * stage->spec.output.record_bytes);
-    } catch (const std::bad_alloc&) {
-    }
-    std::lock_guard lock(mutex);
-    stage->failed_to_allocate = !records;
-    stage->records = std::move(records);
-    if (stage->failed_to_allocate)
-      throw Error::failed("stage " + stage->spec.name + ": no memory for " + std::to_string(stage->spec.items) +
-                          " records of " + std::to_string(stage->spec.output.record_bytes) + " bytes");
-    deliver_if_complete(stage);
-    records_ready.notify_all();
-  }
+  for (const auto& stage : started) prepare(*stage);
 }
 
-void Farm::Impl::provide(Job& job, const ArtifactId& id, const std::string& blob, std::shared_ptr<const Bytes> bytes) {
+void Farm::Impl::prepare(RunningStage& stage) {
+  std::shared_ptr<Bytes> records;
+  const bool in_place = stage.collected() && !stage.spec.output.counted;
+  if (in_place) try {
+      records = std::make_shared<Bytes>(stage.spec.items * stage.spec.output.record_bytes);
+    } catch (const std::bad_alloc&) {
+    }
+  if (!stage.held.empty() && (records || !in_place)) feed_held(stage, records.get());
+  std::lock_guard lock(mutex);
+  if (in_place) {
+    stage.failed_to_allocate = !records;
+    stage.records = std::move(records);
+    records_ready.notify_all();
+  }
+  if (stage.failed_to_allocate)
+    throw Error::failed("stage " + stage.spec.name + ": no memory for " + std::to_string(stage.spec.items) +
+                        " records of " + std::to_string(stage.spec.output.record_bytes) + " bytes");
+  deliver_if_complete(stage.shared_from_this());  // one of no items, or of which all was there
+}
+
+void Farm::Impl::provide(Frame& frame, const ArtifactId& id, const std::string& blob,
+                         std::shared_ptr<const Bytes> bytes) {
   auto data = std::make_shared<ArtifactData>();
-  if (auto output = job.outputs.find(id); output != job.outputs.end()) *data = output->second;
+  if (auto output = frame.outputs.find(id); output != frame.outputs.end()) *data = output->second;
   data->blob = blob;
   data->records = std::move(bytes);
   if (data->index)
     blobs.lend(blob, {data->index->counts(), data->records});
   else
     blobs.lend(blob, {data->records});
-  job.data[id] = std::move(data);
+  frame.data[id] = std::move(data);
 }
 
-void Farm::Impl::add_input(Job& job, RunningStage& stage, StageWork& work, const StageInput& input) const {
+void Farm::Impl::add_input(Frame& frame, RunningStage& stage, StageWork& work, const StageInput& input) const {
   StageWork::Input out{.name = input.name, .blob = input.artifact, .own_items = input.extent == Extent::own_items};
   std::shared_ptr<const Recipe> recipe;
-  if (auto held = retained.find(input.artifact); held != retained.end() && held->second.frames.contains(&job)) {
+  if (auto held = retained.find(input.artifact); held != retained.end() && held->second.frames.contains(&frame)) {
     recipe = held->second.recipe;
     out.counted = recipe->spec.output.counted;
     out.record_bytes = recipe->spec.output.record_bytes;
     out.items = recipe->spec.items;
-  } else if (auto found = job.data.find(input.artifact); found != job.data.end()) {
+  } else if (auto found = frame.data.find(input.artifact); found != frame.data.end()) {
     out.data = found->second;
+    stage.reads_outputs = stage.reads_outputs || frame.outputs.contains(input.artifact);
     out.blob = out.data->blob;
     out.counted = out.data->index != nullptr;
     out.record_bytes = out.data->record_bytes;
@@ -122,41 +133,46 @@ void Farm::Impl::add_input(Job& job, RunningStage& stage, StageWork& work, const
   stage.reads.push_back(std::move(recipe));
 }
 
-std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Job>& job, const StageSpec& spec) {
+std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Frame>& frame, const StageSpec& spec) {
   if (const std::string why = refusal(spec, settings.artifact_bytes); !why.empty())
     throw Error::failed("stage " + spec.name + ": " + why);
   auto work = std::make_shared<StageWork>();
-  work->job = job->id;
+  work->job = frame->job->id;
   work->stage = spec.name;
   work->kind = spec.kind;
   work->parameters = spec.parameters;
   work->output = spec.output;
-  work->scene_blob = job->scene.scene_blob;
-  work->bvh_blob = job->scene.bvh_blob;
+  work->scene_blob = frame->scene.scene_blob;
+  work->bvh_blob = frame->scene.bvh_blob;
+  work->state_blob = frame->scene.state_blob;
   auto stage = std::make_shared<RunningStage>();
-  stage->job = job;
+  stage->frame = frame;
   stage->spec = spec;
-  for (const auto& input : spec.inputs) add_input(*job, *stage, *work, input);
+  for (const auto& input : spec.inputs) add_input(*frame, *stage, *work, input);
   // The plan may have given its data names of its own; what stages make is named by what the farm knows it as.
   for (std::size_t i = 0; i < spec.inputs.size(); ++i) stage->spec.inputs[i].artifact = work->inputs[i].blob;
-  stage->artifact = work->artifact = artifact_id(work->scene_blob, stage->spec);
+  stage->artifact = work->artifact = artifact_id(frame->lineage, stage->spec);
   stage->work = std::move(work);
   stage->report.name = spec.name;
   stage->report.kind = spec.kind;
   stage->report.items = spec.items;
-  if (spec.output.placement == Placement::retain ? retain_output(*job, *stage) : find_kept(*stage)) {
-    stage->delivered = true;
-    stage->record_count =
-        stage->records ? stage->records->size() / spec.output.record_bytes : registry.records(stage->artifact);
-    job->reused.push_back({"stage " + spec.name,
-                           "made before, from the same scene, settings and inputs: artifact " + stage->artifact,
-                           spec.items});
-    job->finished.push_back(stage);
-    job->events.notify_all();
+  if (stage->retained() ? retain_output(*stage) : find_kept(*stage)) {
+    hand_over(stage, "made before, from the same scene, settings and inputs");
     return nullptr;
   }
+  if (follow(stage)) return nullptr;
   start(stage);
   return stage;
+}
+
+void Farm::Impl::hand_over(const std::shared_ptr<RunningStage>& stage, const std::string& why) {
+  Frame& frame = *stage->frame;
+  stage->delivered = true;
+  stage->record_count =
+      stage->records ? stage->records->size() / stage->spec.output.record_bytes : registry.records(stage->artifact);
+  frame.reused.push_back({"stage " + stage->spec.name, why + ": artifact " + stage->artifact, stage->spec.items});
+  frame.finished.push_back(stage);
+  frame.events.notify_all();
 }
 
 bool Farm::Impl::find_kept(RunningStage& stage) {
@@ -171,12 +187,18 @@ bool Farm::Impl::find_kept(RunningStage& stage) {
 }
 
 void Farm::Impl::remember_output(const RunningStage& stage) {
-  stage.job->outputs[stage.artifact] = {.blob = {},
-                                        .records = nullptr,
-                                        .index = stage.index,
-                                        .items = stage.spec.items,
-                                        .record_bytes = stage.spec.output.record_bytes,
-                                        .facts = stage.facts};
+  stage.frame->outputs[stage.artifact] = {.blob = {},
+                                          .records = nullptr,
+                                          .index = stage.index,
+                                          .items = stage.spec.items,
+                                          .record_bytes = stage.spec.output.record_bytes,
+                                          .facts = stage.facts};
+}
+
+int with_priority(int of_stage, const JobRequest& request) {
+  constexpr int most_of_stage = 1 << 16;
+  if (of_stage > most_of_stage) return of_stage;  // what was lost is made again first
+  return std::clamp(request.priority, -most_priority, most_priority) * 2 * most_of_stage + of_stage;
 }
 
 void Farm::Impl::start(const std::shared_ptr<RunningStage>& stage) {
@@ -185,11 +207,17 @@ void Farm::Impl::start(const std::shared_ptr<RunningStage>& stage) {
                            .items = spec.items,
                            .tile = spec.tile,
                            .solo = spec.solo,
-                           .priority = spec.priority,
+                           .rank = stage->computes_again ? 0 : rank_of(*stage->frame),
+                           .priority = with_priority(spec.priority, stage->frame->job->request),
                            .preferred = {},
                            .only = {},
                            .avoid = stage->avoid,
                            .near = {}};
+  use_held(*stage);
+  for (const ItemRange& range : stage->missing) scheduled.only.push_back({range.first, range.count});
+  if (!stage->held.empty() && stage->missing.empty()) scheduled.only.push_back({0, 0});
+  if (!stage->retained() && !spec.output.counted)
+    scheduled.most_items = std::max<std::uint64_t>(1, most_batch_bytes / spec.output.record_bytes);
   for (const ItemRange& range : stage->again) scheduled.only.push_back({range.first, range.count});
   stage->items = stage->again.empty() ? spec.items : 0;
   for (const ItemRange& range : stage->again) stage->items += range.count;
@@ -197,11 +225,12 @@ void Farm::Impl::start(const std::shared_ptr<RunningStage>& stage) {
   place_near_inputs(*stage, scheduled);
   stage->id = scheduler.add_stage(scheduled, now());
   stage->complete = scheduler.complete(stage->id);
-  stage->job->stages.push_back(stage);
-  stage->job->work_asked += stage->work_per_item() * static_cast<double>(stage->items);
+  stage->frame->stages.push_back(stage);
+  stage->frame->work_asked += stage->work_per_item() * static_cast<double>(stage->items);
+  stage->frame->work_done += stage->work_per_item() * static_cast<double>(stage->items_done);
   active_stages[stage->id] = stage;
   pause_if_inputs_lack(*stage);
-  offer_to_unserved_soon();
+  settle_pause(*stage);
 }
 
 // Mutex held. Puts the batches of a counted output behind each other.
@@ -241,13 +270,14 @@ void Farm::Impl::deliver_if_complete(const std::shared_ptr<RunningStage>& shared
   if (stage.collected()) {
     remember_output(stage);
     if (stage.spec.output.reusable) {
-      auto data = std::make_shared<ArtifactData>(stage.job->outputs.at(stage.artifact));
+      auto data = std::make_shared<ArtifactData>(stage.frame->outputs.at(stage.artifact));
       data->records = stage.records;
       kept.put(stage.artifact, std::move(data));
     }
   }
-  stage.job->finished.push_back(shared);
-  stage.job->events.notify_all();
+  deliver_to_followers(stage);
+  stage.frame->finished.push_back(shared);
+  stage.frame->events.notify_all();
 }
 
 }  // namespace gleaner::coordinator

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 
 #include "coordinator/jobs/engine.h"
 
@@ -21,8 +22,10 @@ constexpr std::size_t most_names_of_gone = 4096;
 }  // namespace
 
 void Farm::Impl::offer(Worker& worker) {
+  // A further frame serves an idle worker better than a second copy of what others do.
+  const bool duplicates = !further_frame_comes();
   while (!active_stages.empty()) {
-    auto lease = scheduler.next_lease(worker.id, now());
+    auto lease = scheduler.next_lease(worker.id, now(), duplicates);
     if (!lease) break;
     auto found = active_stages.find(lease->stage);
     if (found == active_stages.end()) continue;
@@ -39,6 +42,7 @@ void Farm::Impl::offer(Worker& worker) {
     unserved.insert(worker.id);
   else
     unserved.erase(worker.id);
+  note_idle(worker);
 }
 
 void Farm::Impl::offer_to_all() {
@@ -68,8 +72,10 @@ void Farm::Impl::revoke(const std::vector<Lease>& revoked) {
   for (const Lease& lease : revoked) {
     if (auto worker = workers.find(lease.worker); worker != workers.end()) worker->second.session->revoke(lease);
     forget_lease(lease.epoch);
-    if (auto worker = workers.find(lease.worker); worker != workers.end() && !worker->second.draining)
+    if (auto worker = workers.find(lease.worker); worker != workers.end() && !worker->second.draining) {
       unserved.insert(lease.worker);
+      note_idle(worker->second);
+    }
   }
   if (!revoked.empty()) offer_to_unserved_soon();
 }
@@ -88,6 +94,7 @@ void Farm::Impl::lose(WorkerId id, const std::string& why) {
   workers.erase(found);
   unserved.erase(id);
   lose_parts(id);
+  drop_hopeless_rechecks();
   offer_to_unserved_soon();
 }
 
@@ -109,9 +116,10 @@ void Farm::Impl::watch_clock() {
     // Not woken by every lease: what is due next is never nearer than `idle_look` unless next_expiry() said so. However
     // many offers are made, the clock is looked at in time.
     Clock::time_point due = ticked + (active_stages.empty() ? calm_look : idle_look);
-    if (auto next = scheduler.next_expiry())
-      due = std::min(due, Clock::now() + std::chrono::duration_cast<Clock::duration>(
-                                             std::chrono::duration<double>(std::clamp(*next - now(), 0.001, 1.0))));
+    for (const auto& next : {scheduler.next_expiry(), next_frame_due()})
+      if (next)
+        due = std::min(due, Clock::now() + std::chrono::duration_cast<Clock::duration>(
+                                               std::chrono::duration<double>(std::clamp(*next - now(), 0.001, 1.0))));
     timer_wakes.wait_until(lock, due, woken);
     if (stopping || Clock::now() < due) continue;
     tick();
@@ -129,6 +137,8 @@ void Farm::Impl::tick() {
     if (time - worker.heard > settings.silence && worker.waits == 0) silent.push_back(id);
   for (WorkerId id : silent) lose(id, "not heard of for " + std::to_string(static_cast<int>(settings.silence)) + " s");
   offer_to_unserved();
+  begin_another_frame();
+  if (said_no_thread) start_queued();
 }
 
 Farm::Joined Farm::join(const WorkerHello& hello, std::shared_ptr<WorkerSession> session) {
@@ -143,6 +153,7 @@ Farm::Joined Farm::join(const WorkerHello& hello, std::shared_ptr<WorkerSession>
   Worker worker;
   worker.id = id;
   worker.hello = hello;
+  worker.kind = device_kind(hello.device);
   worker.name = name;
   worker.session = std::move(session);
   worker.joined = worker.heard = impl_->now();
@@ -162,6 +173,17 @@ void Farm::leave(WorkerId worker) {
   impl_->lose(worker, "");
 }
 
+bool Farm::drain(const std::string& name) {
+  WorkerId id = 0;
+  {
+    std::lock_guard lock(impl_->mutex);
+    for (const auto& [worker_id, worker] : impl_->workers)
+      if (worker.name == name) id = worker_id;
+  }
+  if (id != 0) drain(id);
+  return id != 0;
+}
+
 void Farm::drain(WorkerId id) {
   std::lock_guard lock(impl_->mutex);
   auto worker = impl_->workers.find(id);
@@ -170,6 +192,7 @@ void Farm::drain(WorkerId id) {
   impl_->unserved.erase(id);
   impl_->scheduler.worker_draining(id);
   worker->second.session->drain();
+  impl_->drop_hopeless_rechecks();
 }
 
 void Farm::heard(WorkerId id) {
@@ -186,10 +209,14 @@ std::vector<WorkerStatus> Farm::workers() const {
                         .address = worker.hello.address,
                         .device = worker.hello.device,
                         .leases = static_cast<std::uint32_t>(worker.leases.size()),
-                        .draining = worker.draining,
+                        .draining = worker.draining && worker.aside.empty(),
+                        .aside = worker.aside,
                         .connected_seconds = time - worker.joined,
                         .silent_seconds = time - worker.heard,
                         .items_per_second = {}};
+    if (const auto until = impl_->scheduler.quarantined_until(id); until && status.aside.empty())
+      status.aside = "failures or leases that ran out; it is asked again in " +
+                     std::to_string(static_cast<int>(std::ceil(std::max(0.0, *until - time)))) + " s";
     for (const auto& kind : impl_->kinds)
       if (double rate = impl_->scheduler.items_per_second(id, kind); rate > 0) status.items_per_second[kind] = rate;
     all.push_back(std::move(status));

@@ -13,14 +13,15 @@ namespace gleaner::coordinator {
 
 namespace fs = std::filesystem;
 
-void Farm::Impl::write(Job& job, std::uint32_t frame, const Film& film, Seconds begun) {
+void Farm::Impl::write(Frame& frame, const Film& film) {
+  const Job& job = *frame.job;
   FrameReport report;
   {
     std::lock_guard lock(mutex);
     if (job.cancel) throw Cancelled{};
-    report = job.report;
+    report = frame.report;
   }
-  FramePaths paths = settings.paths(job.id, frame);
+  FramePaths paths = settings.paths(job.id, report.frame);
   for (const fs::path& path : {paths.exr, paths.png, paths.report}) {
     if (path.empty() || path.parent_path().empty()) continue;
     std::error_code code;
@@ -33,18 +34,28 @@ void Farm::Impl::write(Job& job, std::uint32_t frame, const Film& film, Seconds 
   if (!paths.png.empty())
     png = std::async(std::launch::async, [&] { write_png(film, paths.png.string(), job.request.exposure_stops); });
   report.pixels_sha256 = pixels_sha256(film);
-  report.seconds = now() - begun;
+  report.seconds = now() - frame.waited_from;
   report.write_seconds = now() - begun_writing;
-  if (!paths.exr.empty()) write_exr(film, report_metadata(report), paths.exr.string());
+  try {
+    if (!paths.exr.empty()) write_exr(film, report_metadata(report), paths.exr.string());
+  } catch (...) {
+    // A PNG alone would look like a frame that was written.
+    if (png.valid()) {
+      png.wait();
+      std::error_code ignored;
+      fs::remove(paths.png, ignored);
+    }
+    throw;
+  }
   if (png.valid()) png.get();
-  report.seconds = now() - begun;
+  report.seconds = now() - frame.waited_from;
   report.write_seconds = now() - begun_writing;
   if (!paths.report.empty()) {
     std::string text = report_json(report);
     write_atomically(paths.report.string(), std::as_bytes(std::span(text)));
   }
   std::lock_guard lock(mutex);
-  job.report = std::move(report);
+  frame.report = std::move(report);
 }
 
 }  // namespace gleaner::coordinator

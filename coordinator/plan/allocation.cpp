@@ -186,14 +186,14 @@ std::vector<std::uint32_t> allocate_chunks(const std::vector<float>& variance, c
 }
 
 Allocation allocate_by_noise(PixelNoise noise, std::uint64_t extra, int radius) {
+  // A film may be large: what is not needed any more is freed (`= {}` would keep a vector's memory).
   std::vector<float> variance = neighbours_variance(noise, radius);
+  noise.chunk_variance = std::vector<float>();
   {
     const std::vector<float> edges = edge_variance(noise);
     for (std::size_t i = 0; i < variance.size(); ++i) variance[i] += kEdge * edges[i];
   }
-  // A film may be large: what is not needed any more goes.
-  noise.chunk_variance = {};
-  noise.mean = {};
+  noise.mean = std::vector<float>();
   const std::size_t n = variance.size();
   Allocation out{std::vector<std::uint32_t>(n, 0), std::move(noise.chunks)};
   std::uint64_t left = extra;

@@ -81,8 +81,11 @@ void Graph::Artifact::read_facts(std::span<std::byte> to) const {
   std::memcpy(to.data(), facts.data(), to.size());
 }
 
-Graph::Graph(std::string scene_blob)
-    : scene_blob_(std::move(scene_blob)), released_(std::make_shared<std::vector<ArtifactId>>()) {}
+void Graph::Artifact::check_facts(bool sound, const std::string& what) const {
+  if (!sound) throw fault(stage(), "facts that cannot be: " + what);
+}
+
+Graph::Graph(SceneLineage scene) : scene_(std::move(scene)), released_(std::make_shared<std::vector<ArtifactId>>()) {}
 Graph::~Graph() = default;
 
 std::shared_ptr<Graph::Life> Graph::life_of(const ArtifactId& id) {
@@ -110,8 +113,9 @@ void Graph::announce(const Artifact& event) {
 Graph::Artifact Graph::add_stage(StageSpec stage, std::vector<Input> inputs) {
   if (!names_.insert(stage.name).second) throw fault(stage.name, "was asked for twice");
   for (const Input& input : inputs) stage.inputs.push_back({input.name, input.artifact.id(), input.extent});
+  asked_work_ += work_of(stage);
   auto node = std::make_shared<Node>();
-  node->life = life_of(artifact_id(scene_blob_, stage));
+  node->life = life_of(artifact_id(scene_, stage));
   node->spec = std::move(stage);
   node->inputs = std::move(inputs);
   waiting_stages_.push_back(node);
@@ -189,6 +193,10 @@ void Graph::run_continuations() {
   }
 }
 
+void Graph::released() {
+  for (const Continuation& then : std::exchange(after_release_, {})) then();
+}
+
 Step Graph::take_step() {
   run_continuations();
   const auto ready = [](const std::shared_ptr<Node>& node) {
@@ -206,17 +214,53 @@ Step Graph::take_step() {
     const auto life = found == lives_.end() ? nullptr : found->second.lock();
     return life && life->handed_out;
   });
+  step.again = !after_release_.empty();
   return step;
 }
 
 Step GraphPlan::next(const FinishedStage* finished) {
   if (finished)
     graph_.finish(*finished);
+  else if (std::exchange(begun_, true))
+    graph_.released();
   else
     begin();
   Step step = graph_.take_step();
   step.done = graph_.idle();
   return step;
+}
+
+namespace {
+
+std::span<const float> floats_of(const Bytes& records) {
+  return {reinterpret_cast<const float*>(records.data()), records.size() / sizeof(float)};
+}
+
+}  // namespace
+
+void GraphPlan::add_pass(const Graph::Artifact& shaded, std::shared_ptr<const Beside> beside) {
+  std::vector<Graph::Artifact> after;
+  if (shaded) after.push_back(shaded);
+  if (beside) after.push_back(beside->known);
+  if (last_pass_) after.push_back(last_pass_);
+  const Graph::Artifact added = last_pass_ = graph_.event();
+  graph_.when(std::move(after), [this, shaded, added, beside] {
+    const std::span<const float> pass = shaded ? floats_of(shaded.records()) : std::span<const float>{};
+    if (beside && !beside->light.empty()) {
+      std::vector<float> both = beside->light;
+      for (std::size_t i = 0; i < pass.size(); ++i) both[i] += pass[i];
+      film_.add_pass(both);
+    } else {
+      film_.add_pass(pass);
+    }
+    graph_.announce(added);
+  });
+}
+
+void GraphPlan::preview_pass(const Graph::Artifact& shaded) {
+  graph_.on_preview(shaded, [this](auto first, auto count, const Bytes& records) {
+    film_.draw_pass(first, floats_of(records).first(3 * count));
+  });
 }
 
 const CutStage* find_cut(const std::vector<CutStage>& cut, const Graph::Artifact& artifact) {

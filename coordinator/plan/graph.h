@@ -7,6 +7,7 @@
 //   graph.when({order}, [=, this] { shade(order.facts<OrderFacts>().rows, order); });
 //   Step step = graph.take_step();  // to the farm; what comes back goes to finish()
 
+#include <algorithm>
 #include <cstddef>
 #include <cstring>
 #include <functional>
@@ -66,6 +67,9 @@ class Graph {
       return facts;
     }
 
+    // Throws Error::failed where a worker's facts are not what its stage can say.
+    void check_facts(bool sound, const std::string& what) const;
+
    private:
     friend class Graph;
     explicit Artifact(std::shared_ptr<Node> node) : node_(std::move(node)) {}
@@ -84,8 +88,8 @@ class Graph {
   // Records of items [first, first + count).
   using RecordCall = std::function<void(std::uint64_t first, std::uint64_t count, const Bytes& records)>;
 
-  // `scene_blob`: id of the scene's blob, a part of every output's name.
-  explicit Graph(std::string scene_blob);
+  // `scene`: its parts are a part of every output's name.
+  explicit Graph(SceneLineage scene);
   Graph(const Graph&) = delete;
   Graph& operator=(const Graph&) = delete;
   ~Graph();
@@ -114,6 +118,8 @@ class Graph {
 
   // `then` runs once, when all of these have finished; at the latest before the next step is taken.
   void when(std::vector<Artifact> all, Continuation then);
+  // `then` runs once, when the memory of all that nobody reads any more is free: for what is large itself.
+  void when_released(Continuation then) { after_release_.push_back(std::move(then)); }
   // `call` gets every record of the stage once, before a continuation that waits for it: streamed ones as they arrive,
   // in item order; collected ones all at once.
   void on_records(const Artifact& stage, RecordCall call);
@@ -128,8 +134,12 @@ class Graph {
   void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) const;
   // What was asked for, provided and released since the last call.
   Step take_step();
+  // Of all stages that were added, StageSpec::work.
+  double asked_work() const { return asked_work_; }
   // Nothing was asked for that has not finished.
-  bool idle() const { return running_.empty() && waiting_stages_.empty(); }
+  bool idle() const { return running_.empty() && waiting_stages_.empty() && after_release_.empty(); }
+  // What waits for the release of the step before.
+  void released();
 
  private:
   struct Life;
@@ -141,7 +151,7 @@ class Graph {
   void hand_out(const std::shared_ptr<Node>& node);
   void run_continuations();
 
-  std::string scene_blob_;
+  SceneLineage scene_;
   Step step_;
   std::shared_ptr<std::vector<ArtifactId>> released_;
   std::map<ArtifactId, std::weak_ptr<Life>> lives_;
@@ -149,6 +159,8 @@ class Graph {
   std::map<std::string, std::shared_ptr<Node>> running_;
   std::vector<std::shared_ptr<Node>> waiting_stages_;  // for their inputs, in the order in which they were added
   std::vector<Waiting> waiting_;
+  std::vector<Continuation> after_release_;
+  double asked_work_ = 0;
 };
 
 // A plan that is a graph, and what its records add up to: the base of the methods' plans.
@@ -168,15 +180,38 @@ class GraphPlan : public Plan {
 
  protected:
   GraphPlan(const FrameSettings& settings, const SceneSummary& scene)
-      : graph_(scene.blob), film_(settings.width, settings.height) {
+      : graph_(scene.lineage), film_(settings.width, settings.height) {
     if (settings.denoise != Denoise::off) film_.keep_halves();
   }
   // Asks for the first stages. The film is whole once nothing is left that was asked for.
   virtual void begin() = 0;
+  // Adds a pass, RGB a pixel, to the film once it is there: after the passes that were added before, whichever ends
+  // first, for sums of floats depend on their order. No artifact: the pass is dark.
+  void add_pass(const Graph::Artifact& shaded) { add_pass(shaded, nullptr); }
+  // Light that each pass is a part beside, RGB a pixel or nothing. A pass waits until it is known.
+  struct Beside {
+    explicit Beside(Graph::Artifact event) : known(std::move(event)) {}
+    Graph::Artifact known;  // an event
+    std::vector<float> light{};
+  };
+  void add_pass(const Graph::Artifact& shaded, std::shared_ptr<const Beside> beside);
+  // Of a method that predicts so much work for its own stages, what they will still ask for; `others` of what was asked
+  // for is not theirs.
+  double work_to_come(double predicted, double others) const {
+    return own_stages_asked_ ? 0 : std::max(0.0, predicted - (graph_.asked_work() - others));
+  }
+  // The live preview shows the pass while it is shaded.
+  void preview_pass(const Graph::Artifact& shaded);
 
   Graph graph_;
   Accumulator film_;
   std::vector<Skip> skips_;
+
+  bool own_stages_asked_ = false;  // the method asks for no more stages but paths
+
+ private:
+  bool begun_ = false;
+  Graph::Artifact last_pass_;  // an event: it is in the film
 };
 
 // The cut stage that makes `artifact`, or null.

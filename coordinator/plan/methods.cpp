@@ -6,14 +6,18 @@
 #include <cstdio>
 
 #include "coordinator/plan/ao_plan.h"
+#include "coordinator/plan/links_plan.h"
 #include "coordinator/plan/path_plan.h"
+#include "coordinator/plan/photon_plan.h"
+#include "coordinator/plan/splat_plan.h"
 #include "coordinator/plan/vpl_plan.h"
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {
 
 const std::vector<Method>& methods() {
-  static const std::vector<Method> table = {path_method(), vpl_method(), ao_method()};
+  static const std::vector<Method> table = {path_method(),  vpl_method(),   photon_method(),
+                                            links_method(), splat_method(), ao_method()};
   return table;
 }
 

@@ -33,6 +33,7 @@ struct Method {
   std::uint64_t bytes_a_pixel = 0;
   // Throws Error::usage for settings that are each in their range and yet do not go together; may be null.
   void (*check)(const FrameSettings& settings) = nullptr;
+  bool takes_instances = true;  // false: scenes are to hold copies in their place
   std::vector<Setting> settings{};
 };
 

@@ -36,11 +36,11 @@ struct Sums {
   float clamped[3] = {};
 };
 
-Sums read_sums(const std::byte* at, bool features, bool complement) {
+Sums read_sums(const std::byte* at, bool features, bool compensates) {
   Sums sums;
   const std::size_t bytes = features ? sizeof(PathFeatureRecord) : sizeof(PathRecord);
   std::memcpy(&sums.record, at, bytes);
-  if (complement) std::memcpy(sums.clamped, at + bytes, sizeof sums.clamped);
+  if (compensates) std::memcpy(sums.clamped, at + bytes, sizeof sums.clamped);
   return sums;
 }
 
@@ -79,7 +79,7 @@ std::uint64_t PathSampler::samples_of(const Asked& asked, const ItemRange& range
 }
 
 std::size_t PathSampler::record_bytes(const Asked& asked) const {
-  return (asked.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord)) + (complement_.complement ? 12 : 0);
+  return (asked.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord)) + (complement_.classes ? 12 : 0);
 }
 
 PathItem PathSampler::item_of(const Asked& asked, std::uint64_t item) const {
@@ -94,6 +94,11 @@ void PathSampler::begin(const Complement& complement) {
   ask({.artifact = {}, .items = pixels() * first_chunks_, .features = true, .last_item_samples = chunk_samples_});
 }
 
+void PathSampler::begin(const Complement& complement, Program program) {
+  program_ = std::move(program);
+  begin(complement);
+}
+
 void PathSampler::ask(Asked asked) {
   PathParameters p{};
   p.camera = settings_.camera;
@@ -102,13 +107,13 @@ void PathSampler::ask(Asked asked) {
   p.samples_per_item = chunk_samples_;
   p.last_item_samples = asked.last_item_samples;
   p.depth = settings_.depth;
-  p.seed_low = static_cast<std::uint32_t>(settings_.seed);
-  p.seed_high = static_cast<std::uint32_t>(settings_.seed >> 32);
+  p.seed_low = low(settings_.seed);
+  p.seed_high = high(settings_.seed);
   p.features = asked.features ? 1 : 0;
   p.items_low = static_cast<std::uint32_t>(asked.items);
   p.items_high = static_cast<std::uint32_t>(asked.items >> 32);
-  p.filter = complement_.complement ? PATH_CLASS_DIFFUSE : 0;
-  p.clamp = complement_.clamp;
+  p.filter = complement_.classes;
+  p.clamp = complement_.limit;
   StageSpec spec;
   spec.name = program_.kind + "." + std::to_string(stages_.size());
   spec.kind = program_.kind;
@@ -117,8 +122,9 @@ void PathSampler::ask(Asked asked) {
   spec.tile = std::max(1u, 16 / chunk_samples_);
   spec.work = static_cast<double>(samples_of(asked, {0, asked.items}));
   // The records of a whole stage of a large film are larger than all that the film holds.
-  spec.output = {.record_bytes = static_cast<std::uint32_t>(record_bytes(asked)), .placement = Placement::stream};
-  std::vector<Graph::Input> inputs;
+  spec.output = {
+      .record_bytes = static_cast<std::uint32_t>(record_bytes(asked)), .placement = Placement::stream, .floats = true};
+  std::vector<Graph::Input> inputs = program_.inputs;
   if (asked.list) inputs.push_back({"items", graph_.data(asked.list), Extent::own_items});
   spec.parameters = bytes_of(p);
   spec.parameters.insert(spec.parameters.end(), program_.method_parameters.begin(), program_.method_parameters.end());
@@ -155,7 +161,7 @@ void PathSampler::absorb(std::uint64_t first, std::uint64_t count, const Bytes& 
   const Asked& asked = stages_.back();
   const std::size_t stride = record_bytes(asked);
   for (std::uint64_t k = 0; k < count; ++k) {
-    const Sums sums = read_sums(records.data() + k * stride, asked.features, complement_.complement);
+    const Sums sums = read_sums(records.data() + k * stride, asked.features, complement_.compensates);
     if (!finite(sums))
       throw Error::failed("stage " + asked.artifact.stage() + ", item " + std::to_string(first + k) +
                           ": a sum that is not finite");
@@ -167,7 +173,7 @@ void PathSampler::absorb(std::uint64_t first, std::uint64_t count, const Bytes& 
       film_.add_features(
           item.pixel,
           {{r.albedo[0], r.albedo[1], r.albedo[2]}, {r.normal[0], r.normal[1], r.normal[2]}, r.depth, r.hits}, samples);
-    if (complement_.complement) film_.add_clamped(item.pixel, sums.clamped);
+    if (complement_.compensates) film_.add_clamped(item.pixel, sums.clamped);
   }
 }
 
@@ -190,7 +196,7 @@ std::uint64_t PathSampler::wanted_for_target() {
 }
 
 void PathSampler::continue_or_end() {
-  // Lists are large, and needed no more.
+  // Lists are large: the next one is made when this one's memory is free.
   stages_.back().list.reset();
   const std::uint64_t left = budget() - spent_;
   if (settings_.target_error > 0) {
@@ -199,15 +205,16 @@ void PathSampler::continue_or_end() {
     if (wanted > 0 && left == 0)
       warnings_.push_back("the target error was not reached with " + std::to_string(kMostSamplesForTarget) +
                           " samples a pixel, the most that are taken for one");
-    if (!done_) spend(std::min(wanted, left));
+    if (done_) return program_.inputs.clear();
+    graph_.when_released([this, samples = std::min(wanted, left)] { spend(samples); });
     return;
   }
   done_ = left == 0;
-  if (done_) return;
+  if (done_) return program_.inputs.clear();
   // A first look at two chunks is a noisy guide for a long way: half now, and the rest once more is known. Not for a
   // few chunks: each stage ends with workers waiting for the last.
   const bool halves = stages_.size() == 1 && left >= pixels() * chunk_samples_ * 2;
-  spend(halves ? left / 2 : left);
+  graph_.when_released([this, samples = halves ? left / 2 : left] { spend(samples); });
 }
 
 bool PathSampler::conclude(const std::vector<CutStage>& cut, std::vector<Skip>& skips) {
@@ -220,6 +227,7 @@ bool PathSampler::conclude(const std::vector<CutStage>& cut, std::vector<Skip>& 
     for (const ItemRange& range : part->whole) taken += samples_of(asked, range);
   spent_ -= samples_of(asked, {0, asked.items}) - taken;
   stages_.back().list.reset();
+  program_.inputs.clear();
   skips.push_back({"samples", "the time limit ended the frame", budget() - spent_});
   return done_ = true;
 }

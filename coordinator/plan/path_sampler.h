@@ -17,20 +17,22 @@ namespace gleaner::coordinator {
 
 class PathSampler {
  public:
-  // Part of a method whose virtual point lights (VPLs) carry what one non-specular surface sends straight to the next:
-  // paths bring the rest, and compensate the bounded geometry term.
+  // Part of a method that has some classes of light by itself (kernels/path_filter.h): paths bring the rest, and
+  // compensate the bounded geometry term of virtual point lights.
   struct Complement {
-    bool complement = false;
-    float clamp = 0;  // bound of the geometry term, 1/m^2; infinity: none
-    // What the VPLs are predicted to add to the picture: mean radiance, and squared error (a mean over pixels and
-    // channels), for which the samples have to leave room where a target error is given.
+    std::uint32_t classes = 0;  // PATH_CLASS_...; 0: all light is the paths'
+    float limit = 0;            // PathParameters::clamp, with any class; infinity: none
+    bool compensates = false;   // what paths add for the bound is a layer of its own
+    // What the method's own light is predicted to add to the picture: mean radiance, and squared error (a mean over
+    // pixels and channels), for which the samples have to leave room where a target error is given.
     double mean = 0, squared_error = 0;
   };
 
   // Which stage makes a sample. A method with a kind of its own gives parameters that begin with PathParameters.
   struct Program {
-    std::string kind = "path";  // stages are kind.0, kind.1 and so on
-    Bytes method_parameters{};  // follow PathParameters
+    std::string kind = "path";           // stages are kind.0, kind.1 and so on
+    Bytes method_parameters{};           // follow PathParameters
+    std::vector<Graph::Input> inputs{};  // beside the list of items
   };
 
   PathSampler(Graph& graph, Accumulator& film, const FrameSettings& settings, Program program);
@@ -38,6 +40,8 @@ class PathSampler {
       : PathSampler(graph, film, settings, Program()) {}
 
   void begin(const Complement& complement);
+  // The same with a program that was not known before.
+  void begin(const Complement& complement, Program program);
   bool begun() const { return !stages_.empty(); }
   bool done() const { return done_; }
   // Makes do with what a cut stage has brought. False: some pixels have no sample yet, and nothing has changed.
@@ -47,6 +51,7 @@ class PathSampler {
   std::vector<std::string> outline() const;
   std::vector<std::string> warnings() const { return warnings_; }
   double predicted_work() const;  // of what is still to be asked for, in samples
+  double asked_work() const { return static_cast<double>(spent_); }
 
  private:
   // A stage that was asked for: which pixel and chunk each of its items is.

@@ -25,6 +25,8 @@ SceneSummary summarize(const scene::Scene& scene) {
   summary.triangles = scene.triangle_count();
   summary.lights = scene.lights.size();
   summary.bounds = scene::bounds_of(scene);
+  summary.matrices = scene.rig.matrices;
+  summary.morph_weights = scene.rig.morph_weights;
   for (std::uint32_t material : scene.triangle_material) {
     const scene::Material& m = scene.materials[material];
     if (m.emission[0] > 0 || m.emission[1] > 0 || m.emission[2] > 0) ++summary.emissive_triangles;

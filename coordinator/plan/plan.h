@@ -31,6 +31,8 @@ struct Step {
   std::map<ArtifactId, std::shared_ptr<const Bytes>> artifacts;  // data of the plan's own that those stages read
   // Artifacts of the frame that no stage of it will read any more: their memory may go (reusable ones stay cached).
   std::vector<ArtifactId> released{};
+  // The plan has more to ask for once the memory of `released` is free: next(nullptr) is called at once.
+  bool again = false;
   bool done = false;  // the film is whole
 };
 
@@ -62,7 +64,8 @@ struct FrameSettings {
 class Plan {
  public:
   virtual ~Plan() = default;
-  // The first call gets null, later ones the stage that finished. Called once per finished stage.
+  // The first call gets null, as does one that a step asked for (Step::again); others get the stage that finished.
+  // Called once per finished stage.
   virtual Step next(const FinishedStage* finished) = 0;
   // Records of a streamed stage (Placement::stream): items [first, first + count), in item order without gaps.
   virtual void take(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) {
@@ -92,7 +95,7 @@ class Plan {
   virtual std::vector<std::string> warnings() const { return {}; }
   // Parameters that the method settled on, as they stand in the report (JSON object text).
   virtual std::string parameters_json() const = 0;
-  // What people read in `gleaner explain`: one line a stage, foreseen.
+  // What people read in `gleaner explain`: one line a stage, as predicted.
   virtual std::vector<std::string> outline() const = 0;
 };
 
@@ -101,7 +104,8 @@ struct SceneSummary {
   scene::SceneNeeds needs;
   std::uint64_t triangles = 0, emissive_triangles = 0, lights = 0;
   scene::Bounds bounds;
-  std::string blob{};  // id of the scene's blob, which names what is made of it (artifact_id); the farm fills it in
+  std::uint32_t matrices = 0, morph_weights = 0;  // that a state of it has, where it is a base
+  SceneLineage lineage{};                         // names what is made of it (artifact_id); the farm fills it in
 };
 SceneSummary summarize(const scene::Scene& scene);
 

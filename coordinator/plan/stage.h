@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "scene/model/blob.h"
@@ -35,6 +36,43 @@ struct StageOutput {
   // Other frames of the same scene may read it: it is kept by its id, within the caches' bounds, and a stage that would
   // make it again is not run.
   bool reusable = false;
+  // Records that reach the coordinator and are 32-bit floats throughout: one that is not a number of sane size shows
+  // that its worker is broken.
+  bool floats = false;
+};
+
+// What of a scene a stage reads beside its inputs. Frames that differ in other parts share what it makes.
+enum SceneParts : std::uint8_t {
+  kNoScene = 0,
+  kGeometry = 1,
+  kMaterials = 2,                      // with what shines of them
+  kLights = 4,                         // that are no surfaces
+  kSurfaces = kGeometry | kMaterials,  // what can be seen of what
+  kWholeScene = kGeometry | kMaterials | kLights,
+};
+
+// Names a scene, part by part, for the names of what is made of it (artifact_id). Of a scene that is a base in a state:
+// its blob, and what the state says otherwise.
+struct SceneLineage {
+  std::string base;                         // id of the scene's blob
+  std::string geometry, materials, lights;  // digests of what a state says of them; empty: they are the base's
+  // How many of its lights shine: programs of kernels differ in that, whatever they read.
+  std::string shining;
+
+  SceneLineage() = default;
+  SceneLineage(std::string blob) : base(std::move(blob)) {}
+  SceneLineage(const char* blob) : base(blob) {}
+  bool operator==(const SceneLineage&) const = default;
+
+  // Equal for two scenes whose parts are.
+  std::string of(unsigned parts) const {
+    if (parts == kNoScene) return {};
+    std::string name = base;
+    if (parts & kGeometry && !geometry.empty()) name += "+geometry " + geometry;
+    if (parts & kMaterials && !materials.empty()) name += "+materials " + materials;
+    if (parts & kLights && !lights.empty()) name += "+lights " + lights;
+    return shining.empty() ? name : name + "+shining " + shining;
+  }
 };
 
 enum class Extent {
@@ -53,14 +91,27 @@ struct StageSpec {
   std::string name;  // unique in the frame; people read it
   std::string kind;  // which stage program of the device library runs it
   std::uint64_t items = 0;
-  std::uint32_t tile = 1;  // batches begin and end at multiples of it (or at `items`)
-  bool solo = false;       // runs whole on one worker
-  int priority = 0;        // of the frame's stages that wait, the highest goes first; equal: the oldest
-  Bytes parameters{};      // little-endian struct of the kind's header in kernels/
-  double work = 0;         // predicted cost of all items, in samples of a path tracer; 0: one an item
+  std::uint32_t tile = 1;              // batches begin and end at multiples of it (or at `items`)
+  bool solo = false;                   // runs whole on one worker
+  unsigned scene_parts = kWholeScene;  // that it reads
+  int priority = 0;                    // of the frame's stages that wait, the highest goes first; equal: the oldest
+  Bytes parameters{};                  // little-endian struct of the kind's header in kernels/
+  double work = 0;                     // predicted cost of all items, in samples of a path tracer; 0: one an item
   std::vector<StageInput> inputs{};
   StageOutput output;
 };
+
+// The words of a number of 64 bits, as stages' parameters have it.
+inline std::uint32_t low(std::uint64_t number) { return static_cast<std::uint32_t>(number); }
+inline std::uint32_t high(std::uint64_t number) { return static_cast<std::uint32_t>(number >> 32); }
+
+// Names of stages that a method asks for several times.
+inline std::string numbered(const std::string& name, std::uint64_t number) {
+  return name + "." + std::to_string(number);
+}
+
+// Its predicted cost, in samples of a path tracer.
+inline double work_of(const StageSpec& stage) { return stage.work > 0 ? stage.work : static_cast<double>(stage.items); }
 
 struct FinishedStage {
   std::string name;

@@ -24,14 +24,6 @@ constexpr double kResidualFitted = 0.45;
 // What VPLs leave is smooth, seen for longer than noise of the same strength, and predicted less surely than it.
 constexpr double kVplWeight = 3;
 
-// Work, in samples of paths (0.1 us on two cores); measured on the Cornell boxes and on sponza.
-constexpr double kPairWork = 0.15;     // a point cluster queries a light
-constexpr double kShadeWork = 0.003;   // a pixel and a light
-constexpr double kSampleWork = 0.9;    // a pixel's sample of the VPLs' light
-constexpr double kResidualWork = 0.3;  // a light that a point queries itself
-constexpr double kLightWork = 27;      // a VPL is drawn and clustered, on one worker
-constexpr double kPointWork = 8;       // so is a point
-
 // Between values at rising x, both in proportion; beyond the ends the last ones' slope.
 double between(double x0, double y0, double x1, double y1, double x) {
   if (!(y0 > 0) || !(y1 > 0)) return std::max(0.0, x < std::sqrt(x0 * x1) ? y0 : y1);
@@ -127,10 +119,11 @@ VplPrediction predict_vpl(const VplPilot& pilot, const VplTarget& target, const 
   f.vpl_mean = pilot.mean(counts.bound);
   f.mean = f.vpl_mean + paths.mean;
   const double work =
-      passes * (lights * kLightWork * (clusters < lights ? 1 : 0.2) + counts.point_clusters * clusters * kPairWork +
-                target.pixels * ((clusters < lights ? pilot.looked_at(clusters) : lights) * kShadeWork +
-                                 target.samples * kSampleWork + queries * kResidualWork)) +
-      8 * kPointWork * counts.point_clusters;
+      passes *
+          (lights * VplWork::light * (clusters < lights ? 1 : 0.2) + counts.point_clusters * clusters * VplWork::pair +
+           target.pixels * ((clusters < lights ? pilot.looked_at(clusters) : lights) * VplWork::shade +
+                            target.samples * VplWork::sample + queries * VplWork::residual)) +
+      8 * VplWork::point * counts.point_clusters;
   f.spp = target.spp;
   if (target.error > 0) {
     // What the VPLs may not use is for samples to reach; a quarter is kept for them whatever the VPLs do.
@@ -178,7 +171,7 @@ VplPrediction choose_vpl(const VplPilot& pilot, const VplTarget& target) {
   }
   for (const double factor : {0.125, 0.25, 0.5, 1.0, 2.0}) points.push_back(target.usual_point_clusters * factor);
   const double most_passes = target.error > 0 ? 64 : std::max(1.0, target.spp / 16);
-  const auto counts = grid(target.count, {4000, 8000, 16000, 24000}, 1, target.made);
+  const auto counts = grid(target.count, {kLeastChosen, 8000, 16000, 24000}, 1, target.made);
   const auto passes = grid(target.passes, {1, 2, 4, 8, 16, 32, 64}, 1, most_passes);
   const auto point_clusters = grid(target.point_clusters, points, 64, 1e9);
   std::vector<double> thresholds{target.residual_threshold.value_or(0.02)};

@@ -13,6 +13,17 @@
 
 namespace gleaner::coordinator {
 
+// Work, in samples of paths (0.1 us on two cores); measured on the Cornell boxes and on sponza.
+struct VplWork {
+  static constexpr double path = 2;        // a light path
+  static constexpr double light = 27;      // a VPL is drawn and clustered, on one worker
+  static constexpr double point = 8;       // so is a point
+  static constexpr double pair = 0.15;     // a point cluster queries a light
+  static constexpr double shade = 0.003;   // a pixel and a light
+  static constexpr double sample = 0.9;    // a pixel's sample of the VPLs' light
+  static constexpr double residual = 0.3;  // a light that a point queries itself
+};
+
 class VplPilot {
  public:
   // Throws Error::failed for facts that are not finite or not possible.
@@ -89,6 +100,7 @@ struct VplPrediction {
 // samples are given: as many as make the next unit of work worth the same, spent on VPLs or on samples. Where an error
 // is: the least work that meets it, the VPLs' part counted kVplCaution times.
 inline constexpr double kVplCaution = 2.5;
+inline constexpr double kLeastChosen = 4000;  // VPLs of a pass
 VplPrediction choose_vpl(const VplPilot& pilot, const VplTarget& target);
 // The errors and work of given counts, by the same model.
 VplPrediction predict_vpl(const VplPilot& pilot, const VplTarget& target, const VplCounts& counts);

@@ -53,16 +53,6 @@ constexpr float kUnbounded = std::numeric_limits<float>::infinity();
 constexpr Placement kRetain = Placement::retain;
 constexpr Extent kOwnItems = Extent::own_items;
 
-std::uint32_t low(std::uint64_t seed) { return static_cast<std::uint32_t>(seed); }
-std::uint32_t high(std::uint64_t seed) { return static_cast<std::uint32_t>(seed >> 32); }
-std::string numbered(const char* name, std::uint64_t number) {
-  return std::string(name) + "." + std::to_string(number);
-}
-
-std::span<const float> floats_of(const Bytes& records) {
-  return {reinterpret_cast<const float*>(records.data()), records.size() / 4};
-}
-
 StageOutput retained(std::size_t record_bytes, bool reusable) {
   return {.record_bytes = static_cast<std::uint32_t>(record_bytes), .placement = kRetain, .reusable = reusable};
 }
@@ -73,12 +63,30 @@ StageOutput retained_rows(std::size_t words, std::uint64_t most, bool reusable) 
   output.most_records = static_cast<std::uint32_t>(most);
   return output;
 }
+// These read their inputs alone.
 StageSpec solo(const std::string& name, const char* kind, std::uint64_t items, const StageOutput& output) {
-  return {.name = name, .kind = kind, .items = items, .solo = true, .priority = kFirst, .output = output};
+  return {.name = name,
+          .kind = kind,
+          .items = items,
+          .solo = true,
+          .scene_parts = kNoScene,
+          .priority = kFirst,
+          .output = output};
 }
-StageSpec split(const std::string& name, const char* kind, std::uint64_t items, std::uint32_t tile,
+StageSpec split(const std::string& name, const char* kind, std::uint64_t items, std::uint32_t tile, unsigned parts,
                 const StageOutput& output) {
-  return {.name = name, .kind = kind, .items = items, .tile = tile, .priority = kFirst, .output = output};
+  return {.name = name,
+          .kind = kind,
+          .items = items,
+          .tile = tile,
+          .scene_parts = parts,
+          .priority = kFirst,
+          .output = output};
+}
+
+StageSpec with_work(StageSpec spec, double work) {
+  spec.work = work;
+  return spec;
 }
 
 class VplPlan final : public GraphPlan {
@@ -86,7 +94,9 @@ class VplPlan final : public GraphPlan {
   VplPlan(const FrameSettings& settings, const SceneSummary& scene);
 
   bool conclude(const std::vector<CutStage>& cut) override;
-  double predicted_work() const override { return paths_.predicted_work(); }
+  double predicted_work() const override {
+    return paths_.predicted_work() + work_to_come(own_work(), paths_.asked_work());
+  }
   std::vector<Skip> skips() const override;
   std::vector<std::string> warnings() const override { return paths_.warnings(); }
   std::string parameters_json() const override;
@@ -99,8 +109,12 @@ class VplPlan final : public GraphPlan {
     Artifact table;          // ordered, and their members
     std::uint32_t rows = 0;  // of the table, without members
     std::uint32_t made = 0, kept = 0, clusters = 0;
-    Artifact added;  // an event: the pass is in the film
   };
+  double shade_work(double lights) const {
+    return static_cast<double>(pixels()) * (vpl_.samples * VplWork::sample + lights * VplWork::shade);
+  }
+  double own_work() const;
+
   // While the pilot runs.
   struct Pilot {
     Artifact lights, points, queried_lights, queried_points;
@@ -121,7 +135,6 @@ class VplPlan final : public GraphPlan {
   void query_visibility(std::uint32_t pass);
   void shade(std::uint32_t pass, const Artifact& visibility);
   void leave_dark(std::uint32_t pass);
-  void add_to_film(std::uint32_t pass, const Artifact& shaded);
   void begin_next(std::uint32_t pass);
 
   VplPointParameters point_parameters() const;
@@ -186,10 +199,25 @@ void VplPlan::begin() {
 }
 
 void VplPlan::begin_paths() {
-  paths_.begin({.complement = indirect(),
-                .clamp = vpl_.compensate ? clamp_ : kUnbounded,
+  paths_.begin({.classes = indirect() ? PATH_CLASS_DIFFUSE : 0,
+                .limit = vpl_.compensate ? clamp_ : kUnbounded,
+                .compensates = indirect(),
                 .mean = prediction_ ? prediction_->vpl_mean : 0,
                 .squared_error = prediction_ ? kVplCaution * prediction_->vpl() : 0});
+}
+
+// All that the VPLs take, by the counts as they are known; what is next to nothing is left out.
+double VplPlan::own_work() const {
+  if (!indirect()) return 0;
+  const auto passes = static_cast<double>(passes_.size());
+  const double traced = passes * VplWork::path * light_paths_;
+  // A pilot chooses counts that are worth as much work as the paths, but takes no fewer VPLs than these.
+  if (vpl_.piloted && !prediction_)
+    return traced + static_cast<double>(pixels()) * settings_.spp + passes * VplWork::light * kLeastChosen;
+  const double kept = vpl_.count, lights = vpl_.clusters ? std::min(vpl_.clusters, vpl_.count) : vpl_.count;
+  const double of_pass =
+      (lights < kept ? VplWork::light * kept : 0) + VplWork::pair * lights * vpl_.point_clusters + shade_work(lights);
+  return traced + passes * of_pass + VplWork::point * static_cast<double>(kPointsPerCluster) * vpl_.point_clusters;
 }
 
 // --- Virtual point lights ---
@@ -205,7 +233,10 @@ void VplPlan::trace(std::uint32_t pass) {
   StageOutput output = retained(VPL_WORDS * 4, true);  // another camera sees the same lights
   output.counted = true;
   output.most_records = VPL_PATH_SLOTS;
-  passes_[pass].traced = graph_.add(split(numbered("vpl.trace", pass), "vpl_trace", light_paths_, 16, output), p);
+  passes_[pass].traced =
+      graph_.add(with_work(split(numbered("vpl.trace", pass), "vpl_trace", light_paths_, 16, kWholeScene, output),
+                           VplWork::path * light_paths_),
+                 p);
 }
 
 Artifact VplPlan::resample(const std::string& name, const Artifact& traced, std::uint32_t pass) {
@@ -226,6 +257,9 @@ void VplPlan::cluster_lights(std::uint32_t pass) {
   graph_.when({s.lights}, [this, pass] {
     Pass& drawn = passes_[pass];
     const auto facts = drawn.lights.facts<VplResampleFacts>();
+    drawn.lights.check_facts(
+        facts.kept == drawn.lights.record_count() && std::isfinite(facts.density),
+        std::to_string(facts.kept) + " VPLs, and " + std::to_string(drawn.lights.record_count()) + " records");
     drawn.made = low(facts.made);
     drawn.kept = low(facts.kept);
     if (!paths_.begun()) {
@@ -247,8 +281,10 @@ void VplPlan::cluster_lights(std::uint32_t pass) {
       p.random_representative = vpl_.random_representative ? low(settings_.seed) * 4096 + pass + 1 : 0;
       p.lights = drawn.kept;
       const std::uint64_t items = p.clusters + (std::uint64_t{p.lights} + VPL_WORDS - 1) / VPL_WORDS;
-      clusters = graph_.add(solo(numbered("vpl.cluster", pass), "vpl_cluster", items, retained(VPL_WORDS * 4, true)), p,
-                            {{"lights", drawn.lights}});
+      clusters =
+          graph_.add(with_work(solo(numbered("vpl.cluster", pass), "vpl_cluster", items, retained(VPL_WORDS * 4, true)),
+                               VplWork::light * drawn.kept),
+                     p, {{"lights", drawn.lights}});
     }
     order_lights(pass, clusters);
   });
@@ -285,7 +321,7 @@ void VplPlan::order_lights(std::uint32_t pass, const Artifact& clusters) {
 // No light: the paths alone make the picture.
 void VplPlan::leave_dark(std::uint32_t pass) {
   skips_.push_back({"visibility and shading of pass " + std::to_string(pass), "no light reached a diffuse surface", 1});
-  add_to_film(pass, {});
+  add_pass({});
   begin_next(pass);
 }
 
@@ -297,10 +333,12 @@ void VplPlan::query_visibility(std::uint32_t pass) {
   p.clamp = clamp_;
   p.cutoff = static_cast<float>(vpl_.contribution_cutoff);
   const std::size_t row_bytes = (s.rows / 32 + VISIBILITY_COUNTS) * 4;
-  const Artifact visibility = graph_.add(
-      split(numbered("vpl.visibility", pass), "vpl_visibility", point_rows_, 1, retained(row_bytes, on_trajectory())),
-      p, {{"lights", s.table}, {"points", points_}});
-  const Artifact skipped = graph_.add(split(numbered("vpl.skipped", pass), "vpl_skipped", point_rows_, 1,
+  const Artifact visibility =
+      graph_.add(with_work(split(numbered("vpl.visibility", pass), "vpl_visibility", point_rows_, 1, kSurfaces,
+                                 retained(row_bytes, on_trajectory())),
+                           VplWork::pair * static_cast<double>(point_rows_) * s.clusters),
+                 p, {{"lights", s.table}, {"points", points_}});
+  const Artifact skipped = graph_.add(split(numbered("vpl.skipped", pass), "vpl_skipped", point_rows_, 1, kNoScene,
                                             {.record_bytes = sizeof(VplSkippedRecord), .reusable = on_trajectory()}),
                                       VplSkippedParameters{.lights = s.rows}, {{"visibility", visibility, kOwnItems}});
   graph_.on_records(skipped, [this](auto, auto count, const Bytes& records) {
@@ -333,30 +371,19 @@ void VplPlan::shade(std::uint32_t pass, const Artifact& visibility) {
     inputs.push_back({"points", points_});
     inputs.push_back({"visibility", visibility});
   }
-  const Artifact shaded = graph_.add(
-      split(numbered("vpl.shade", pass), "vpl_shade", pixels(), 16, {.record_bytes = 12}), p, std::move(inputs));
+  const Artifact shaded = graph_.add(with_work(split(numbered("vpl.shade", pass), "vpl_shade", pixels(), 16,
+                                                     kWholeScene, {.record_bytes = 12, .floats = true}),
+                                               shade_work(s.clusters)),
+                                     p, std::move(inputs));
   s.table = {};
-  graph_.on_preview(shaded, [this](auto first, auto count, const Bytes& records) {
-    film_.draw_pass(first, floats_of(records).first(3 * count));
-  });
-  add_to_film(pass, shaded);
+  preview_pass(shaded);
+  add_pass(shaded);
   begin_next(pass);
 }
 
-// Passes add up in their order, whichever ends first: sums of floats depend on it. `shaded`: none where it is dark.
-void VplPlan::add_to_film(std::uint32_t pass, const Artifact& shaded) {
-  passes_[pass].added = graph_.event();
-  std::vector<Artifact> after;
-  if (shaded) after.push_back(shaded);
-  if (pass > 0) after.push_back(passes_[pass - 1].added);
-  graph_.when(after, [this, pass, shaded] {
-    film_.add_pass(shaded ? floats_of(shaded.records()) : std::span<const float>{});
-    graph_.announce(passes_[pass].added);
-  });
-}
-
 void VplPlan::begin_next(std::uint32_t pass) {
-  if (pass + 1 == passes_.size()) return;
+  own_stages_asked_ = pass + 1 == passes_.size();
+  if (own_stages_asked_) return;
   trace(pass + 1);
   cluster_lights(pass + 1);
 }
@@ -410,7 +437,7 @@ VplPointParameters VplPlan::points_parameters() const {
 Artifact VplPlan::ask_points(const std::string& name, const scene::Camera& camera) {
   VplPointParameters p = points_parameters();
   p.camera = camera;
-  return graph_.add(split(name, "vpl_points", p.items_low, 16, retained(POINT_WORDS * 4, on_trajectory())), p);
+  return graph_.add(split(name, "vpl_points", p.items_low, 16, kSurfaces, retained(POINT_WORDS * 4, true)), p);
 }
 
 void VplPlan::ask_point_clusters() {
@@ -434,6 +461,9 @@ void VplPlan::merge_points() {
                  VplMergePointsParameters{.cameras = cameras}, std::move(inputs));
   graph_.when({merged}, [this, merged] {
     const auto facts = merged.facts<VplMergePointsFacts>();
+    merged.check_facts(facts.points == merged.record_count() && facts.most_of_a_camera <= facts.points,
+                       std::to_string(facts.points) + " points, " + std::to_string(facts.most_of_a_camera) +
+                           " of a camera, and " + std::to_string(merged.record_count()) + " records");
     merged_points_ = facts.points;
     if (facts.points == 0) {
       graph_.announce(points_known_);
@@ -441,9 +471,10 @@ void VplPlan::merge_points() {
     }
     // As many points a cluster as of the camera that sees most.
     const std::uint64_t densest = std::max<std::uint64_t>(1, facts.most_of_a_camera);
-    const auto grown = static_cast<std::uint64_t>(std::llround(
-        static_cast<double>(vpl_.point_clusters) * static_cast<double>(facts.points) / static_cast<double>(densest)));
-    point_clusters_ = low(std::clamp<std::uint64_t>(grown, vpl_.point_clusters, most_trajectory_clusters()));
+    const double grown =
+        static_cast<double>(vpl_.point_clusters) * static_cast<double>(facts.points) / static_cast<double>(densest);
+    point_clusters_ = static_cast<std::uint32_t>(std::lround(
+        std::clamp(grown, static_cast<double>(vpl_.point_clusters), static_cast<double>(most_trajectory_clusters()))));
     cluster_points(merged);
   });
 }
@@ -452,16 +483,18 @@ void VplPlan::cluster_points(const Artifact& points) {
   const std::uint64_t wanted = kPointsPerCluster * std::uint64_t{point_clusters_};
   Artifact some = points;
   if (vpl_.piloted && wanted < points.record_count())  // more were looked at than so few clusters need
-    some = graph_.add(solo("vpl.sample_points", "vpl_sample_points", wanted, retained(POINT_WORDS * 4, false)),
+    some = graph_.add(solo("vpl.sample_points", "vpl_sample_points", wanted, retained(POINT_WORDS * 4, true)),
                       VplSamplePointsParameters{.count = low(wanted)}, {{"points", points}});
   ClusterParameters p{};
   p.clusters = point_clusters_;
   p.iterations = kIterations;
   p.least_cosine = CLUSTER_LEAST_COSINE;
-  StageOutput output = retained(POINT_WORDS * 4, on_trajectory());
+  StageOutput output = retained(POINT_WORDS * 4, true);
   output.counted = true;  // a cluster without members has no record
   const Artifact clusters =
-      graph_.add(solo("vpl.point_cluster", "point_cluster", point_clusters_, output), p, {{"points", some}});
+      graph_.add(with_work(solo("vpl.point_cluster", "point_cluster", point_clusters_, output),
+                           VplWork::point * static_cast<double>(kPointsPerCluster) * point_clusters_),
+                 p, {{"points", some}});
   graph_.when({clusters}, [this, clusters] {
     point_rows_ = clusters.record_count();
     if (point_rows_) points_ = clusters;
@@ -478,7 +511,7 @@ void VplPlan::begin_pilot(const Artifact& traced) {
       graph_.add(solo("vpl.pilot.lights", "vpl_pilot_lights", 1, retained_rows(VPL_WORDS, Shape::lights, false)),
                  VplPilotRowsParameters{}, {{"lights", pilot_.lights}});
   pilot_.queried_points = graph_.add(
-      solo("vpl.pilot.points", "vpl_pilot_points", 1, retained_rows(POINT_WORDS, Shape::queried_points, false)),
+      solo("vpl.pilot.points", "vpl_pilot_points", 1, retained_rows(POINT_WORDS, Shape::queried_points, true)),
       VplPilotRowsParameters{}, {{"points", pilot_.points}});
   graph_.when({pilot_.lights, pilot_.queried_lights, pilot_.queried_points}, [this] { measure_pilot(); });
 }
@@ -496,7 +529,7 @@ void VplPlan::measure_pilot() {
   p.clusters = Shape::lights;
   p.point_clusters = low(points);
   p.clamp = kUnbounded;
-  const Artifact visibility = graph_.add(split("vpl.pilot.visibility", "vpl_visibility", points, 1,
+  const Artifact visibility = graph_.add(split("vpl.pilot.visibility", "vpl_visibility", points, 1, kSurfaces,
                                                retained((Shape::lights / 32 + VISIBILITY_COUNTS) * 4, false)),
                                          p, {{"lights", pilot_.queried_lights}, {"points", pilot_.queried_points}});
   VplPilotParameters parameters;
@@ -541,7 +574,7 @@ Artifact VplPlan::pilot_paths(std::uint32_t number) {
   p.filter = PATH_CLASS_DIFFUSE;
   p.clamp = static_cast<float>(number == 0 ? pilot_.bounds.front() : pilot_.bounds.back());
   return graph_.add(split(numbered("vpl.pilot.path", number), "path", items.size(), 16 / Shape::path_samples,
-                          retained(sizeof(PathRecord) + 12, false)),
+                          kWholeScene, retained(sizeof(PathRecord) + 12, false)),
                     p, {{"items", graph_.data(items), kOwnItems}});
 }
 

@@ -30,6 +30,9 @@ constexpr double kLongestAside = 32;
 // others.
 constexpr double kLate = 3;
 
+// How late a batch is, in seconds, before people are told.
+constexpr Seconds kLateForPeople = 2;
+
 // Leases are numbered from here on in the run of the coordinator that `incarnation` counts.
 constexpr unsigned kIncarnationShift = 32;
 
@@ -67,6 +70,8 @@ struct HeldRange {
 
 enum class StageState { open, complete, failed };
 
+using Place = std::tuple<unsigned, int, StageId>;  // (rank, priority negated, id)
+
 using Candidates = std::set<std::pair<Seconds, LeaseId>>;  // by planned finish
 
 struct Stage {
@@ -88,9 +93,12 @@ struct Stage {
   std::map<WorkerId, WorkerProgress> progress;
 };
 
+Place place_of(const Stage& stage) { return {stage.spec.rank, -stage.spec.priority, stage.id}; }
+
 struct Worker {
   WorkerId id = 0;
   bool draining = false;
+  bool proven = false;  // it has answered something
   bool quarantined = false;
   Seconds quarantined_until = 0;
   std::vector<LeaseId> in_flight;       // the first one runs, the others wait
@@ -174,7 +182,7 @@ struct Scheduler::Impl {
   Epoch next_epoch;
   StageId next_stage = 1;
   std::map<StageId, Stage> stages;
-  std::set<std::pair<int, StageId>> order;  // open stages: most urgent first (priority negated)
+  std::set<Place> order;  // open stages: most urgent first
   std::map<WorkerId, Worker> workers;
   std::unordered_map<LeaseId, LiveLease> live;
   std::unordered_map<LeaseId, EndedLease> ended;
@@ -182,6 +190,7 @@ struct Scheduler::Impl {
   std::map<std::string, Kind> kinds;
   std::vector<KindTotals> totals;
   std::uint64_t joined = 0, draining = 0, serving = 0, idle = 0;  // idle: serves and holds nothing
+  std::uint64_t proven = 0;                                       // of those that serve
   Seconds latest = -std::numeric_limits<double>::infinity();      // the last clock value seen
   mutable std::uint64_t steps = 0;
 
@@ -195,6 +204,7 @@ struct Scheduler::Impl {
     if (worker.draining) --draining;
     if (!worker.serves()) return;
     --serving;
+    if (worker.proven) --proven;
     if (worker.in_flight.empty()) --idle;
     for (const auto& [kind, throughput] : worker.throughput) {
       ++steps;
@@ -209,6 +219,7 @@ struct Scheduler::Impl {
     if (worker.draining) ++draining;
     if (!worker.serves()) return;
     ++serving;
+    if (worker.proven) ++proven;
     if (worker.in_flight.empty()) ++idle;
     for (const auto& [kind, throughput] : worker.throughput) {
       ++steps;
@@ -243,6 +254,13 @@ struct Scheduler::Impl {
     timers.insert({worker.quarantined_until, TimerKind::quarantine, worker.id});
     enter_sums(worker);
     ++steps;
+  }
+  // It has answered. Who never did may hold what it gets for ever, with every sign of life.
+  void prove(Worker& worker) {
+    if (worker.proven) return;
+    leave_sums(worker);
+    worker.proven = true;
+    enter_sums(worker);
   }
   void take_back_in(Worker& worker) {
     if (!worker.quarantined) return;
@@ -340,8 +358,7 @@ struct Scheduler::Impl {
   void list_candidate(Stage& stage, LiveLease& lease, bool runs) {
     ++steps;
     unlist(stage, lease);
-    // A solo stage's inputs are large and its duration is anybody's guess: a second copy costs more than it saves.
-    if (stage.state != StageState::open || stage.spec.solo || stage.held.at(lease.lease.first).twice()) return;
+    if (stage.state != StageState::open || stage.held.at(lease.lease.first).twice()) return;
     lease.standing = runs ? Standing::running : Standing::waiting;
     lease.listed = lease.planned;
     (runs ? stage.running : stage.waiting).insert({lease.listed, lease.lease.id});
@@ -460,7 +477,7 @@ struct Scheduler::Impl {
 
   void close(Stage& stage, StageState state) {
     stage.state = state;
-    order.erase({-stage.spec.priority, stage.id});
+    order.erase(place_of(stage));
     if (stage.spec.solo) timers.erase({stage.preferred_until, TimerKind::preferred, stage.id});
     for (Candidates* list : {&stage.running, &stage.waiting}) {
       for (const auto& [planned, id] : *list) live.at(id).standing = Standing::none;
@@ -477,8 +494,11 @@ struct Scheduler::Impl {
                        [&](LeaseId id) { return stages.at(live.at(id).lease.stage).spec.solo; });
   }
 
-  bool preferred_may_come(const Stage& stage, const FailureHistory& failures, Seconds now) const {
+  // Others that should have the solo stage rather than the worker.
+  bool preferred_may_come(const Worker& worker, const Stage& stage, const FailureHistory& failures, Seconds now) const {
     if (now >= stage.preferred_until) return false;
+    // A mute worker would hold the whole frame.
+    if (!worker.proven && proven > 0) return true;
     return std::any_of(stage.spec.preferred.begin(), stage.spec.preferred.end(), [&](WorkerId id) {
       ++steps;
       const auto at = workers.find(id);
@@ -537,7 +557,7 @@ struct Scheduler::Impl {
     if (stage.spec.solo) {
       out.count = out.piece.count;
       if (prefers(stage, worker.id)) return out;
-      if (preferred_may_come(stage, out.piece.failures, now)) return out.refuse(Refusal::others_preferred);
+      if (preferred_may_come(worker, stage, out.piece.failures, now)) return out.refuse(Refusal::others_preferred);
       // Whoever is idle begins at once; here it would wait.
       if (idle > 0 && !worker.in_flight.empty()) return out.refuse(Refusal::has_its_share);
       return out;
@@ -547,6 +567,10 @@ struct Scheduler::Impl {
       return out;
     }
 
+    if (stage.spec.at_once) {
+      out.count = round_to_tiles(0, stage, out.piece);
+      return out;
+    }
     const std::uint64_t held_items = items_in_flight(worker, stage.id);
     const auto known = worker.throughput.find(stage.kind);
     const Throughput throughput = known == worker.throughput.end() ? Throughput{} : known->second;
@@ -556,7 +580,8 @@ struct Scheduler::Impl {
     const double part = share(worker, stage.kind);
     const double target = throughput.target_items(settings);
     const double fair = kShareAtOnce * part * static_cast<double>(stage.pool.items());
-    const double wanted = std::max(std::min(target, fair), std::min(target, throughput.smallest_items(settings)));
+    double wanted = std::max(std::min(target, fair), std::min(target, throughput.smallest_items(settings)));
+    if (stage.spec.most_items > 0) wanted = std::min(wanted, static_cast<double>(stage.spec.most_items));
     out.count = round_to_tiles(wanted, stage, out.piece);
     out.cut_short = static_cast<double>(out.count) + stage.spec.tile <= target;
 
@@ -623,6 +648,17 @@ struct Scheduler::Impl {
     const LiveLease& slow = live.at(id);
     const std::uint64_t first = slow.lease.first, count = slow.lease.count;
     if (slow.lease.worker == worker.id || stage.held.at(first).failures.by(worker.id)) return std::nullopt;
+    // Two mute workers with the same items would hold them for a whole lease.
+    if (!worker.proven && proven > 0 && !workers.at(slow.lease.worker).proven) return std::nullopt;
+    // A solo stage's inputs are large and its duration is anybody's guess: a second copy must wait until it is likely
+    // that the first one never ends.
+    if (stage.spec.solo) {
+      const Worker& other = workers.at(slow.lease.worker);
+      const Seconds patience = other.proven ? settings.solo_copy_after : settings.solo_copy_after_unproven;
+      if (other.in_flight.front() != id ||
+          now - other.in_flight_since < std::max(patience, kLate * expected_seconds(other, stage, count)))
+        return std::nullopt;
+    }
     if (expected_finish(slow, now) <= when_free(worker, now) + expected_seconds(worker, stage, count))
       return std::nullopt;
     return issue(worker, stage, first, count, true, true, now);
@@ -630,25 +666,48 @@ struct Scheduler::Impl {
 
   // -- For a person --------------------------------------------------------------------------------------------------
 
+  // The batch of the stage that is latest, where one takes far longer than expected; else empty.
+  std::string describe_late(const Stage& stage, Seconds now, const Names& names) const {
+    Seconds longest = 0, expected = 0;
+    WorkerId who = 0;
+    for (const auto& [first, range] : stage.held)
+      for (const LeaseId id : range.leases) {
+        if (id == 0) continue;
+        const LiveLease& lease = live.at(id);
+        const Worker& worker = workers.at(lease.lease.worker);
+        const Seconds took = now - worker.in_flight_since, should = lease.planned - worker.in_flight_since;
+        if (worker.in_flight.front() != id || took < std::max(kLate * should, should + kLateForPeople)) continue;
+        if (took <= longest) continue;
+        longest = took;
+        expected = should;
+        who = worker.id;
+      }
+    if (longest == 0) return {};
+    const auto seconds = [](Seconds value) { return std::to_string(std::llround(std::max(1.0, value))) + " s"; };
+    return "worker " + names.worker(who) + " has not answered its batch for " + seconds(longest) + ", expected " +
+           seconds(expected) + " at most";
+  }
+
   // "worker 7 drains", "workers 7, 8 drain", "both workers drain", "all 9 workers drain", "9 of 12 workers drain".
-  std::string describe(const std::vector<WorkerId>& who, const std::string& one, const std::string& many) const {
-    if (who.size() == 1) return "worker " + std::to_string(who[0]) + " " + one;
+  std::string describe(const std::vector<WorkerId>& who, const std::string& one, const std::string& many,
+                       const Names& names) const {
+    if (who.size() == 1) return "worker " + names.worker(who[0]) + " " + one;
     if (who.size() == joined && joined == 2) return "both workers " + many;
     if (who.size() == joined) return "all " + std::to_string(who.size()) + " workers " + many;
     if (who.size() > 3) return std::to_string(who.size()) + " of " + std::to_string(joined) + " workers " + many;
     std::string ids;
-    for (const WorkerId id : who) ids += (ids.empty() ? "" : ", ") + std::to_string(id);
+    for (const WorkerId id : who) ids += (ids.empty() ? "" : ", ") + names.worker(id);
     return "workers " + ids + " " + many;
   }
 
-  std::string describe_quarantined(const std::vector<WorkerId>& who) const {
-    if (who.size() > 1) return describe(who, "", "are quarantined after failures or leases that ran out");
+  std::string describe_quarantined(const std::vector<WorkerId>& who, const Names& names) const {
+    if (who.size() > 1) return describe(who, "", "are quarantined after failures or leases that ran out", names);
     const Worker& worker = workers.at(who.front());
     const bool failures = worker.failures_in_row >= settings.strikes;
     return describe(who,
                     failures ? "is quarantined after " + std::to_string(worker.failures_in_row) + " failures"
                              : std::string("is quarantined after a lease ran out"),
-                    "");
+                    "", names);
   }
 };
 
@@ -673,7 +732,7 @@ StageId Scheduler::add_stage(const ScheduledStage& spec, Seconds now) {
     stage.state = StageState::complete;
     return id;
   }
-  m.order.insert({-spec.priority, id});
+  m.order.insert(place_of(stage));
   if (spec.solo) {
     // Workers that are at work ask again within a batch's time, or two where one waits.
     stage.preferred_until = now + 2 * m.settings.target_batch;
@@ -732,14 +791,14 @@ void Scheduler::worker_draining(WorkerId id) {
   impl_->enter_sums(at->second);
 }
 
-std::optional<Lease> Scheduler::next_lease(WorkerId id, Seconds now) {
+std::optional<Lease> Scheduler::next_lease(WorkerId id, Seconds now, bool duplicates) {
   Impl& m = *impl_;
   now = m.clock(now);
   const auto at = m.workers.find(id);
   ++m.steps;
   if (at == m.workers.end()) return std::nullopt;
   Worker& worker = at->second;
-  for (const auto& [priority, stage_id] : m.order) {
+  for (const auto& [rank, priority, stage_id] : m.order) {
     ++m.steps;
     Stage& stage = m.stages.at(stage_id);
     if (stage.pool.items() == 0 || stage.paused) continue;
@@ -751,8 +810,8 @@ std::optional<Lease> Scheduler::next_lease(WorkerId id, Seconds now) {
     if (offer.why_not <= Refusal::full) return std::nullopt;  // whatever the stage
   }
   if (!m.usable(worker)) return std::nullopt;
-  if (!worker.in_flight.empty()) return std::nullopt;
-  for (const auto& [priority, stage_id] : m.order) {
+  if (!worker.in_flight.empty() || !duplicates) return std::nullopt;
+  for (const auto& [rank, priority, stage_id] : m.order) {
     ++m.steps;
     Stage& stage = m.stages.at(stage_id);
     if (stage.paused) continue;
@@ -788,6 +847,7 @@ ResultOutcome Scheduler::result(WorkerId id, LeaseId lease_id, Epoch epoch, Seco
         m.replan(who->second);
       }
       who->second.expiries_in_row = 0;
+      m.prove(who->second);
       if (who->second.failures_in_row < m.settings.strikes) m.take_back_in(who->second);
     }
     return outcome;
@@ -806,6 +866,7 @@ ResultOutcome Scheduler::result(WorkerId id, LeaseId lease_id, Epoch epoch, Seco
   Stage& stage = m.stages.at(lease.stage);
   Worker& worker = m.workers.at(id);
   worker.expiries_in_row = worker.failures_in_row = 0;
+  m.prove(worker);
   m.take_back_in(worker);
   m.learn(worker, stage.kind, [&](Throughput& t) { t.measured(lease.count, seconds, cut_short, m.settings); });
   if (stage.state != StageState::open) {
@@ -834,6 +895,16 @@ ResultOutcome Scheduler::result(WorkerId id, LeaseId lease_id, Epoch epoch, Seco
     outcome.stage_complete = true;
   }
   return outcome;
+}
+
+void Scheduler::set_rank(StageId id, unsigned rank) {
+  Impl& m = *impl_;
+  const auto at = m.stages.find(id);
+  if (at == m.stages.end() || at->second.spec.rank == rank) return;
+  const bool listed = m.order.erase(place_of(at->second)) > 0;
+  at->second.spec.rank = rank;
+  if (listed) m.order.insert(place_of(at->second));
+  ++m.steps;
 }
 
 void Scheduler::pause(StageId id) {
@@ -921,6 +992,12 @@ std::uint64_t Scheduler::items_done(StageId id) const {
   return at == impl_->stages.end() ? 0 : at->second.done_items;
 }
 
+std::optional<Seconds> Scheduler::quarantined_until(WorkerId id) const {
+  const auto worker = impl_->workers.find(id);
+  if (worker == impl_->workers.end() || !worker->second.quarantined) return std::nullopt;
+  return worker->second.quarantined_until;
+}
+
 double Scheduler::items_per_second(WorkerId id, const std::string& kind) const {
   const auto worker = impl_->workers.find(id);
   const auto number = impl_->kinds.find(kind);
@@ -929,33 +1006,45 @@ double Scheduler::items_per_second(WorkerId id, const std::string& kind) const {
   return at == worker->second.throughput.end() ? 0 : at->second.items_per_second();
 }
 
+bool Scheduler::proven(WorkerId id) const {
+  const auto worker = impl_->workers.find(id);
+  return worker != impl_->workers.end() && worker->second.proven;
+}
+
 std::map<WorkerId, WorkerProgress> Scheduler::progress(StageId id) const {
   const auto at = impl_->stages.find(id);
   return at == impl_->stages.end() ? std::map<WorkerId, WorkerProgress>{} : at->second.progress;
 }
 
 std::string Scheduler::why_waiting(StageId id, Seconds now) const {
+  const auto number = [](std::uint64_t value) { return std::to_string(value); };
+  return why_waiting(id, now, {number, number});
+}
+
+std::string Scheduler::why_waiting(StageId id, Seconds now, const Names& names) const {
   const Impl& m = *impl_;
   const auto at = m.stages.find(id);
   if (at == m.stages.end() || at->second.state == StageState::complete) return {};
   const Stage& stage = at->second;
   if (stage.state == StageState::failed)
     return "the same items failed " + std::to_string(m.settings.strikes) + " times";
-  if (stage.pool.items() == 0) return {};
+  if (stage.pool.items() == 0) return m.describe_late(stage, now, names);
   if (stage.paused) return "it waits for inputs that are computed again";
   if (m.joined == 0) return "no worker is connected";
 
-  for (const auto& [priority, other] : m.order) {
+  for (const auto& [rank, priority, other] : m.order) {
     if (other == id) break;
     if (m.stages.at(other).pool.items() == 0 || m.stages.at(other).paused) continue;
-    return "stage " + std::to_string(other) +
-           " goes first: " + (-priority > stage.spec.priority ? "its priority is higher" : "it is older");
+    return "stage " + names.stage(other) + " goes first: " +
+           (rank < stage.spec.rank            ? "it is of an earlier frame"
+            : -priority > stage.spec.priority ? "its priority is higher"
+                                              : "it is older");
   }
 
   std::map<Refusal, std::vector<WorkerId>> refused;
   for (const auto& [worker_id, worker] : m.workers) refused[m.offer(worker, stage, now).why_not].push_back(worker_id);
   if (refused.contains(Refusal::none)) {
-    return m.describe(refused[Refusal::none], "can take a batch and was", "can take a batch and were") +
+    return m.describe(refused[Refusal::none], "can take a batch and was", "can take a batch and were", names) +
            " not asked since";
   }
   const std::string leases = std::to_string(m.settings.in_flight) + (m.settings.in_flight == 1 ? " lease" : " leases");
@@ -966,32 +1055,35 @@ std::string Scheduler::why_waiting(StageId id, Seconds now) const {
       case Refusal::none:
         break;
       case Refusal::drains:
-        line += m.describe(who, "drains", "drain");
+        line += m.describe(who, "drains", "drain", names);
         break;
       case Refusal::quarantined:
-        line += m.describe_quarantined(who);
+        line += m.describe_quarantined(who, names);
         break;
       case Refusal::runs_solo:
-        line += m.describe(who, "runs a solo stage", "run solo stages");
+        line += m.describe(who, "runs a solo stage", "run solo stages", names);
         break;
       case Refusal::straggler:
-        line += m.describe(who, "is late with its batch", "are late with their batches");
+        line += m.describe(who, "is late with its batch", "are late with their batches", names);
         break;
       case Refusal::full:
-        line += m.describe(who, "holds " + leases, "hold " + leases + " each");
+        line += m.describe(who, "holds " + leases, "hold " + leases + " each", names);
         break;
       case Refusal::failed_it:
-        line += m.describe(who, "failed these items", "failed these items");
+        line += m.describe(who, "failed these items", "failed these items", names);
         break;
       case Refusal::others_preferred:
-        line += "it is kept for " + m.describe(stage.spec.preferred, "which holds its inputs", "which hold its inputs");
+        line += "it is kept for " +
+                (stage.spec.preferred.empty()
+                     ? "a worker that has answered before"
+                     : m.describe(stage.spec.preferred, "which holds its inputs", "which hold its inputs", names));
         break;
       case Refusal::not_measured:
         line += m.describe(who, "runs its first batch of " + stage.spec.kind,
-                           "run their first batches of " + stage.spec.kind);
+                           "run their first batches of " + stage.spec.kind, names);
         break;
       case Refusal::has_its_share:
-        line += m.describe(who, "holds its share of what is left", "hold their shares of what is left");
+        line += m.describe(who, "holds its share of what is left", "hold their shares of what is left", names);
         break;
     }
   }

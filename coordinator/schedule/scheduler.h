@@ -3,6 +3,7 @@
 // The same code runs in production and in the simulated farm.
 
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
@@ -26,7 +27,10 @@ struct ScheduledStage {
   std::uint64_t items = 0;
   std::uint32_t tile = 1;  // batches begin and end at multiples of it
   bool solo = false;
-  int priority = 0;                 // higher first; equal: older first
+  bool at_once = false;             // the next worker that has room takes it, also beyond its share
+  std::uint64_t most_items = 0;     // of a batch; 0: as many as its worker can do in time
+  unsigned rank = 0;                // lower first, whatever the priority: what a higher one gets, lower ones left
+  int priority = 0;                 // of one rank: higher first; equal: older first
   std::vector<WorkerId> preferred;  // solo: who holds most of its inputs
   // Where not all of [0, items) are to run: these, in order and apart from each other; each begins at a multiple of
   // `tile`.
@@ -62,6 +66,9 @@ struct SchedulerSettings {
   unsigned strikes = 3;            // failures of one range on different workers before the stage fails; failures of
                                    // one worker in a row before it is quarantined
   Seconds solo_lease_floor = 300;  // as lease_floor, for solo stages: nobody can tell how long the first one takes
+  // An idle worker begins a solo stage too once that has run so long, and far longer than expected: its worker may
+  // never answer. The second one counts where that worker has answered nothing yet.
+  Seconds solo_copy_after = 5, solo_copy_after_unproven = 1;
   // Another number at every start of the coordinator (below 2^32, e.g. the journal's count of starts): it leads all
   // lease ids and epochs, so that what was handed out before a restart is told from what is handed out now.
   std::uint64_t incarnation = 0;
@@ -105,6 +112,7 @@ class Scheduler {
   // so that their workers can be told.
   std::vector<Lease> remove_stage(StageId stage);
 
+  void set_rank(StageId stage, unsigned rank);
   // A paused stage hands out nothing; leases that are out may still finish.
   void pause(StageId stage);
   void resume(StageId stage);
@@ -119,7 +127,8 @@ class Scheduler {
   // The next lease for the worker, or none: it holds enough, drains, is unknown, or nothing waits. Ask for the
   // worker of an event until none is given, and again for those that got none while they had room: soon after each
   // event (result, failure, loss, new stage, expire()), on large farms gathered, e.g. every 2 ms.
-  std::optional<Lease> next_lease(WorkerId worker, Seconds now);
+  // `duplicates`: where no items wait, a copy of a slow lease.
+  std::optional<Lease> next_lease(WorkerId worker, Seconds now, bool duplicates = true);
   // A batch's result. `seconds` is the worker's own measure of the batch.
   ResultOutcome result(WorkerId worker, LeaseId lease, Epoch epoch, Seconds seconds, Seconds now);
   // The worker could not do it: the items go back, preferably to another worker. `blameless`: for no fault of the items
@@ -134,10 +143,19 @@ class Scheduler {
 
   bool complete(StageId stage) const;  // every item accepted
   std::uint64_t items_done(StageId stage) const;
+  // Until when the worker gets nothing, after failures or leases that ran out; none: it is not quarantined.
+  std::optional<Seconds> quarantined_until(WorkerId worker) const;
   double items_per_second(WorkerId worker, const std::string& kind) const;  // 0 = unknown
+  bool proven(WorkerId worker) const;                                       // it has answered something since it joined
   std::map<WorkerId, WorkerProgress> progress(StageId stage) const;
-  // One line for a person: why this stage has items that nobody runs; empty where all runs.
-  std::string why_waiting(StageId stage, Seconds now) const;
+  // One line for a person: why this stage has items that nobody runs, or whose batch is late; empty where all runs in
+  // time.
+  struct Names {
+    std::function<std::string(WorkerId)> worker;
+    std::function<std::string(StageId)> stage;
+  };
+  std::string why_waiting(StageId stage, Seconds now, const Names& names) const;
+  std::string why_waiting(StageId stage, Seconds now) const;  // with numbers for names
   // Elements looked at or moved so far, each a step of O(log n) at most: what an event costs, counted instead of timed.
   std::uint64_t steps() const;
 

@@ -78,7 +78,7 @@ kernel WIDE void camera_generate(global const PathParameters* restrict parameter
   vi idle = (local_item > last_local) |
             ((local_item == last_local) & ((path & (samples - 1u)) >= parameters->last_item_samples)) | (lane >= count);
   uint at = (base + first_lane) / LANES;
-  set_ray(paths, PATH_ROWS, at, origin, direction, pick((vf)INFINITY, (vf)-1.0f, idle), (vu)GLEANER_NONE);
+  set_ray(paths, PATH_ROWS, at, origin, direction, pick((vf)INFINITY, (vf)-1.0f, idle), (vu)GLEANER_NONE, (vu)0u);
   set_row_u(paths, PATH_ROWS, at, ROW_GEOMETRY, (vu)GLEANER_NONE);
   set_row_3(paths, PATH_ROWS, at, ROW_THROUGHPUT, splat3(one_f()));
   set_row_f(paths, PATH_ROWS, at, ROW_PDF, zero_f());

@@ -35,7 +35,8 @@ FN Vertex meet_surface(const Scene* scene, global const float* rays, uint rows, 
   v.active = active;
   v.passes = no_lanes();
   v.primitive = pick_u((vu)0u, row_u(rays, rows, block, ROW_PRIMITIVE), active);
-  v.hit = load_hit(scene, v.primitive, row_f(rays, rows, block, ROW_U), row_f(rays, rows, block, ROW_V), active);
+  v.hit = load_hit(scene, v.primitive, row_u(rays, rows, block, ROW_INSTANCE), row_f(rays, rows, block, ROW_U),
+                   row_f(rays, rows, block, ROW_V), active);
   load_color(scene, &v.hit, &v.surface, active);
   return v;
 }
@@ -132,7 +133,7 @@ FN void leave_vertex(const Vertex* v, v3 direction, v3 throughput, vu depth, Nex
 // Rows of a path that moves in place, in its own block: light paths and camera paths to the first non-specular surface.
 FN void set_path(global float* paths, uint block, const NextRay* ray, vu slot, vu meta, vu key) {
   set_ray(paths, PATH_ROWS, block, ray->origin, ray->direction, pick((vf)-1.0f, (vf)INFINITY, ray->alive),
-          (vu)GLEANER_NONE);
+          (vu)GLEANER_NONE, (vu)0u);
   set_row_u(paths, PATH_ROWS, block, ROW_GEOMETRY, (vu)GLEANER_NONE);
   set_row_3(paths, PATH_ROWS, block, ROW_THROUGHPUT, ray->throughput);
   set_row_u(paths, PATH_ROWS, block, ROW_SLOT, slot);
@@ -174,12 +175,13 @@ FN vf lit_share(const Vertex* v, v3 direction) {
 #endif
 }
 
-// The scattered ray of a light path's vertex. `correction`: of the ray that arrived. max_depth: most scatterings; 0:
-// until Russian roulette ends the path, which is played from the second scattering on. *straight: lanes whose light no
-// mirror and no smooth glass may turn aside; those that still are so come back.
+// The scattered ray of a light path's vertex, and the sample that it is made of. `correction`: of the ray that arrived.
+// max_depth: most scatterings; 0: until Russian roulette ends the path, which is played from the second scattering on.
+// *straight: lanes whose light no mirror and no smooth glass may turn aside; those that still are so come back.
 FN NextRay scatter_flux(const Scene* scene, Vertex* v, v3 geometric, vf correction, v3 direction, v3 flux, vu depth,
-                        uint max_depth, const ScatterNumbers* u, vi* straight) {
+                        uint max_depth, const ScatterNumbers* u, vi* straight, BsdfSample* sample) {
   BsdfSample scattered = sample_bsdf(scene, &v->surface, v->frame.view, u->u_lobe, u->u_glass, u->d0, u->d1);
+  *sample = scattered;
   vi smooth = scattered.pdf <= zero_f();
   NextRay next;
   next.direction = scattered_direction(&v->frame, scattered.direction, smooth);

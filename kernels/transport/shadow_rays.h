@@ -24,9 +24,9 @@ typedef struct {
 #endif
 } Connection;
 
-FN void write_connection(global float* shadows, uint block, const Connection* c, vu primitive, vu slot,
+FN void write_connection(global float* shadows, uint block, const Connection* c, const Vertex* v, vu slot,
                          uint slot_count) {
-  set_ray(shadows, SHADOW_ROWS, block, c->origin, c->direction, c->far, primitive);
+  set_ray(shadows, SHADOW_ROWS, block, c->origin, c->direction, c->far, v->primitive, hit_instance(&v->hit));
   set_row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION, c->contribution);
   set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_SLOT, pick_u((vu)slot_count, slot | c->bits, c->connected));
 #ifdef TRANSPARENT_SHADOWS
@@ -59,8 +59,8 @@ kernel WIDE void shadow_pass(global float* restrict shadows, global float* restr
   v3 origin = row_3(shadows, SHADOW_ROWS, block, ROW_ORIGIN);
   v3 direction = row_3(shadows, SHADOW_ROWS, block, ROW_DIRECTION);
   vu primitive = pick_u((vu)0u, row_u(shadows, SHADOW_ROWS, block, ROW_PRIMITIVE), hit);
-  Hit h = load_hit(scene, primitive, row_f(shadows, SHADOW_ROWS, block, ROW_U),
-                   row_f(shadows, SHADOW_ROWS, block, ROW_V), hit);
+  Hit h = load_hit(scene, primitive, row_u(shadows, SHADOW_ROWS, block, ROW_INSTANCE),
+                   row_f(shadows, SHADOW_ROWS, block, ROW_U), row_f(shadows, SHADOW_ROWS, block, ROW_V), hit);
 #ifdef NEED_MEDIA
   Media media;
   media.high = row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_MEDIA);
@@ -104,6 +104,7 @@ kernel WIDE void shadow_pass(global float* restrict shadows, global float* restr
   set_row_f(shadows, SHADOW_ROWS, block, ROW_FAR,
             pick((vf)-1.0f, pick((vf)SHADOW_FAR, (vf)INFINITY, infinite), passes));
   set_row_u(shadows, SHADOW_ROWS, block, ROW_SOURCE, primitive);
+  set_row_u(shadows, SHADOW_ROWS, block, ROW_FLAGS, hit_instance(&h));
   set_row_u(shadows, SHADOW_ROWS, block, ROW_GEOMETRY, (vu)GLEANER_NONE);
   set_row_3(shadows, SHADOW_ROWS, block, ROW_CONTRIBUTION, contribution);
   set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_SLOT, pick_u((vu)slot_count, slot, passes));

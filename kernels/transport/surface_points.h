@@ -5,11 +5,14 @@
 //     step_to_surface_point   a bare mirror or glass sends the path on; any other surface ends it with a point
 //   until no path is left
 //
+// Points within solids are found where POINTS_WITHIN_SOLIDS is defined: by methods whose light knows of media.
+//
 // Include it where a method shades or clusters what the camera sees. How camera rays are dealt out to items, and what
 // is kept of a point, is the method's own (kernels/vpl/points.cl).
 #ifndef GLEANER_KERNELS_TRANSPORT_SURFACE_POINTS_H
 #define GLEANER_KERNELS_TRANSPORT_SURFACE_POINTS_H
 
+#include "kernels/lobe_rows.h"
 #include "kernels/transport/scattering.h"
 
 typedef struct {
@@ -57,17 +60,13 @@ FN SurfacePoint step_to_surface_point(const Scene* scene, global float* paths, u
   point.slot = slot;
   point.direction = direction;
   point.throughput = throughput;
-  point.albedo = m->base;
+  point.albedo = layer_albedo(m);
   point.table = (vu)GLEANER_NONE;
   point.table_row = zero_f();
 #ifdef NEED_LOBE
   // A bare metal has no layer below its lobe; unless it is rough, a path goes through it as through a mirror.
   point.rough = has_rough_lobe(m);
   vi bare = (m->lobe_share >= one_f()) & none(point.rough);
-  point.albedo = scale3(point.albedo, m->left_view * (one_f() - m->metallic) / m->left_mean);
-#ifdef NEED_LAYERS
-  point.albedo = pick3(splat3(zero_f()), point.albedo, has_plain_layer(m));
-#endif
   point.table = m->table;
   point.table_row = m->table_row;
 #else
@@ -82,7 +81,7 @@ FN SurfacePoint step_to_surface_point(const Scene* scene, global float* paths, u
   vi continues = here & (bare | glass);
   point.found = here & none(continues) & ((max_component(point.albedo) > zero_f()) | point.rough);
   if (max_depth) point.found = point.found & (depth + needed <= (vu)max_depth);
-#ifdef NEED_MEDIA
+#if defined(NEED_MEDIA) && !defined(POINTS_WITHIN_SOLIDS)
   // Within a solid paths find all light: other lights would have to be weakened by it.
   point.found = point.found & (filling(v.media) == 0u);
 #endif
@@ -113,5 +112,20 @@ FN SurfacePoint step_to_surface_point(const Scene* scene, global float* paths, u
   point.vertex = v;
   return point;
 }
+
+#ifdef NEED_LOBE
+// Row `row` of `lobes`.
+FN void write_lobe(global float* lobes, vu row, const SurfacePoint* point) {
+  const Surface* m = &point->vertex.surface;
+  vf w[LOBE_WORDS];
+  put_words3(w, LOBE_VIEW, negate3(point->direction));
+  put_words3(w, LOBE_THROUGHPUT, point->throughput);
+  put_words3(w, LOBE_F0, lobe_f0(m));
+  w[LOBE_F90] = lobe_f90(m);
+  w[LOBE_ALPHA] = pick(zero_f(), m->alpha, point->rough);
+  for (uint k = LOBE_ALPHA + 1u; k < LOBE_WORDS; ++k) w[k] = zero_f();
+  store_words(lobes, row * LOBE_WORDS, w);
+}
+#endif
 
 #endif

@@ -22,9 +22,9 @@ FN void connect_points(v3 p, v3 p_error, v3 p_geometric, v3 q, v3 q_error, v3 q_
   *direction = sub3(offset_ray_origin(q, q_error, q_geometric, negate3(d)), *start);
 }
 
-// `source`: the triangle that the rays leave. Inactive lanes ask nothing.
-FN void set_visibility_ray(global float* rays, uint block, v3 start, v3 direction, vi active, vu source) {
-  set_ray(rays, VISIBILITY_ROWS, block, start, direction, pick((vf)-1.0f, (vf)SHADOW_FAR, active), source);
+// `source`, `instance`: what the rays leave (set_ray). Inactive lanes ask nothing.
+FN void set_visibility_ray(global float* rays, uint block, v3 start, v3 direction, vi active, vu source, vu instance) {
+  set_ray(rays, VISIBILITY_ROWS, block, start, direction, pick((vf)-1.0f, (vf)SHADOW_FAR, active), source, instance);
 }
 
 // Answers to bits: word first + k of `bits` gets those of rays 32 k to 32 k + 31 of this launch.

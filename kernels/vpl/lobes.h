@@ -47,7 +47,14 @@ FN PointLobe load_point_lobe(const Scene* scene, const vf* point, global const f
   vf t[16];
   load_words(scene->triangles, pick_u((vu)0u, as_vu(point[POINT_TRIANGLE]), active) * TRIANGLE_WORDS, t);
   v3 p0 = words3(t, TRIANGLE_P0);
-  lobe.geometric = cross3(sub3(words3(t, TRIANGLE_P1), p0), sub3(words3(t, TRIANGLE_P2), p0));
+  v3 e1 = sub3(words3(t, TRIANGLE_P1), p0), e2 = sub3(words3(t, TRIANGLE_P2), p0);
+#ifdef NEED_INSTANCES
+  vf place[16];
+  load_words(scene->instances, instance_row(pick_u((vu)GLEANER_NONE, as_vu(point[POINT_INSTANCE]), active)), place);
+  e1 = place_vector(place, e1);
+  e2 = place_vector(place, e2);
+#endif
+  lobe.geometric = cross3(e1, e2);
   // The point's normal is on the viewer's side.
   lobe.geometric =
       pick3(lobe.geometric, negate3(lobe.geometric), dot3(lobe.geometric, words3(point, POINT_NORMAL)) < zero_f());

@@ -50,20 +50,6 @@ kernel WIDE void vpl_camera_rays(global const VplPointParameters* restrict param
     store_f(points + POINT_WORDS * first_lane + k * LANES, 0, as_vf((vu)GLEANER_NONE));
 }
 
-#ifdef NEED_LOBE
-FN void write_lobe(global float* lobes, vu row, const SurfacePoint* point) {
-  const Surface* m = &point->vertex.surface;
-  vf w[LOBE_WORDS];
-  put_words3(w, LOBE_VIEW, negate3(point->direction));
-  put_words3(w, LOBE_THROUGHPUT, point->throughput);
-  put_words3(w, LOBE_F0, lobe_f0(m));
-  w[LOBE_F90] = lobe_f90(m);
-  w[LOBE_ALPHA] = pick(zero_f(), m->alpha, point->rough);
-  for (uint k = LOBE_ALPHA + 1u; k < LOBE_WORDS; ++k) w[k] = zero_f();
-  store_words(lobes, row * LOBE_WORDS, w);
-}
-#endif
-
 // `lobed`: the points' rough lobes are kept too.
 kernel WIDE void vpl_point_step(global const VplPointParameters* restrict parameters, SCENE_PARAMETERS, uint count,
                                 global float* paths, global float* points, global uint* counters, uint lobed,
@@ -86,7 +72,11 @@ kernel WIDE void vpl_point_step(global const VplPointParameters* restrict parame
   put_words3(w, POINT_ALBEDO, scale3(mul3(point.throughput, point.albedo), (vf)INV_PI));
   w[POINT_TRIANGLE] = as_vf(point.vertex.primitive);
   w[POINT_B1] = h->b1;
+#ifdef NEED_INSTANCES
+  w[POINT_INSTANCE] = as_vf(h->instance);
+#else
   w[POINT_B2] = h->b2;
+#endif
   w[POINT_COS] = one_f();
   store_words(points, row * POINT_WORDS, w);
 #ifdef NEED_LOBE

@@ -243,12 +243,22 @@ kernel WIDE void vpl_residual_rays(global const VplPointParameters* restrict par
   v3 term = scale3(add3(mul3(flux, words3(w, POINT_ALBEDO)), glossy), g * times);
   // Lanes behind the last sample write its own term once more.
   scatter3(terms, place * 3u, term);
+  vu instance = (vu)0u;
+#ifdef NEED_INSTANCES
+  instance = as_vu(w[POINT_INSTANCE]);
+  vf placing[16];
+  load_words(scene->instances, instance_row(instance), placing);
+  error = placed_error(placing, e1, e2, p);
+  e1 = place_vector(placing, e1);
+  e2 = place_vector(placing, e2);
+#else
   surface_point(p0, e1, e2, w[POINT_B1], w[POINT_B2], &error);
+#endif
   v3 start, direction;
   connect_points(p, error, normalize3(cross3(e1, e2)), q, words3(second, VPL_ERROR - 16u), words3(l, VPL_GEOMETRIC),
                  &start, &direction);
   active = active & finite3(start) & finite3(direction);
-  set_visibility_ray(rays, block, start, direction, active, triangle);
+  set_visibility_ray(rays, block, start, direction, active, triangle, instance);
 }
 
 // What the answers change, point by point, sample by sample: at once where the light was certain to be queried. What

@@ -11,26 +11,20 @@
 // The thresholds begin at a random offset, so that VPLs represent the light without bias; all of a path's VPLs have one
 // luminance, however long it is. A path whose slots are full keeps every second VPL at twice the flux, and doubles its
 // spacing.
-#include "kernels/transport/emission.h"
-#include "kernels/transport/scattering.h"
+#include "kernels/transport/light_paths.h"
 #include "kernels/vpl_records.h"
 #include "kernels/wide.h"
 
 // Light paths in flight: rows of kernels/path_layout.h with meanings of their own.
-#define ROW_RANGE ROW_PDF       // of the punctual light's window; 0: none, or passed already
 #define ROW_SENT ROW_ETA        // what the path's surfaces have sent on so far, by vpl_weight
 #define ROW_SPACING ROW_FILTER  // of the thresholds at first, in the same unit
 // ROW_META of a light path.
-#define LIGHT_BOUNCE_MASK 255u
-#define LIGHT_DEPTH 8u
 #define LIGHT_COUNT 16u      // slots taken
 #define LIGHT_DOUBLINGS 20u  // of the spacing
 #define MAX_DOUBLINGS 20u
 // Of a punctual light, and not yet scattered: where a mirror or smooth glass turned it aside, no shadow ray of a camera
 // path could find it, so that it ends there; methods' means agree.
 #define LIGHT_STRAIGHT (1u << 25)
-
-#define VPL_SEQUENCE 65536u
 
 #ifdef NEED_LIGHTS
 
@@ -46,34 +40,12 @@ kernel WIDE void vpl_emit(global const VplTraceParameters* restrict parameters, 
   if (first_lane >= count) return;
   Scene scene_value = SCENE_FROM_PARAMETERS;
   const Scene* scene = &scene_value;
-  vu lane = (vu)first_lane + lane_index();
-  ulong first = (((ulong)first_high << 32) | first_low) + first_lane;
-  vu sample = ((vu)(uint)(first & (VPL_SEQUENCE - 1u)) + lane_index()) & (VPL_SEQUENCE - 1u);
-  // Each run of 65,536 paths has a sequence of its own; blocks of 16 never straddle two.
-  uint sequence = (uint)(first >> 16);
-  vu key = hash_combine(hash_combine(hash_combine((vu)parameters->seed_low, (vu)parameters->seed_high),
-                                     (vu)(parameters->pass ^ 0x56504c00u)),
-                        (vu)sequence);
-  vf u_light, u_spare, u0, u1, d0, d1;
-  sample_pair(key, sample, VPL_SEQUENCE, 0u, &u_light, &u_spare);
-  sample_pair(key, sample, VPL_SEQUENCE, 1u, &u0, &u1);
-  sample_pair(key, sample, VPL_SEQUENCE, 2u, &d0, &d1);
-  EmittedRay ray = emit_light(scene, emission, u_light, u0, u1, d0, d1);
-  NextRay start;
-  start.origin = ray.origin;
-  start.direction = ray.direction;
-  start.throughput = ray.flux;
-  start.alive = (lane < count) & ray.valid;
-#ifdef NEED_MEDIA
-  start.media.high = ray.media_high;
-  start.media.low = ray.media_low;
-#endif
-  set_path(paths, block, &start, lane, pick_u((vu)0u, (vu)LIGHT_STRAIGHT, ray.punctual), key);
-  set_row_f(paths, PATH_ROWS, block, ROW_RANGE, ray.range);
-  set_row_u(paths, PATH_ROWS, block, ROW_TOTAL, sample);
+  LightStart start = start_light_paths(scene, emission, first_low, first_high, first_lane, count, parameters->seed_low,
+                                       parameters->seed_high, parameters->pass ^ 0x56504c00u);
+  set_light_path(paths, block, &start, pick_u((vu)0u, (vu)LIGHT_STRAIGHT, start.punctual));
   set_row_f(paths, PATH_ROWS, block, ROW_SENT, zero_f());
   // A white surface sends on 1 / pi of it.
-  set_row_f(paths, PATH_ROWS, block, ROW_SPACING, vpl_weight(ray.flux) * (vf)(0.25f * INV_PI));
+  set_row_f(paths, PATH_ROWS, block, ROW_SPACING, vpl_weight(start.ray.throughput) * (vf)(0.25f * INV_PI));
 }
 
 // What of the flux that meets a surface its diffuse layer and rough lobe send on.
@@ -169,7 +141,7 @@ FN void leave_vpls(global float* records, uint count, vu slot, vu key, vu sample
   v3 share = scale3(r->flux, one_f() / weight);
   t->sent += pick(zero_f(), weight, layered);
   vf offset, unused;
-  sample_pair(key, sample, VPL_SEQUENCE, 0u, &unused, &offset);
+  sample_pair(key, sample, LIGHT_SEQUENCE, 0u, &unused, &offset);
   vu random = hash_combine(hash_combine(key, sample), 0x6d61726bu);
   for (;;) {
     // Doubled spacings shift the thresholds by whole old ones.
@@ -204,13 +176,10 @@ kernel WIDE void vpl_trace_step(global const VplTraceParameters* restrict parame
   vu meta = row_u(paths, PATH_ROWS, block, ROW_META);
   vi active = take_hits(paths, block, meta);
   if (!any_lane(active)) return;
-  v3 origin = row_3(paths, PATH_ROWS, block, ROW_ORIGIN);
   v3 direction = row_3(paths, PATH_ROWS, block, ROW_DIRECTION);
-  v3 flux = row_3(paths, PATH_ROWS, block, ROW_THROUGHPUT);
-  vf range = row_f(paths, PATH_ROWS, block, ROW_RANGE);
   vu slot = row_u(paths, PATH_ROWS, block, ROW_SLOT);
   vu key = row_u(paths, PATH_ROWS, block, ROW_KEY);
-  vu sample = row_u(paths, PATH_ROWS, block, ROW_TOTAL);
+  vu sample = row_u(paths, PATH_ROWS, block, ROW_SAMPLE);
   vu bounce = meta & LIGHT_BOUNCE_MASK;
   vu depth = (meta >> LIGHT_DEPTH) & 255u;
   Thresholds thresholds;
@@ -218,29 +187,16 @@ kernel WIDE void vpl_trace_step(global const VplTraceParameters* restrict parame
   thresholds.spacing = row_f(paths, PATH_ROWS, block, ROW_SPACING);
   thresholds.made = (meta >> LIGHT_COUNT) & 15u;
   thresholds.doublings = (meta >> LIGHT_DOUBLINGS) & 31u;
-  Vertex v = meet_surface(scene, paths, PATH_ROWS, block, active);
-  // KHR_lights_punctual's window over the first segment.
-  vf ratio = length3(sub3(v.hit.p, origin)) / range;
-  vf window = clamp_f(one_f() - ratio * ratio * ratio * ratio, zero_f(), one_f());
-  flux = scale3(flux, pick(one_f(), window, range > zero_f()));
-  flux = through_media(scene, &v, paths, block, origin, direction, flux);
-  vu pair_key = hash_combine(key, bounce * 4u + 16u);
-  ScatterNumbers u;
-  vf u_spare;
-  sample_pair(pair_key, sample, VPL_SEQUENCE, 0u, &u_spare, &u.u_roulette);
-  sample_pair(pair_key, sample, VPL_SEQUENCE, 2u, &u.u_lobe, &u.u_glass);
-  sample_pair(pair_key, sample, VPL_SEQUENCE, 3u, &u.d0, &u.d1);
-  choose_alpha(&v, &u.u_glass);
-  prepare_scattering(scene, &v, direction);
-  // A camera path sees no light from behind the normal for shading.
-  v.active = v.active & ((v.frame.facing > (vf)1e-6f) | v.passes);
-  v3 geometric = pick3(v.hit.geometric, negate3(v.hit.geometric), dot3(v.hit.geometric, direction) > zero_f());
-  vf correction = shading_normal_correction(&v, geometric, direction);
+  LightVertex met = meet_light_surface(scene, paths, block, active, row_3(paths, PATH_ROWS, block, ROW_ORIGIN),
+                                       direction, row_3(paths, PATH_ROWS, block, ROW_THROUGHPUT), key, sample, bounce);
+  Vertex v = met.v;
+  v3 flux = met.flux, geometric = met.geometric;
+  vf correction = met.correction;
 
   vi layered = v.active & none(v.passes) & ((depth < parameters->depth) | ((vu)parameters->depth == 0u));
 #ifdef NEED_TRANSMISSIVE
   // What glass does with the path is not the diffuse layer's.
-  layered = layered & (u.u_glass >= v.surface.transmission);
+  layered = layered & (met.u.u_glass >= v.surface.transmission);
 #endif
   vf reflected = correction * lit_share(&v, direction);
   Reflection r = reflect_flux(&v, flux, reflected);
@@ -250,8 +206,9 @@ kernel WIDE void vpl_trace_step(global const VplTraceParameters* restrict parame
                &thresholds);
 
   vi straight = (meta & LIGHT_STRAIGHT) != 0u;
-  NextRay next =
-      scatter_flux(scene, &v, geometric, correction, direction, flux, depth, parameters->depth, &u, &straight);
+  BsdfSample unused;
+  NextRay next = scatter_flux(scene, &v, geometric, correction, direction, flux, depth, parameters->depth, &met.u,
+                              &straight, &unused);
   next.alive = next.alive & (bounce < (vu)LIGHT_BOUNCE_MASK);
   uint kept;
   rank_lanes(next.alive, &kept);

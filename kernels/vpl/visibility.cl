@@ -8,7 +8,7 @@
 //                             as much as the cutoff
 //     trace                   any hit
 //     visibility_pack         answers -> bits
-#include "kernels/scene_layout.h"
+#include "kernels/instances.h"
 #include "kernels/transport/visibility.h"
 #include "kernels/vpl/geometry.h"
 #include "kernels/wide.h"
@@ -38,8 +38,10 @@ kernel WIDE void vpl_visibility_cutoff(global const float* restrict points, uint
 // Rays from points to lights: `rows` points, each queries `width` lights (a multiple of 32) from its own first one
 // on; ray r is point r / width, light r % width of it. Clusters of points and of lights are judged by the cones and
 // spheres that hold their members. A triangle has triangle_words words, more in some scenes than in others: this
-// program is one for all. `left_out`: for each row, how many pairs face away, then how many contribute too little.
+// program is one for all. So are `instances`, which are read where the scene is `instanced`. `left_out`: for each row,
+// how many pairs face away, then how many contribute too little.
 kernel WIDE void vpl_visibility_rays(global const float* restrict triangles, uint triangle_words,
+                                     global const float* restrict instances, uint instanced,
                                      global const float* restrict points, global const uint* restrict chosen,
                                      uint listed, global const float* restrict lights, uint width, uint slices,
                                      uint point_base, uint ray_base, uint count, global float* restrict rays,
@@ -102,10 +104,21 @@ kernel WIDE void vpl_visibility_rays(global const float* restrict triangles, uin
   v3 e1 = sub3(uniform3(t[TRIANGLE_P1], t[TRIANGLE_P1 + 1], t[TRIANGLE_P1 + 2]), p0);
   v3 e2 = sub3(uniform3(t[TRIANGLE_P2], t[TRIANGLE_P2 + 1], t[TRIANGLE_P2 + 2]), p0);
   v3 error;
-  surface_point(p0, e1, e2, (vf)p_words[POINT_B1], (vf)p_words[POINT_B2], &error);
+  uint instance = 0u;
+  if (instanced) {
+    instance = triangle == GLEANER_NONE ? GLEANER_NONE : ((global const uint*)p_words)[POINT_INSTANCE];
+    global const float* row = instances + (ulong)INSTANCE_WORDS * (instance + 1u);
+    vf place[INSTANCE_SECOND];
+    for (uint k = 0; k < INSTANCE_SECOND; ++k) place[k] = (vf)row[k];
+    error = placed_error(place, e1, e2, p);
+    e1 = place_vector(place, e1);
+    e2 = place_vector(place, e2);
+  } else {
+    surface_point(p0, e1, e2, (vf)p_words[POINT_B1], (vf)p_words[POINT_B2], &error);
+  }
   v3 start, direction;
   connect_points(p, error, normalize3(cross3(e1, e2)), q, words3(second, VPL_ERROR - 8u), words3(l, VPL_GEOMETRIC),
                  &start, &direction);
   active = active & finite3(direction) & finite3(start);
-  set_visibility_ray(rays, block, start, direction, active, (vu)triangle);
+  set_visibility_ray(rays, block, start, direction, active, (vu)triangle, (vu)instance);
 }

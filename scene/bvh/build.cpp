@@ -14,7 +14,9 @@
 #include <utility>
 
 #include "scene/model/error.h"
+#include "scene/model/instances.h"
 #include "scene/model/limits.h"
+#include "scene/model/tree.h"
 
 namespace gleaner::scene {
 namespace {
@@ -24,22 +26,6 @@ namespace {
 constexpr unsigned kEmbreeMaxDepth = 48;
 constexpr std::uint32_t kSahLevels = kEmbreeMaxDepth - 8 - 1;
 static_assert(kSahLevels + std::bit_width((1u << 27) / kMaxLeafTriangles - 1) == kMaxBvhDepth);
-
-struct Box {
-  std::array<float, 3> lower{FLT_MAX, FLT_MAX, FLT_MAX};
-  std::array<float, 3> upper{-FLT_MAX, -FLT_MAX, -FLT_MAX};
-
-  void extend(const float* point) {
-    for (int k = 0; k < 3; ++k) {
-      lower[k] = std::min(lower[k], point[k]);
-      upper[k] = std::max(upper[k], point[k]);
-    }
-  }
-  void extend(const Box& other) {
-    extend(other.lower.data());
-    extend(other.upper.data());
-  }
-};
 
 // What Embree's callbacks leave behind. A leaf is a range of the primitive array, which Embree sorts in place.
 struct BuildNode {
@@ -63,19 +49,18 @@ bool can_be_hit(const Scene& scene, std::uint32_t triangle) {
   return false;
 }
 
-Box box_of(const Scene& scene, std::uint32_t triangle) {
-  Box box;
+TreeBox box_of(const Scene& scene, std::uint32_t triangle) {
+  TreeBox box;
   for (int corner = 0; corner < 3; ++corner)
     box.extend(&scene.positions[3 * std::size_t{scene.indices[3 * std::size_t{triangle} + corner]}]);
   return box;
 }
 
-std::vector<RTCBuildPrimitive> primitives_of(const Scene& scene) {
+std::vector<RTCBuildPrimitive> primitives_of(const Scene& scene, const std::vector<TriangleRun>& runs) {
   std::vector<RTCBuildPrimitive> primitives;
-  primitives.reserve(scene.triangle_count());
-  for (std::uint32_t triangle = 0; triangle < scene.triangle_count(); ++triangle) {
-    if (!can_be_hit(scene, triangle)) continue;
-    const Box box = box_of(scene, triangle);
+  const auto add = [&](std::uint32_t triangle) {
+    if (!can_be_hit(scene, triangle)) return;
+    const TreeBox box = box_of(scene, triangle);
     RTCBuildPrimitive primitive{};
     primitive.lower_x = box.lower[0];
     primitive.lower_y = box.lower[1];
@@ -85,65 +70,46 @@ std::vector<RTCBuildPrimitive> primitives_of(const Scene& scene) {
     primitive.upper_z = box.upper[2];
     primitive.primID = triangle;
     primitives.push_back(primitive);
+  };
+  for (const TriangleRun& run : runs) {
+    primitives.reserve(primitives.size() + run.count);
+    for (std::uint32_t t = 0; t < run.count; ++t) add(run.first + t);
   }
   return primitives;
 }
 
-// Turns Embree's tree into records, depth first, and halves the leaves that are too large for one.
+// Turns Embree's trees into records, depth first, and halves the leaves that are too large for one.
 class Flattener {
  public:
-  explicit Flattener(const Scene& scene) : scene_(scene) {}
+  Flattener(const Scene& scene, Bvh& bvh) : scene_(scene), bvh_(bvh) {}
 
-  Bvh flatten(const BuildNode* root) {
-    if (root == nullptr || root->count != 0) {
+  // Adds a part. No root: a part of no triangles.
+  void flatten(const BuildNode* root, std::uint32_t mesh) {
+    BvhPart part{mesh, static_cast<std::uint32_t>(bvh_.nodes.size()), 0,
+                 static_cast<std::uint32_t>(bvh_.triangles.size()), 0};
+    if (root != nullptr && root->count == 0) {
+      add(*root, 0);
+    } else if (root != nullptr && root->count > kMaxLeafTriangles) {
+      halve(triangles_of(*root), 0);
+    } else {
       // No inner node to stand at the root: it gets one leaf, or none, and empty ones.
       bvh_.nodes.push_back(empty_node());
-      if (root != nullptr) {
-        const std::vector<std::uint32_t> triangles = triangles_of(*root);
-        if (triangles.size() <= kMaxLeafTriangles) {
-          add_child(0, 0, leaf(triangles, 1));
-        } else {
-          bvh_.nodes.clear();
-          halve(triangles, 0);
-        }
-      } else {
-        bvh_.max_depth = 1;
-      }
-    } else {
-      add(*root, 0);
+      bvh_.max_depth = std::max(bvh_.max_depth, 1u);
+      if (root != nullptr) set_child(bvh_.nodes[part.first_node], 0, leaf(triangles_of(*root), 1));
     }
-    return std::move(bvh_);
+    part.nodes = static_cast<std::uint32_t>(bvh_.nodes.size()) - part.first_node;
+    part.slots = static_cast<std::uint32_t>(bvh_.triangles.size()) - part.first_slot;
+    bvh_.parts.push_back(part);
   }
 
  private:
-  struct Child {
-    std::uint32_t reference;
-    Box box;
-  };
-
-  static BvhNode empty_node() {
-    BvhNode node{};
-    const Box nothing;
-    std::copy(nothing.lower.begin(), nothing.lower.end(), node.lower0);
-    std::copy(nothing.upper.begin(), nothing.upper.end(), node.upper0);
-    std::copy(nothing.lower.begin(), nothing.lower.end(), node.lower1);
-    std::copy(nothing.upper.begin(), nothing.upper.end(), node.upper1);
-    node.child[0] = node.child[1] = GLEANER_BVH_LEAF;
-    return node;
-  }
+  using Child = TreeChild;
 
   // In the order of their numbers, in which Embree leaves them.
   static std::vector<std::uint32_t> triangles_of(const BuildNode& node) {
     std::vector<std::uint32_t> triangles(node.count);
     for (std::size_t i = 0; i < node.count; ++i) triangles[i] = node.primitives[i].primID;
     return triangles;
-  }
-
-  void add_child(std::uint32_t node, int side, const Child& child) {
-    BvhNode& record = bvh_.nodes[node];
-    record.child[side] = child.reference;
-    std::copy(child.box.lower.begin(), child.box.lower.end(), side == 0 ? record.lower0 : record.lower1);
-    std::copy(child.box.upper.begin(), child.box.upper.end(), side == 0 ? record.upper0 : record.upper1);
   }
 
   Child leaf(std::span<const std::uint32_t> triangles, std::uint32_t depth) {
@@ -166,7 +132,7 @@ class Flattener {
     Child here{index, {}};
     for (int side = 0; side < 2; ++side) {
       const Child child = add(*node.child[side], depth + 1);
-      add_child(index, side, child);
+      set_child(bvh_.nodes[index], side, child);
       here.box.extend(child.box);
     }
     return here;
@@ -179,9 +145,9 @@ class Flattener {
   // Splits at the median of the boxes' centres along their longest axis, into halves that differ by less than a leaf,
   // so that n triangles take ceil(log2(n / kMaxLeafTriangles)) levels.
   Child halve(std::vector<std::uint32_t> triangles, std::uint32_t depth) {
-    Box centres;
+    TreeBox centres;
     const auto centre = [&](std::uint32_t triangle, int k) {
-      const Box box = box_of(scene_, triangle);
+      const TreeBox box = box_of(scene_, triangle);
       return 0.5f * box.lower[k] + 0.5f * box.upper[k];
     };
     for (std::uint32_t triangle : triangles) {
@@ -209,14 +175,14 @@ class Flattener {
     int side = 0;
     for (std::vector<std::uint32_t>* half : {&triangles, &upper}) {
       const Child child = add_triangles(std::move(*half), depth + 1);
-      add_child(index, side++, child);
+      set_child(bvh_.nodes[index], side++, child);
       here.box.extend(child.box);
     }
     return here;
   }
 
   const Scene& scene_;
-  Bvh bvh_;
+  Bvh& bvh_;
 };
 
 void* create_node(RTCThreadLocalAllocator allocator, unsigned, void*) {
@@ -235,18 +201,12 @@ void* create_leaf(RTCThreadLocalAllocator allocator, const RTCBuildPrimitive* pr
       BuildNode{{nullptr, nullptr}, primitives, count};
 }
 
-}  // namespace
-
-Bvh build_bvh(const Scene& scene) {
-  std::vector<RTCBuildPrimitive> primitives = primitives_of(scene);
-  if (primitives.empty()) return Flattener(scene).flatten(nullptr);
-
-  const std::unique_ptr<std::remove_pointer_t<RTCDevice>, decltype(&rtcReleaseDevice)> device(rtcNewDevice(nullptr),
-                                                                                              &rtcReleaseDevice);
-  if (!device)
-    throw Error::failed("BVH: Embree made no device (error " + std::to_string(rtcGetDeviceError(nullptr)) + ")");
-  const std::unique_ptr<std::remove_pointer_t<RTCBVH>, decltype(&rtcReleaseBVH)> bvh(rtcNewBVH(device.get()),
-                                                                                     &rtcReleaseBVH);
+void build_part(const Scene& scene, std::uint32_t mesh, const std::vector<TriangleRun>& runs, RTCDevice device,
+                Bvh& bvh) {
+  std::vector<RTCBuildPrimitive> primitives = primitives_of(scene, runs);
+  if (primitives.empty()) return Flattener(scene, bvh).flatten(nullptr, mesh);
+  const std::unique_ptr<std::remove_pointer_t<RTCBVH>, decltype(&rtcReleaseBVH)> tree(rtcNewBVH(device),
+                                                                                      &rtcReleaseBVH);
   RTCBuildArguments arguments = rtcDefaultBuildArguments();
   arguments.buildQuality = RTC_BUILD_QUALITY_MEDIUM;
   arguments.maxBranchingFactor = 2;
@@ -255,7 +215,7 @@ Bvh build_bvh(const Scene& scene) {
   // Embree fails where it meets its depth limit with more triangles than it may put into leaves; with no limit on those
   // it hands over what is left, and Flattener halves it.
   arguments.maxLeafSize = static_cast<unsigned>(primitives.size());
-  arguments.bvh = bvh.get();
+  arguments.bvh = tree.get();
   arguments.primitives = primitives.data();
   arguments.primitiveCount = primitives.size();
   arguments.primitiveArrayCapacity = primitives.size();
@@ -266,9 +226,23 @@ Bvh build_bvh(const Scene& scene) {
   const void* root = rtcBuildBVH(&arguments);
   if (root == nullptr)
     throw Error::failed("BVH of " + std::to_string(primitives.size()) +
-                        " triangles: Embree could not build it (error " +
-                        std::to_string(rtcGetDeviceError(device.get())) + ")");
-  return Flattener(scene).flatten(static_cast<const BuildNode*>(root));
+                        " triangles: Embree could not build it (error " + std::to_string(rtcGetDeviceError(device)) +
+                        ")");
+  Flattener(scene, bvh).flatten(static_cast<const BuildNode*>(root), mesh);
+}
+
+}  // namespace
+
+Bvh build_bvh(const Scene& scene) {
+  const std::unique_ptr<std::remove_pointer_t<RTCDevice>, decltype(&rtcReleaseDevice)> device(rtcNewDevice(nullptr),
+                                                                                              &rtcReleaseDevice);
+  if (!device)
+    throw Error::failed("BVH: Embree made no device (error " + std::to_string(rtcGetDeviceError(nullptr)) + ")");
+  Bvh bvh;
+  build_part(scene, GLEANER_NONE, still_triangles(scene), device.get(), bvh);
+  for (const std::uint32_t m : meshes_with_own_bvh(scene))
+    build_part(scene, m, {{scene.meshes[m].first_triangle, scene.meshes[m].triangle_count}}, device.get(), bvh);
+  return bvh;
 }
 
 }  // namespace gleaner::scene

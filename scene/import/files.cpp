@@ -164,9 +164,11 @@ std::string percent_decoded(std::string_view uri, const std::string& file, const
     if (c == '%') {
       const int high = i + 2 < uri.size() ? hex_digit(uri[i + 1]) : -1;
       const int low = i + 2 < uri.size() ? hex_digit(uri[i + 2]) : -1;
-      if (high < 0 || low < 0) throw Error::bad_input(file, element, "two hexadecimal digits after %", in_quotes(uri));
-      c = static_cast<char>(high * 16 + low);
-      i += 2;
+      // A name that nobody encoded may hold a per cent sign.
+      if (high >= 0 && low >= 0) {
+        c = static_cast<char>(high * 16 + low);
+        i += 2;
+      }
     }
     if (c == 0) throw Error::bad_input(file, element, "a URI without zero bytes", in_quotes(uri));
     text += c;
@@ -178,9 +180,14 @@ std::vector<std::byte> data_uri_bytes(std::string_view uri, const std::string& f
   const std::size_t comma = uri.find(',');
   if (comma == std::string_view::npos)
     throw Error::bad_input(file, element, "a comma before the data of a data URI", in_quotes(uri));
-  if (!uri.substr(0, comma).ends_with(";base64"))
+  if (!lower_case(uri.substr(0, comma)).ends_with(";base64"))
     throw Error::bad_input(file, element, "a data URI in base64", in_quotes(uri.substr(0, comma)));
-  return base64_decoded(uri.substr(comma + 1), file, element);
+  const std::string_view digits = uri.substr(comma + 1);
+  const auto is_blank = [](char c) { return c == ' ' || c == '\t' || c == '\n' || c == '\r'; };
+  if (std::none_of(digits.begin(), digits.end(), is_blank)) return base64_decoded(digits, file, element);
+  std::string joined(digits);  // some break base64 into lines
+  std::erase_if(joined, is_blank);
+  return base64_decoded(joined, file, element);
 }
 
 }  // namespace gleaner::scene

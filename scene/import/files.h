@@ -32,7 +32,7 @@ std::filesystem::path resolve_inside(const std::string& reference, const std::st
 std::filesystem::path resolve_reference(const std::string& reference, const std::string& file,
                                         const std::string& element, Warnings* warnings = nullptr);
 
-// "%20" to " ". Throws Error::bad_input on a malformed escape or a zero byte.
+// "%20" to " "; a per cent sign without two hexadecimal digits stays. Throws Error::bad_input on a zero byte.
 std::string percent_decoded(std::string_view uri, const std::string& file, const std::string& element);
 
 // The bytes of a "data:" URI.

@@ -10,7 +10,6 @@
 
 namespace gleaner::scene {
 
-Scene read_gltf(const std::string& path, const ImportOptions& options, Warnings& warnings);
 Scene read_obj(const std::string& path, const ImportOptions& options, Warnings& warnings);
 Scene read_ply(const std::string& path, Warnings& warnings);
 Scene read_stl(const std::string& path, Warnings& warnings);

@@ -331,20 +331,76 @@ class Sweep {
   std::vector<bool> in_status_;
 };
 
+// The corners of an outline without spikes: corners from which it goes back the way it came, which enclose nothing.
+std::vector<std::uint32_t> without_spikes(const Outline& flat) {
+  std::vector<std::uint32_t> kept;
+  const auto is_spike = [&](std::uint32_t before, std::uint32_t at, std::uint32_t after) {
+    const Point &a = flat[before], &b = flat[at], &c = flat[after];
+    const double back = (b[0] - a[0]) * (c[0] - b[0]) + (b[1] - a[1]) * (c[1] - b[1]);
+    return b == c || (turn(a, b, c) == 0 && back < 0);
+  };
+  for (std::uint32_t v = 0; v < flat.size(); ++v) {
+    while (kept.size() >= 2 && is_spike(kept[kept.size() - 2], kept.back(), v)) kept.pop_back();
+    kept.push_back(v);
+  }
+  // Where the outline closes.
+  std::size_t first = 0;
+  for (bool changed = true; changed && kept.size() - first > 3;) {
+    changed = false;
+    const std::size_t n = kept.size();
+    if (is_spike(kept[n - 2], kept[n - 1], kept[first])) {
+      kept.pop_back();
+      changed = true;
+    } else if (is_spike(kept[n - 1], kept[first], kept[first + 1])) {
+      ++first;
+      changed = true;
+    }
+  }
+  kept.erase(kept.begin(), kept.begin() + static_cast<std::ptrdiff_t>(first));
+  return kept;
+}
+
+// An outline without area that is no line either runs around as much to the right as to the left: a figure of eight.
+bool is_balanced(const std::vector<std::array<double, 3>>& points, const Outline& flat) {
+  if (doubled_area(flat) != 0) return false;
+  for (int u = 0; u < 3; ++u) {
+    const int v = (u + 1) % 3;
+    const auto at = [&](std::size_t i) { return Point{points[i][u], points[i][v]}; };
+    for (std::size_t i = 2; i < points.size(); ++i)
+      if (turn(at(0), at(i - 1), at(i)) != 0) return true;
+  }
+  return false;
+}
+
+Triangles cut_up(const Outline& flat) {
+  Triangles triangles;
+  if (flat.size() > kSmall) {
+    triangles = Sweep(flat).triangles();
+    if (covers(triangles, flat)) return triangles;
+  }
+  return flat.size() <= kMaxClipped ? clipped(flat) : triangles;
+}
+
 }  // namespace
 
 Triangles triangulated(const std::vector<std::array<double, 3>>& points, bool& is_simple) {
   is_simple = true;
   if (points.size() <= 3) return fan(points.size());
   const Outline flat = flattened(points);
+  is_simple = !is_balanced(points, flat);
   if (is_convex(flat)) return fan(points.size());
-  Triangles triangles;
-  if (flat.size() > kSmall) {
-    triangles = Sweep(flat).triangles();
-    if (covers(triangles, flat)) return triangles;
+  Triangles triangles = cut_up(flat);
+  if (covers(triangles, flat)) return triangles;
+  const std::vector<std::uint32_t> kept = without_spikes(flat);
+  if (kept.size() < flat.size() && kept.size() >= 3) {
+    Outline smooth;
+    for (const std::uint32_t v : kept) smooth.push_back(flat[v]);
+    Triangles fewer = is_convex(smooth) ? fan(smooth.size()) : cut_up(smooth);
+    for (auto& t : fewer)
+      for (auto& corner : t) corner = kept[corner];
+    if (covers(fewer, flat)) return fewer;
   }
-  if (flat.size() <= kMaxClipped) triangles = clipped(flat);
-  is_simple = covers(triangles, flat);
+  is_simple = false;
   return triangles;
 }
 

@@ -1,5 +1,8 @@
 #include "scene/import/text.h"
 
+#include <algorithm>
+#include <cctype>
+
 #include "scene/model/names.h"
 
 namespace gleaner::scene {
@@ -35,6 +38,14 @@ std::string utf8_from_latin1(std::string_view text) {
   }
   return result;
 }
+
+std::string lower_case(std::string_view text) {
+  std::string lower(text);
+  std::transform(lower.begin(), lower.end(), lower.begin(), [](unsigned char c) { return std::tolower(c); });
+  return lower;
+}
+
+std::string name_in_utf8(std::string_view text) { return is_utf8(text) ? std::string(text) : utf8_from_latin1(text); }
 
 std::string in_quotes(std::string_view text) {
   constexpr std::size_t most = 80;

@@ -40,6 +40,8 @@ class TextureTable {
   gl_uint add(const TextureUse& use);
 
   bool empty() const { return uses_.empty(); }
+  // Whether the same images, by their numbers, are laid on in the same ways.
+  bool operator==(const TextureTable& other) const { return uses_ == other.uses_; }
 
   // Fills in the scene's textures and texels. Throws Error::bad_input naming `file` and the image.
   void decode_into(Scene& scene, const std::string& file, std::uint64_t most_texels, Warnings& warnings) const;

@@ -7,7 +7,8 @@ namespace gleaner::scene {
 
 std::vector<std::uint16_t> linear_colors(const std::vector<float>& srgb) {
   const float most = srgb.empty() ? 0 : *std::max_element(srgb.begin(), srgb.end());
-  const float scale = most > 1 ? 1 / 255.0f : 1;
+  // A little above 1 is rounding, or light that was baked in, and no count of 255.
+  const float scale = most > 2 ? 1 / 255.0f : 1;
   std::vector<std::uint16_t> colors;
   colors.reserve(srgb.size() / 3 * 4);
   bool all_white = true;

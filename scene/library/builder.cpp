@@ -113,6 +113,25 @@ void SceneBuilder::mesh(const std::string& name) {
   scene_.meshes.push_back({name, static_cast<std::uint32_t>(scene_.triangle_count()), 0});
 }
 
+void SceneBuilder::instanced_mesh(const std::string& name) {
+  mesh(name);
+  scene_.meshes.back().instanced = true;
+}
+
+void SceneBuilder::instance(Vec x, Vec y, Vec z, Vec origin) {
+  const auto mesh =
+      std::find_if(scene_.meshes.rbegin(), scene_.meshes.rend(), [](const Mesh& m) { return m.instanced; });
+  Instance instance{};
+  instance.mesh = static_cast<gl_uint>(scene_.meshes.rend() - mesh - 1);
+  const Vec columns[4] = {x, y, z, origin};
+  for (int c = 0; c < 4; ++c) {
+    instance.transform[c] = static_cast<float>(columns[c].x);
+    instance.transform[4 + c] = static_cast<float>(columns[c].y);
+    instance.transform[8 + c] = static_cast<float>(columns[c].z);
+  }
+  scene_.instances.push_back(instance);
+}
+
 std::uint32_t SceneBuilder::vertex(Vec position, Vec normal, double u, double v) {
   append(scene_.positions, position);
   append(scene_.normals, normal);

@@ -60,6 +60,11 @@ class SceneBuilder {
   // What is added from here on belongs to a mesh of this name, until the next one begins.
   void mesh(const std::string& name);
 
+  // The same of a mesh that is stored in its own space: it stands where instance() puts it.
+  void instanced_mesh(const std::string& name);
+  // The last instanced mesh, with its axes at x, y and z (of any length, not in one plane) and its origin at `origin`.
+  void instance(Vec x, Vec y, Vec z, Vec origin);
+
   std::uint32_t vertex(Vec position, Vec normal = {}, double u = 0, double v = 0);
   void triangle(std::uint32_t a, std::uint32_t b, std::uint32_t c, std::uint32_t material);
 

@@ -1,4 +1,6 @@
-// Binary glTF 2.0: a JSON chunk and one buffer. Everything stands in world space; one node a mesh, light and camera.
+// Binary glTF 2.0: a JSON chunk and one buffer. Everything stands in world space; one node a mesh, light and camera. Of
+// instanced meshes, which stand in their own space, one node an instance. What moves hangs from the nodes of a motion,
+// each of which stands at its pivot.
 
 #include <OpenImageIO/filesystem.h>
 #include <OpenImageIO/imageio.h>
@@ -29,7 +31,14 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-enum : int { kFloat = 5126, kUnsignedInt = 5125, kArrayBuffer = 34962, kElementArrayBuffer = 34963, kLinear = 9729 };
+enum : int {
+  kFloat = 5126,
+  kUnsignedInt = 5125,
+  kUnsignedShort = 5123,
+  kArrayBuffer = 34962,
+  kElementArrayBuffer = 34963,
+  kLinear = 9729
+};
 
 [[noreturn]] void cannot_write(const std::string& path, const std::string& why) {
   throw Error::failed(path + ": cannot be written: " + why);
@@ -89,17 +98,22 @@ Json numbers(const float* values, std::size_t count) { return Json(std::vector<f
 
 class GlbWriter {
  public:
-  GlbWriter(const Scene& scene, const std::string& path) : scene_(scene), path_(path) {}
+  GlbWriter(const Scene& scene, const Motion& motion, const std::string& path)
+      : scene_(scene), motion_(motion), path_(path), instances_of_(scene.meshes.size()) {
+    for (const Instance& instance : scene.instances) instances_of_[instance.mesh].push_back(&instance);
+  }
 
   void write() {
     json_["asset"] = {{"version", "2.0"}, {"generator", "Gleaner"}};
     json_["scene"] = 0;
     json_["scenes"] = Json::array({Json{{"name", scene_.name}}});
-    for (const Mesh& mesh : scene_.meshes) add_mesh(mesh);
+    for (const MotionNode& node : motion_.nodes) add_motion_node(node);
+    for (std::size_t i = 0; i < scene_.meshes.size(); ++i) add_mesh(i);
     add_textures();
     for (std::size_t i = 0; i < scene_.materials.size(); ++i) add_material(i);
     for (const Light& light : scene_.lights) add_light(light);
-    for (const NamedCamera& camera : scene_.cameras) add_camera(camera);
+    for (std::size_t i = 0; i < scene_.cameras.size(); ++i) add_camera(i);
+    add_animation();
     finish();
   }
 
@@ -115,12 +129,29 @@ class GlbWriter {
   }
 
   template <class T>
-  std::size_t add_accessor(const std::vector<T>& values, int components, const char* type, int target) {
-    constexpr int component_type = std::is_same_v<T, float> ? kFloat : kUnsignedInt;
+  std::size_t add_accessor(const std::vector<T>& values, int components, const char* type,
+                           std::optional<int> target = {}) {
+    constexpr int component_type = std::is_same_v<T, float>           ? kFloat
+                                   : std::is_same_v<T, std::uint16_t> ? kUnsignedShort
+                                                                      : kUnsignedInt;
     return add("accessors", {{"bufferView", add_view(values.data(), values.size() * sizeof(T), target)},
                              {"componentType", component_type},
                              {"count", values.size() / static_cast<std::size_t>(components)},
                              {"type", type}});
+  }
+
+  // glTF demands the bounds of positions and of times.
+  std::size_t add_bounded(const std::vector<float>& values, std::size_t components, const char* type,
+                          std::optional<int> target = {}) {
+    const std::size_t accessor = add_accessor(values, static_cast<int>(components), type, target);
+    std::vector<float> lower(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(components)), upper = lower;
+    for (std::size_t i = 0; i < values.size(); ++i) {
+      lower[i % components] = std::min(lower[i % components], values[i]);
+      upper[i % components] = std::max(upper[i % components], values[i]);
+    }
+    json_["accessors"][accessor]["min"] = lower;
+    json_["accessors"][accessor]["max"] = upper;
+    return accessor;
   }
 
   // Returns the new element's index.
@@ -129,7 +160,82 @@ class GlbWriter {
     return json_[array].size() - 1;
   }
 
-  void add_node(Json node) { json_["scenes"][0]["nodes"].push_back(add("nodes", std::move(node))); }
+  std::size_t add_node(Json node) {
+    const std::size_t index = add("nodes", std::move(node));
+    json_["scenes"][0]["nodes"].push_back(index);
+    return index;
+  }
+
+  // Stands in world space as every node, but moves with the motion node that `carriers` names for it, if any.
+  void add_carried(Json node, const std::map<std::size_t, std::uint32_t>& carriers, std::size_t number) {
+    const auto carrier = carriers.find(number);
+    if (carrier == carriers.end()) {
+      add_node(std::move(node));
+      return;
+    }
+    // Takes the pivot back, exactly: what is carried keeps its place in the world.
+    const std::array<float, 3>& pivot = motion_.nodes[carrier->second].pivot;
+    const std::size_t index = add("nodes", std::move(node));
+    const std::size_t back = add("nodes", {{"translation", {-pivot[0], -pivot[1], -pivot[2]}}, {"children", {index}}});
+    json_["nodes"][motion_nodes_[carrier->second]]["children"].push_back(back);
+  }
+
+  std::array<float, 3> rest_of(const MotionNode& node) const {
+    std::array<float, 3> rest = node.pivot;
+    if (node.parent >= 0)
+      for (std::size_t c = 0; c < 3; ++c) rest[c] -= motion_.nodes[static_cast<std::size_t>(node.parent)].pivot[c];
+    return rest;
+  }
+
+  void add_motion_node(const MotionNode& node) {
+    Json json{{"name", node.name}, {"translation", rest_of(node)}};
+    if (node.parent < 0) {
+      motion_nodes_.push_back(add_node(std::move(json)));
+      return;
+    }
+    motion_nodes_.push_back(add("nodes", std::move(json)));
+    json_["nodes"][motion_nodes_[static_cast<std::size_t>(node.parent)]]["children"].push_back(motion_nodes_.back());
+  }
+
+  std::size_t add_skin(const MotionSkin& skin) {
+    std::vector<float> inverse_binds;
+    Json joints = Json::array();
+    for (const std::uint32_t joint : skin.joints) {
+      const std::array<float, 3>& p = motion_.nodes[joint].pivot;
+      const float matrix[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, -p[0], -p[1], -p[2], 1};
+      inverse_binds.insert(inverse_binds.end(), matrix, matrix + 16);
+      joints.push_back(motion_nodes_[joint]);
+    }
+    return add("skins", {{"joints", joints}, {"inverseBindMatrices", add_accessor(inverse_binds, 16, "MAT4")}});
+  }
+
+  void add_channel(const Keys& keys, std::size_t node, const char* path, int components, const char* type) {
+    if (keys.times.empty()) return;
+    const std::size_t input = add_bounded(keys.times, 1, "SCALAR"),
+                      output = add_accessor(keys.values, components, type);
+    channels_.push_back({{"sampler", samplers_of_keys_.size()}, {"target", {{"node", node}, {"path", path}}}});
+    samplers_of_keys_.push_back(
+        {{"input", input},
+         {"output", output},
+         {"interpolation", keys.interpolation == Interpolation::linear ? "LINEAR" : "CUBICSPLINE"}});
+  }
+
+  void add_animation() {
+    for (std::size_t i = 0; i < motion_.nodes.size(); ++i) {
+      const MotionNode& node = motion_.nodes[i];
+      Keys placed = node.moved;
+      const std::array<float, 3> rest = rest_of(node);
+      const bool spline = placed.interpolation == Interpolation::cubic_spline;
+      for (std::size_t k = 0; k < placed.values.size(); ++k)
+        if (!spline || k / 3 % 3 == 1) placed.values[k] += rest[k % 3];  // tangents stay
+      add_channel(placed, motion_nodes_[i], "translation", 3, "VEC3");
+      add_channel(node.turned, motion_nodes_[i], "rotation", 4, "VEC4");
+    }
+    for (const auto& [mesh, morph] : motion_.morphs)
+      add_channel(morph.weights, mesh_nodes_.at(mesh), "weights", 1, "SCALAR");
+    if (!channels_.empty())
+      add("animations", {{"name", scene_.name}, {"channels", channels_}, {"samplers", samplers_of_keys_}});
+  }
 
   bool has_normals(std::size_t triangle) const {
     for (int corner = 0; corner < 3; ++corner) {
@@ -140,7 +246,8 @@ class GlbWriter {
   }
 
   // A primitive for every run of triangles of one material that all have normals, or all lack them.
-  void add_mesh(const Mesh& mesh) {
+  void add_mesh(std::size_t number) {
+    const Mesh& mesh = scene_.meshes[number];
     if (mesh.triangle_count == 0) return;
     Json primitives = Json::array();
     const std::size_t end = std::size_t{mesh.first_triangle} + mesh.triangle_count;
@@ -150,40 +257,85 @@ class GlbWriter {
       std::size_t last = first + 1;
       while (last < end && scene_.triangle_material[last] == material && has_normals(last) == normals) ++last;
       primitives.push_back(primitive(first, last, material, normals));
+      add_deformation(number, used_vertices(first, last), primitives.back());
       first = last;
     }
-    add_node({{"name", mesh.name}, {"mesh", add("meshes", {{"name", mesh.name}, {"primitives", primitives}})}});
+    Json json{{"name", mesh.name}, {"primitives", primitives}};
+    Json node{{"name", mesh.name}};
+    if (const auto skin = motion_.skins.find(number); skin != motion_.skins.end())
+      node["skin"] = add_skin(skin->second);
+    if (const auto morph = motion_.morphs.find(number); morph != motion_.morphs.end()) {
+      json["weights"] = std::vector<float>(morph->second.positions.size());
+      mesh_nodes_[number] = json_["nodes"].size();
+    }
+    const std::size_t written = add("meshes", std::move(json));
+    node["mesh"] = written;
+    if (!mesh.instanced) add_carried(std::move(node), motion_.meshes, number);
+    for (const Instance* instance : instances_of_[number]) {
+      const gl_float* t = instance->transform;
+      const float x[3] = {t[0], t[4], t[8]}, y[3] = {t[1], t[5], t[9]}, z[3] = {t[2], t[6], t[10]},
+                  origin[3] = {t[3], t[7], t[11]};
+      add_node({{"name", mesh.name}, {"mesh", written}, {"matrix", matrix(x, y, z, origin)}});
+    }
+  }
+
+  // The vertices in use, in the scene's order, so that a reader gets the scene's arrays back.
+  std::vector<std::uint32_t> used_vertices(std::size_t first, std::size_t last) const {
+    const std::span<const std::uint32_t> corners(&scene_.indices[3 * first], 3 * (last - first));
+    const auto [least, greatest] = std::minmax_element(corners.begin(), corners.end());
+    std::vector<bool> is_used(std::size_t{*greatest - *least} + 1);
+    for (const std::uint32_t corner : corners) is_used[corner - *least] = true;
+    std::vector<std::uint32_t> used;
+    for (std::size_t i = 0; i < is_used.size(); ++i)
+      if (is_used[i]) used.push_back(static_cast<std::uint32_t>(*least + i));
+    return used;
+  }
+
+  void add_deformation(std::size_t mesh, const std::vector<std::uint32_t>& vertices, Json& primitive) {
+    const auto first = *std::min_element(&scene_.indices[3 * std::size_t{scene_.meshes[mesh].first_triangle}],
+                                         &scene_.indices[3 * std::size_t{scene_.meshes[mesh].first_triangle}] +
+                                             3 * std::size_t{scene_.meshes[mesh].triangle_count});
+    if (const auto skin = motion_.skins.find(mesh); skin != motion_.skins.end()) {
+      std::vector<std::uint16_t> joints;
+      std::vector<float> weights;
+      for (const std::uint32_t v : vertices) {
+        const MotionSkin::Influence& influence = skin->second.influences[v - first];
+        joints.insert(joints.end(), {influence.joints[0], influence.joints[1], 0, 0});
+        weights.insert(weights.end(), {influence.weights[0], influence.weights[1], 0, 0});
+      }
+      primitive["attributes"]["JOINTS_0"] = add_accessor(joints, 4, "VEC4", kArrayBuffer);
+      primitive["attributes"]["WEIGHTS_0"] = add_accessor(weights, 4, "VEC4", kArrayBuffer);
+    }
+    const auto morph = motion_.morphs.find(mesh);
+    if (morph == motion_.morphs.end()) return;
+    const auto of_vertices = [&](const std::vector<float>& all) {
+      std::vector<float> some;
+      for (const std::uint32_t v : vertices)
+        some.insert(some.end(), &all[3 * std::size_t{v - first}], &all[3 * std::size_t{v - first}] + 3);
+      return some;
+    };
+    for (std::size_t t = 0; t < morph->second.positions.size(); ++t)
+      primitive["targets"].push_back(
+          {{"POSITION", add_bounded(of_vertices(morph->second.positions[t]), 3, "VEC3", kArrayBuffer)},
+           {"NORMAL", add_accessor(of_vertices(morph->second.normals[t]), 3, "VEC3", kArrayBuffer)}});
   }
 
   Json primitive(std::size_t first, std::size_t last, std::uint32_t material, bool with_normals) {
     const std::span<const std::uint32_t> corners(&scene_.indices[3 * first], 3 * (last - first));
-    // The vertices in use, in the scene's order, so that a reader gets the scene's arrays back.
-    const auto [least, greatest] = std::minmax_element(corners.begin(), corners.end());
-    const std::uint32_t lowest = *least;
-    std::vector<std::uint32_t> number(*greatest - lowest + 1, GLEANER_NONE);
-    for (std::uint32_t corner : corners) number[corner - lowest] = 0;
     std::vector<float> positions, normals, uvs;
-    std::uint32_t count = 0;
-    for (std::size_t i = 0; i < number.size(); ++i) {
-      if (number[i] == GLEANER_NONE) continue;
-      number[i] = count++;
-      const std::size_t v = lowest + i;
+    const std::vector<std::uint32_t> vertices = used_vertices(first, last);
+    for (const std::size_t v : vertices) {
       positions.insert(positions.end(), &scene_.positions[3 * v], &scene_.positions[3 * v] + 3);
       if (with_normals) normals.insert(normals.end(), &scene_.normals[3 * v], &scene_.normals[3 * v] + 3);
       if (!scene_.uvs.empty()) uvs.insert(uvs.end(), &scene_.uvs[2 * v], &scene_.uvs[2 * v] + 2);
     }
+    std::vector<std::uint32_t> number(std::size_t{vertices.back() - vertices.front()} + 1);
+    for (std::uint32_t i = 0; i < vertices.size(); ++i) number[vertices[i] - vertices.front()] = i;
     std::vector<std::uint32_t> indices;
     indices.reserve(corners.size());
-    for (std::uint32_t corner : corners) indices.push_back(number[corner - lowest]);
+    for (const std::uint32_t corner : corners) indices.push_back(number[corner - vertices.front()]);
 
-    const std::size_t position = add_accessor(positions, 3, "VEC3", kArrayBuffer);
-    std::array<float, 3> lower{positions[0], positions[1], positions[2]}, upper = lower;
-    for (std::size_t i = 0; i < positions.size(); ++i) {
-      lower[i % 3] = std::min(lower[i % 3], positions[i]);
-      upper[i % 3] = std::max(upper[i % 3], positions[i]);
-    }
-    json_["accessors"][position]["min"] = lower;
-    json_["accessors"][position]["max"] = upper;
+    const std::size_t position = add_bounded(positions, 3, "VEC3", kArrayBuffer);
     Json attributes{{"POSITION", position}};
     if (with_normals) attributes["NORMAL"] = add_accessor(normals, 3, "VEC3", kArrayBuffer);
     if (!uvs.empty()) attributes["TEXCOORD_0"] = add_accessor(uvs, 2, "VEC2", kArrayBuffer);
@@ -281,6 +433,13 @@ class GlbWriter {
       }
       extensions["KHR_materials_volume"] = volume;
     }
+    if (m.diffuse_transmission > 0) {
+      Json shining{{"diffuseTransmissionFactor", m.diffuse_transmission},
+                   {"diffuseTransmissionColorFactor", numbers(m.diffuse_transmission_color, 3)}};
+      set_texture(shining, "diffuseTransmissionTexture", m.diffuse_transmission_texture);
+      set_texture(shining, "diffuseTransmissionColorTexture", m.diffuse_transmission_color_texture);
+      extensions["KHR_materials_diffuse_transmission"] = shining;
+    }
     add_layers(m, extensions);
     if (m.flags & GLEANER_MATERIAL_UNLIT) extensions["KHR_materials_unlit"] = Json::object();
     if (!extensions.empty()) json["extensions"] = extensions;
@@ -354,7 +513,8 @@ class GlbWriter {
     use("KHR_lights_punctual");
   }
 
-  void add_camera(const NamedCamera& named) {
+  void add_camera(std::size_t number) {
+    const NamedCamera& named = scene_.cameras[number];
     const Camera& c = named.camera;
     // glTF demands planes; nothing here is clipped by them.
     constexpr double near = 0.001, far = 1e6;
@@ -373,7 +533,7 @@ class GlbWriter {
               {"camera", add("cameras", std::move(json))},
               {"matrix", matrix(c.right, c.up, back, c.origin)}};
     if (named.width > 0 && named.height > 0) node["extras"] = {{"width", named.width}, {"height", named.height}};
-    add_node(std::move(node));
+    add_carried(std::move(node), motion_.cameras, number);
   }
 
   void finish() {
@@ -419,8 +579,13 @@ class GlbWriter {
   }
 
   const Scene& scene_;
+  const Motion& motion_;
   const std::string& path_;
+  std::vector<std::vector<const Instance*>> instances_of_;  // by mesh
   Json json_;
+  std::vector<std::size_t> motion_nodes_;                             // in the file, by their number in the motion
+  std::map<std::size_t, std::size_t> mesh_nodes_;                     // of meshes with morph targets
+  Json channels_ = Json::array(), samplers_of_keys_ = Json::array();  // of the animation
   std::vector<std::byte> buffer_;
   std::set<std::string> extensions_;
 };
@@ -438,12 +603,18 @@ void write_environment(const Environment& environment, const std::string& path) 
   file.commit();
 }
 
-}  // namespace
-
-void write_glb(const Scene& scene, const std::string& path) {
+void write_file(const Scene& scene, const Motion& motion, const std::string& path) {
   // The environment first: once the scene is there, all of it is.
   if (!scene.environment.empty()) write_environment(scene.environment, environment_path(path));
-  GlbWriter(scene, path).write();
+  GlbWriter(scene, motion, path).write();
+}
+
+}  // namespace
+
+void write_glb(const Scene& scene, const std::string& path) { write_file(scene, {}, path); }
+
+void write_glb(const AnimatedScene& animated, const std::string& path) {
+  write_file(animated.scene, animated.motion, path);
 }
 
 std::string environment_path(const std::string& glb_path) {

@@ -115,6 +115,8 @@ void add_arch(SceneBuilder& b, const Level& level, double x, double z0, std::uin
          soffit, {.smooth = false});
 }
 
+}  // namespace
+
 Scene hall(const std::string& name, const Values& values) {
   const std::uint64_t wanted = values.count("triangles");
   const Level level = level_for(wanted);
@@ -178,8 +180,6 @@ Scene hall(const std::string& name, const Values& values) {
   b.camera("aisle", {-4.6, 1.7, half_length - 0.4}, {-2.2, 2.6, -half_length}, 62, 960, 540);
   return b.finish();
 }
-
-}  // namespace
 
 std::vector<Recipe> hall_recipes() {
   return {{"hall",

@@ -14,7 +14,7 @@ const std::vector<Recipe>& recipes() {
   static const std::vector<Recipe> all = [] {
     std::vector<Recipe> result;
     for (const auto& some : {cornell_recipes(), furnace_recipes(), form_factor_recipes(), light_recipes(),
-                             material_recipes(), hall_recipes(), stress_recipes()})
+                             material_recipes(), hall_recipes(), stress_recipes(), moving_recipes()})
       result.insert(result.end(), some.begin(), some.end());
     return result;
   }();
@@ -66,6 +66,10 @@ const std::vector<LibraryEntry>& library() {
 }
 
 Scene make_scene(const std::string& name, const std::map<std::string, std::string>& parameters) {
+  return make_animated_scene(name, parameters).scene;
+}
+
+AnimatedScene make_animated_scene(const std::string& name, const std::map<std::string, std::string>& parameters) {
   const auto recipe = std::find_if(recipes().begin(), recipes().end(), [&](const Recipe& r) { return r.name == name; });
   if (recipe == recipes().end())
     throw Error::usage("no scene is named '" + name + "'; there are " + names_of(recipes()));
@@ -79,7 +83,8 @@ Scene make_scene(const std::string& name, const std::map<std::string, std::strin
                          (recipe->parameters.empty() ? "none" : names_of(recipe->parameters)));
     values[key] = parse(name, *p, text);
   }
-  return recipe->make(name, Values(std::move(values)));
+  const Values chosen(std::move(values));
+  return recipe->animate ? recipe->animate(name, chosen) : AnimatedScene{recipe->make(name, chosen), {}};
 }
 
 }  // namespace gleaner::scene

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "scene/library/motion.h"
 #include "scene/model/scene.h"
 
 namespace gleaner::scene {
@@ -24,6 +25,9 @@ const std::vector<LibraryEntry>& library();
 // range.
 Scene make_scene(const std::string& name, const std::map<std::string, std::string>& parameters = {});
 
+// The same with the way it moves; an empty one where it stands still.
+AnimatedScene make_animated_scene(const std::string& name, const std::map<std::string, std::string>& parameters = {});
+
 // Writes a binary glTF that import_scene() reads back to the same scene: the same arrays, bit for bit, where no vertex
 // is unused or shared between materials and textures stand in the order in which materials name them; positions,
 // triangles and texels always. What is derived (f0, albedo tables) is not written.
@@ -31,6 +35,8 @@ Scene make_scene(const std::string& name, const std::map<std::string, std::strin
 // glTF has no environments: one is written beside the scene, to environment_path(path), as a 32-bit RGB EXR.
 // Files get a temporary name, are synced and renamed. Throws Error::failed naming the file that could not be written.
 void write_glb(const Scene& scene, const std::string& path);
+// With an animation, which import_scene() reads back: at time 0 to the same scene.
+void write_glb(const AnimatedScene& scene, const std::string& path);
 
 // "folder/scene.glb" -> "folder/scene.env.exr".
 std::string environment_path(const std::string& glb_path);

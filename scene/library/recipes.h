@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "scene/library/builder.h"
+#include "scene/library/motion.h"
 
 namespace gleaner::scene {
 
@@ -31,6 +32,7 @@ struct Recipe {
   std::string description;
   std::vector<Parameter> parameters;
   Scene (*make)(const std::string& name, const Values& values);
+  AnimatedScene (*animate)(const std::string& name, const Values& values) = nullptr;  // instead, of a scene that moves
 };
 
 std::vector<Recipe> cornell_recipes();
@@ -40,5 +42,10 @@ std::vector<Recipe> light_recipes();
 std::vector<Recipe> material_recipes();
 std::vector<Recipe> hall_recipes();
 std::vector<Recipe> stress_recipes();
+std::vector<Recipe> moving_recipes();
+
+// Shared by the recipes of several files.
+Scene hall(const std::string& name, const Values& values);
+AnimatedScene walking_figure(const std::string& name, const Values& values);
 
 }  // namespace gleaner::scene

@@ -106,6 +106,35 @@ Scene far(const std::string& name, const Values& values) {
   return b.finish();
 }
 
+// Rings in columns, each turned, tilted and stretched its own way, every fifth mirrored. All are one mesh.
+Scene stack(const std::string& name, const Values& values) {
+  constexpr std::uint32_t storeys = 20;
+  const std::uint32_t count = values.count("count");
+  const auto side =
+      static_cast<std::uint32_t>(std::ceil(std::sqrt(static_cast<double>((count + storeys - 1) / storeys))));
+  SceneBuilder b(name);
+  const double half = 0.15 * side + 0.5;
+  add_stage(b, half, 0, std::max(2 * half, 2.2));
+  const std::uint32_t glaze = b.material("glaze", dielectric({0.2, 0.45, 0.65}, 0.3));
+  b.instanced_mesh("ring");
+  b.torus({}, 0.1, 0.03, values.count("segments"), glaze);
+  for (std::uint32_t i = 0; i < count; ++i) {
+    const std::uint32_t column = i / storeys, storey = i % storeys;
+    const double turn = 2 * pi * hash_unit(i, 0), tilt = radians(6) * (2 * hash_unit(i, 1) - 1);
+    const double width = 0.9 + 0.3 * hash_unit(i, 2), height = 0.8 + 0.2 * hash_unit(i, 3);
+    const auto turned = [&](Vec v) {
+      return rotate_y({v.x * std::cos(tilt) - v.y * std::sin(tilt), v.x * std::sin(tilt) + v.y * std::cos(tilt), v.z},
+                      turn);
+    };
+    const double x = i % 5 == 4 ? -width : width;
+    b.instance(
+        x * turned({1, 0, 0}), height * turned({0, 1, 0}), turned({0, 0, 1}),
+        {0.3 * (column % side - 0.5 * (side - 1)), 0.06 + 0.07 * storey, 0.3 * (column / side - 0.5 * (side - 1))});
+  }
+  b.camera("camera", {0.3 * half, 1.1 * half + 0.6, 2.6 * half + 1}, {0, 0.6, 0}, 40, 512, 512);
+  return b.finish();
+}
+
 }  // namespace
 
 std::vector<Recipe> stress_recipes() {
@@ -124,6 +153,10 @@ std::vector<Recipe> stress_recipes() {
         {"y", 1234, -250000, 250000, true},
         {"z", -223423, -250000, 250000, true}},
        far},
+      {"stack",
+       "rings in columns, each turned, tilted and stretched its own way: one mesh in many places",
+       {{"count", 2000, 1, 1000000, true}, {"segments", 100, 8, 2000, true}},
+       stack},
   };
 }
 

@@ -1,40 +1,15 @@
-// Layout: Header, then `sections` Section records, then the sections' bytes, each beginning at a multiple of 64, gaps
-// filled with zeros. Little-endian. Sections come in a fixed order, so that equal scenes have equal bytes.
-
 #include "scene/model/blob.h"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <cstring>
-#include <type_traits>
 
 #include "scene/model/error.h"
 #include "scene/model/limits.h"
+#include "scene/model/sections.h"
 
 namespace gleaner::scene {
 namespace {
-
-static_assert(std::endian::native == std::endian::little, "blobs are little-endian and copied as they stand");
-
-constexpr std::uint64_t kAlignment = 64;
-constexpr std::uint32_t kVersion = 3;
-
-struct Header {
-  char magic[8];
-  std::uint32_t version;
-  std::uint32_t sections;
-  std::uint64_t bytes;  // of the whole blob
-};
-static_assert(sizeof(Header) == 24);
-
-struct Section {
-  std::uint32_t id;
-  std::uint32_t element_bytes;
-  std::uint64_t offset;  // from the blob's beginning
-  std::uint64_t count;   // elements
-};
-static_assert(sizeof(Section) == 24);
 
 constexpr char kSceneMagic[8] = {'G', 'L', 'S', 'C', 'E', 'N', 'E', 0};
 constexpr char kBvhMagic[8] = {'G', 'L', 'B', 'V', 'H', 0, 0, 0};
@@ -48,6 +23,7 @@ enum SceneSection : std::uint32_t {
   kIndices,
   kTriangleMaterial,
   kMeshes,
+  kInstances,
   kMaterials,
   kTextures,
   kTexels,
@@ -59,10 +35,21 @@ enum SceneSection : std::uint32_t {
   kEnvironment,
   kNameLengths,  // of the scene, its meshes, materials and cameras
   kNames,        // their bytes, one after the other
-  kSceneSections
+  kSceneSections,
+  // Of a scene with a rig there are these as well.
+  kPosedMeshes = kSceneSections,
+  kRestPositions,
+  kRestNormals,
+  kMorphTargets,
+  kMorphDeltas,
+  kJoints,
+  kJointWeights,
+  kPosedInstances,
+  kStateSizes,  // matrices, morph weights
+  kMovingSceneSections
 };
 
-enum BvhSection : std::uint32_t { kNodes, kSlots, kDepth, kBvhSections };
+enum BvhSection : std::uint32_t { kNodes, kSlots, kParts, kDepth, kBvhSections };
 
 // What NamedCamera holds beside the camera and its name.
 struct FilmRecord {
@@ -72,106 +59,14 @@ struct FilmRecord {
 
 struct MeshRecord {
   std::uint32_t first_triangle, triangle_count;
+  std::uint32_t flags;  // kInstanced, kDeforming
 };
-
-class Writer {
- public:
-  Writer(const char (&magic)[8], std::uint32_t sections) : sections_(sections) {
-    bytes_.resize(sizeof(Header) + sections * sizeof(Section));
-    Header header{{}, kVersion, sections, 0};
-    std::copy_n(magic, sizeof magic, header.magic);
-    std::memcpy(bytes_.data(), &header, sizeof header);
-  }
-
-  // Reserving what all sections will take spares a scene of many megabytes its copies.
-  void expect(std::uint64_t bytes) { bytes_.reserve(bytes_.size() + bytes + sections_ * kAlignment); }
-
-  template <typename T>
-  void add(std::uint32_t id, const std::vector<T>& values) {
-    static_assert(std::is_trivially_copyable_v<T>);
-    bytes_.resize((bytes_.size() + kAlignment - 1) / kAlignment * kAlignment);
-    const Section section{id, sizeof(T), bytes_.size(), values.size()};
-    std::memcpy(bytes_.data() + sizeof(Header) + written_++ * sizeof(Section), &section, sizeof section);
-    const auto* first = reinterpret_cast<const std::byte*>(values.data());
-    bytes_.insert(bytes_.end(), first, first + values.size() * sizeof(T));
-  }
-
-  Bytes finish() {
-    const std::uint64_t bytes = bytes_.size();
-    std::memcpy(bytes_.data() + offsetof(Header, bytes), &bytes, sizeof bytes);
-    return std::move(bytes_);
-  }
-
- private:
-  std::uint32_t sections_, written_ = 0;
-  Bytes bytes_;
-};
-
-class Reader {
- public:
-  Reader(std::span<const std::byte> bytes, const char (&magic)[8], std::uint32_t sections, const std::string& origin)
-      : bytes_(bytes), origin_(origin) {
-    Header header;
-    if (bytes.size() < sizeof header) fail("header", std::to_string(sizeof header) + " bytes", bytes.size());
-    std::memcpy(&header, bytes.data(), sizeof header);
-    if (!std::equal(header.magic, header.magic + sizeof magic, magic))
-      throw Error::bad_input(origin_, "magic", magic, "other bytes");
-    if (header.version != kVersion) fail("version", std::to_string(kVersion), header.version);
-    if (header.bytes != bytes.size()) fail("bytes", std::to_string(header.bytes), bytes.size());
-    if (header.sections != sections) fail("sections", std::to_string(sections), header.sections);
-    if (bytes.size() < sizeof header + sections * sizeof(Section)) fail("table", "all sections", bytes.size());
-    sections_.resize(sections);
-    std::memcpy(sections_.data(), bytes.data() + sizeof header, sections * sizeof(Section));
-    std::uint64_t end = sizeof header + sections * sizeof(Section);
-    for (std::uint32_t id = 0; id < sections; ++id) {
-      const Section& s = sections_[id];
-      const std::string name = "section " + std::to_string(id);
-      if (s.id != id) fail(name, "id " + std::to_string(id), s.id);
-      // Sections follow one another and only zeros lie between them: one scene, one run of bytes.
-      const std::uint64_t start = (end + kAlignment - 1) / kAlignment * kAlignment;
-      if (s.offset != start || start > bytes.size()) fail(name, "offset " + std::to_string(start), s.offset);
-      if (std::any_of(bytes.begin() + end, bytes.begin() + start, [](std::byte b) { return b != std::byte{0}; }))
-        throw Error::bad_input(origin_, name, "zeros before it", "other bytes");
-      const std::uint64_t room = bytes.size() - start;
-      if (s.element_bytes == 0 || s.count > room / s.element_bytes)
-        fail(name, "at most " + std::to_string(room) + " bytes", s.count);
-      end = start + s.count * s.element_bytes;
-    }
-    if (end != bytes.size()) fail("end", std::to_string(end), bytes.size());
-  }
-
-  template <typename T>
-  std::vector<T> read(std::uint32_t id) const {
-    static_assert(std::is_trivially_copyable_v<T>);
-    const Section& s = sections_[id];
-    if (s.element_bytes != sizeof(T))
-      fail("section " + std::to_string(id), "elements of " + std::to_string(sizeof(T)) + " bytes", s.element_bytes);
-    std::vector<T> values(s.count);
-    if (s.count) std::memcpy(values.data(), bytes_.data() + s.offset, s.count * sizeof(T));
-    return values;
-  }
-
-  template <typename T>
-  std::vector<T> read(std::uint32_t id, std::uint64_t count) const {
-    if (sections_[id].count != count)
-      fail("section " + std::to_string(id), std::to_string(count) + " elements", sections_[id].count);
-    return read<T>(id);
-  }
-
-  [[noreturn]] void fail(const std::string& element, const std::string& expected, std::uint64_t found) const {
-    throw Error::bad_input(origin_, element, expected, std::to_string(found));
-  }
-
- private:
-  std::span<const std::byte> bytes_;
-  const std::string& origin_;
-  std::vector<Section> sections_;
-};
+constexpr std::uint32_t kInstanced = 1, kDeforming = 2;
 
 // Hands out names in the order in which serialize() wrote them.
 class NameReader {
  public:
-  NameReader(const Reader& reader)
+  NameReader(const SectionReader& reader)
       : reader_(reader), lengths_(reader.read<std::uint32_t>(kNameLengths)), text_(reader.read<char>(kNames)) {}
 
   std::string next() {
@@ -189,11 +84,51 @@ class NameReader {
   }
 
  private:
-  const Reader& reader_;
+  const SectionReader& reader_;
   std::vector<std::uint32_t> lengths_;
   std::vector<char> text_;
   std::size_t next_ = 0, used_ = 0;
 };
+
+}  // namespace
+
+namespace {
+
+std::uint64_t rig_bytes(const Rig& rig) {
+  return sizeof(PosedMesh) * rig.meshes.size() + sizeof(PosedInstance) * rig.instances.size() +
+         sizeof(MorphTarget) * rig.targets.size() +
+         4 * (rig.positions.size() + rig.normals.size() + rig.deltas.size() + rig.joints.size() +
+              rig.joint_weights.size() + 2);
+}
+
+void add_rig(SectionWriter& writer, const Rig& rig) {
+  writer.add(kPosedMeshes, rig.meshes);
+  writer.add(kRestPositions, rig.positions);
+  writer.add(kRestNormals, rig.normals);
+  writer.add(kMorphTargets, rig.targets);
+  writer.add(kMorphDeltas, rig.deltas);
+  writer.add(kJoints, rig.joints);
+  writer.add(kJointWeights, rig.joint_weights);
+  writer.add(kPosedInstances, rig.instances);
+  writer.add(kStateSizes, std::vector<std::uint32_t>{rig.matrices, rig.morph_weights});
+}
+
+Rig read_rig(const SectionReader& reader) {
+  Rig rig;
+  rig.meshes = reader.read<PosedMesh>(kPosedMeshes);
+  rig.instances = reader.read<PosedInstance>(kPosedInstances);
+  if (rig.empty()) reader.fail("posed meshes and instances", "at least one", 0);
+  rig.positions = reader.read<float>(kRestPositions);
+  rig.normals = reader.read<float>(kRestNormals);
+  rig.targets = reader.read<MorphTarget>(kMorphTargets);
+  rig.deltas = reader.read<float>(kMorphDeltas);
+  rig.joints = reader.read<std::uint32_t>(kJoints);
+  rig.joint_weights = reader.read<float>(kJointWeights);
+  const std::vector<std::uint32_t> sizes = reader.read<std::uint32_t>(kStateSizes, 2);
+  rig.matrices = sizes[0];
+  rig.morph_weights = sizes[1];
+  return rig;
+}
 
 }  // namespace
 
@@ -210,7 +145,8 @@ Bytes serialize(const Scene& scene) {
   name(scene.name);
   for (const Mesh& m : scene.meshes) {
     name(m.name);
-    meshes.push_back({m.first_triangle, m.triangle_count});
+    meshes.push_back(
+        {m.first_triangle, m.triangle_count, (m.instanced ? kInstanced : 0u) | (m.deforming ? kDeforming : 0u)});
   }
   for (std::size_t i = 0; i < scene.materials.size(); ++i)
     name(i < scene.material_names.size() ? scene.material_names[i] : std::string());
@@ -219,13 +155,14 @@ Bytes serialize(const Scene& scene) {
     cameras.push_back(c.camera);
     films.push_back({c.width, c.height, c.aspect});
   }
-  Writer writer(kSceneMagic, kSceneSections);
+  SectionWriter writer(kSceneMagic, scene.rig.empty() ? kSceneSections : kMovingSceneSections);
   writer.expect(4 * (scene.positions.size() + scene.normals.size() + scene.uvs.size() + scene.second_uvs.size() +
                      scene.indices.size() + scene.triangle_material.size() + scene.texels.size() +
                      scene.albedo_tables.size() + scene.environment.radiance.size()) +
                 2 * scene.colors.size() + sizeof(Material) * scene.materials.size() +
                 sizeof(Texture) * scene.textures.size() + sizeof(Light) * scene.lights.size() +
-                sizeof(Camera) * cameras.size() + text.size() + 16 * lengths.size());
+                sizeof(Camera) * cameras.size() + sizeof(Instance) * scene.instances.size() + text.size() +
+                16 * lengths.size() + rig_bytes(scene.rig));
   writer.add(kPositions, scene.positions);
   writer.add(kNormals, scene.normals);
   writer.add(kUvs, scene.uvs);
@@ -234,6 +171,7 @@ Bytes serialize(const Scene& scene) {
   writer.add(kIndices, scene.indices);
   writer.add(kTriangleMaterial, scene.triangle_material);
   writer.add(kMeshes, meshes);
+  writer.add(kInstances, scene.instances);
   writer.add(kMaterials, scene.materials);
   writer.add(kTextures, scene.textures);
   writer.add(kTexels, scene.texels);
@@ -245,11 +183,12 @@ Bytes serialize(const Scene& scene) {
   writer.add(kEnvironment, scene.environment.radiance);
   writer.add(kNameLengths, lengths);
   writer.add(kNames, text);
+  if (!scene.rig.empty()) add_rig(writer, scene.rig);
   return writer.finish();
 }
 
 Scene parse_scene(std::span<const std::byte> bytes, const std::string& origin) {
-  const Reader reader(bytes, kSceneMagic, kSceneSections, origin);
+  const SectionReader reader(bytes, kSceneMagic, {kSceneSections, kMovingSceneSections}, origin);
   Scene scene;
   scene.positions = reader.read<float>(kPositions);
   scene.normals = reader.read<float>(kNormals);
@@ -265,8 +204,12 @@ Scene parse_scene(std::span<const std::byte> bytes, const std::string& origin) {
   scene.lights = reader.read<Light>(kLights);
   NameReader names(reader);
   scene.name = names.next();
-  for (const MeshRecord& m : reader.read<MeshRecord>(kMeshes))
-    scene.meshes.push_back({names.next(), m.first_triangle, m.triangle_count});
+  for (const MeshRecord& m : reader.read<MeshRecord>(kMeshes)) {
+    if (m.flags & ~(kInstanced | kDeforming)) reader.fail("mesh flags", "known bits alone", m.flags);
+    scene.meshes.push_back(
+        {names.next(), m.first_triangle, m.triangle_count, (m.flags & kInstanced) != 0, (m.flags & kDeforming) != 0});
+  }
+  scene.instances = reader.read<Instance>(kInstances);
   for (std::size_t i = 0; i < scene.materials.size(); ++i) scene.material_names.push_back(names.next());
   const std::vector<Camera> cameras = reader.read<Camera>(kCameras);
   const std::vector<FilmRecord> films = reader.read<FilmRecord>(kFilms, cameras.size());
@@ -275,33 +218,28 @@ Scene parse_scene(std::span<const std::byte> bytes, const std::string& origin) {
   names.finish();
   const std::vector<std::uint32_t> size = reader.read<std::uint32_t>(kEnvironmentSize, 2);
   scene.environment = {size[0], size[1], reader.read<float>(kEnvironment)};
+  if (reader.sections() == kMovingSceneSections) scene.rig = read_rig(reader);
   validate(scene, origin);
   return scene;
 }
 
 Bytes serialize(const Bvh& bvh) {
-  Writer writer(kBvhMagic, kBvhSections);
+  SectionWriter writer(kBvhMagic, kBvhSections);
   writer.expect(sizeof(BvhNode) * bvh.nodes.size() + 4 * bvh.triangles.size());
   writer.add(kNodes, bvh.nodes);
   writer.add(kSlots, bvh.triangles);
+  writer.add(kParts, bvh.parts);
   writer.add(kDepth, std::vector<std::uint32_t>{bvh.max_depth});
   return writer.finish();
 }
 
-Bvh parse_bvh(std::span<const std::byte> bytes, std::size_t triangle_count, const std::string& origin) {
-  const Reader reader(bytes, kBvhMagic, kBvhSections, origin);
-  Bvh bvh{reader.read<BvhNode>(kNodes), reader.read<std::uint32_t>(kSlots), reader.read<std::uint32_t>(kDepth, 1)[0]};
-  for (std::size_t i = 0; i < bvh.triangles.size(); ++i) {
-    if (bvh.triangles[i] >= triangle_count)
-      reader.fail("triangles[" + std::to_string(i) + "]", "an index below " + std::to_string(triangle_count),
-                  bvh.triangles[i]);
-  }
-  if (bvh.nodes.empty()) reader.fail("nodes", "a root", 0);
-  if (bvh.max_depth > kMaxBvhDepth) reader.fail("max_depth", "at most " + std::to_string(kMaxBvhDepth), bvh.max_depth);
-  // A traversal that follows these children ends, and never needs a deeper stack than it was promised.
-  std::vector<bool> reached(bvh.nodes.size());
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> open = {{0, 1}};  // node, depth of its children
-  reached[0] = true;
+namespace {
+
+// A traversal that follows these children ends, and never needs a deeper stack than it was promised.
+void check_part(const Bvh& bvh, const BvhPart& part, const SectionReader& reader, const std::string& origin) {
+  const std::uint32_t end_node = part.first_node + part.nodes;
+  std::vector<bool> reached(part.nodes);
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> open = {{part.first_node, 1}};  // node, depth of its children
   while (!open.empty()) {
     const auto [index, depth] = open.back();
     open.pop_back();
@@ -314,16 +252,47 @@ Bvh parse_bvh(std::span<const std::byte> bytes, std::size_t triangle_count, cons
     for (const gl_uint child : node.child) {
       if (child & GLEANER_BVH_LEAF) {
         const std::uint64_t first = child & 0x07ffffffu, count = child >> 27 & 15u;
-        if (first + count > bvh.triangles.size())
-          reader.fail(name, "a leaf within " + std::to_string(bvh.triangles.size()) + " slots", first + count);
+        if (count > 0 && (first < part.first_slot || first + count > std::uint64_t{part.first_slot} + part.slots))
+          reader.fail(name, "a leaf within " + std::to_string(part.slots) + " slots", first + count);
       } else {
-        if (child >= bvh.nodes.size() || reached[child])
-          reader.fail(name, "a child that no other node names, below " + std::to_string(bvh.nodes.size()), child);
-        reached[child] = true;
+        if (child <= index || child >= end_node || reached[child - part.first_node])
+          reader.fail(name, "a child behind it that no other node names, below " + std::to_string(end_node), child);
+        reached[child - part.first_node] = true;
         open.emplace_back(child, depth + 1);
       }
     }
   }
+}
+
+}  // namespace
+
+Bvh parse_bvh(std::span<const std::byte> bytes, std::size_t triangle_count, const std::string& origin) {
+  const SectionReader reader(bytes, kBvhMagic, {kBvhSections}, origin);
+  Bvh bvh{reader.read<BvhNode>(kNodes), reader.read<std::uint32_t>(kSlots), reader.read<BvhPart>(kParts),
+          reader.read<std::uint32_t>(kDepth, 1)[0]};
+  for (std::size_t i = 0; i < bvh.triangles.size(); ++i) {
+    if (bvh.triangles[i] >= triangle_count)
+      reader.fail("triangles[" + std::to_string(i) + "]", "an index below " + std::to_string(triangle_count),
+                  bvh.triangles[i]);
+  }
+  if (bvh.nodes.empty()) reader.fail("nodes", "a root", 0);
+  if (bvh.max_depth > kMaxBvhDepth) reader.fail("max_depth", "at most " + std::to_string(kMaxBvhDepth), bvh.max_depth);
+  std::uint64_t node = 0, slot = 0;
+  for (std::size_t p = 0; p < bvh.parts.size(); ++p) {
+    const BvhPart& part = bvh.parts[p];
+    const std::string name = "parts[" + std::to_string(p) + "]";
+    if (part.first_node != node || part.nodes == 0 || part.nodes > bvh.nodes.size() - node)
+      reader.fail(name, "nodes from " + std::to_string(node) + " on, of " + std::to_string(bvh.nodes.size()),
+                  part.first_node);
+    if (part.first_slot != slot || part.slots > bvh.triangles.size() - slot)
+      reader.fail(name, "slots from " + std::to_string(slot) + " on, of " + std::to_string(bvh.triangles.size()),
+                  part.first_slot);
+    node += part.nodes;
+    slot += part.slots;
+    check_part(bvh, part, reader, origin);
+  }
+  if (node != bvh.nodes.size() || slot != bvh.triangles.size())
+    reader.fail("parts", "ranges that cover all nodes and slots", node);
   return bvh;
 }
 

@@ -16,10 +16,19 @@ namespace gleaner::scene {
 
 using Bytes = std::vector<std::byte>;
 
-// Binary BVH for the OpenCL tracer: nodes[0] is the root; leaves name consecutive slots of `triangles`.
+// A tree within a BVH: nodes [first_node, first_node + nodes), the root first and each before its children, whose
+// leaves name slots [first_slot, first_slot + slots).
+struct BvhPart {
+  std::uint32_t mesh;  // an instanced one, in its own space, or one that deforms; GLEANER_NONE: all other meshes
+  std::uint32_t first_node, nodes, first_slot, slots;
+};
+
+// Binary BVHs for the OpenCL tracer: one of all meshes that stand still in the world, then one for each mesh that is
+// instanced or deforms, in their order. The top level over them is built where they are loaded.
 struct Bvh {
   std::vector<BvhNode> nodes;
   std::vector<std::uint32_t> triangles;  // slot -> triangle
+  std::vector<BvhPart> parts;            // consecutive ranges of nodes and slots that cover all
   std::uint32_t max_depth = 0;           // deepest leaf; a traversal stack needs as many entries
 };
 

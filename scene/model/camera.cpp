@@ -23,10 +23,6 @@ void store(const Vector& from, gl_float to[3]) {
   for (int c = 0; c < 3; ++c) to[c] = static_cast<gl_float>(from[c]);
 }
 
-}  // namespace
-
-namespace {
-
 // Of the boxes about all meshes, in the world.
 Bounds bounds_with_instances(const Scene& scene) {
   Bounds bounds;

@@ -94,6 +94,32 @@ std::optional<std::string> refused_transform(const gl_float (&transform)[12]) {
   return std::nullopt;
 }
 
+void place_instance(const double* rows, gl_float (&transform)[12]) {
+  for (int i = 0; i < 12; ++i) transform[i] = static_cast<float>(rows[i]);
+}
+
+std::vector<std::uint32_t> meshes_with_own_bvh(const Scene& scene) {
+  std::vector<std::uint32_t> meshes;
+  for (std::uint32_t m = 0; m < scene.meshes.size(); ++m)
+    if ((scene.meshes[m].instanced || scene.meshes[m].deforming) && scene.meshes[m].triangle_count > 0)
+      meshes.push_back(m);
+  return meshes;
+}
+
+std::vector<TriangleRun> still_triangles(const Scene& scene) {
+  std::vector<TriangleRun> runs;
+  std::uint32_t next = 0;
+  const auto add_until = [&](std::uint32_t end) {
+    if (end > next) runs.push_back({next, end - next});
+  };
+  for (const std::uint32_t m : meshes_with_own_bvh(scene)) {
+    add_until(scene.meshes[m].first_triangle);
+    next = scene.meshes[m].first_triangle + scene.meshes[m].triangle_count;
+  }
+  add_until(static_cast<std::uint32_t>(scene.triangle_count()));
+  return runs;
+}
+
 Bounds bounds_of(const Scene& scene, const Mesh& mesh) {
   Bounds bounds;
   const std::size_t end = 3 * (std::size_t{mesh.first_triangle} + mesh.triangle_count);
@@ -106,6 +132,13 @@ Bounds bounds_of(const Scene& scene, const Mesh& mesh) {
     }
   }
   return bounds;
+}
+
+std::vector<Bounds> boxes_of_instanced(const Scene& scene) {
+  std::vector<Bounds> boxes(scene.meshes.size());
+  for (std::size_t m = 0; m < boxes.size(); ++m)
+    if (scene.meshes[m].instanced) boxes[m] = bounds_of(scene, scene.meshes[m]);
+  return boxes;
 }
 
 DerivedInstance derived(const gl_float (&transform)[12], const Bounds& mesh) {

@@ -21,8 +21,23 @@ bool may_be_instanced(const Material& material);
 // float. What it says otherwise, in words.
 std::optional<std::string> refused_transform(const gl_float (&transform)[12]);
 
+// Where a matrix, given by its three rows of four, places an instance: rounded to single precision.
+void place_instance(const double* rows, gl_float (&transform)[12]);
+
+// The meshes that are instanced or deform, in their order: those that have triangles.
+std::vector<std::uint32_t> meshes_with_own_bvh(const Scene& scene);
+
+// The triangles of all other meshes, in runs as long as can be.
+struct TriangleRun {
+  std::uint32_t first, count;
+};
+std::vector<TriangleRun> still_triangles(const Scene& scene);
+
 // A box about the triangles of a mesh, in the mesh's own space.
 Bounds bounds_of(const Scene& scene, const Mesh& mesh);
+
+// Such a box of each mesh that is instanced, by mesh; the others' are empty.
+std::vector<Bounds> boxes_of_instanced(const Scene& scene);
 
 // What follows from a transform, by computation in double precision.
 struct DerivedInstance {

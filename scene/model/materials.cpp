@@ -16,6 +16,7 @@ Material blank_material() {
   m.ior = 1.5f;
   m.roughness = 1;
   m.normal_scale = m.clearcoat_normal_scale = 1;
+  std::fill(m.diffuse_transmission_color, m.diffuse_transmission_color + 3, 1.0f);
   m.iridescence_ior = 1.3f;
   m.iridescence_minimum = 100;
   m.iridescence_maximum = 400;
@@ -39,7 +40,9 @@ const std::vector<gl_uint Material::*>& texture_slots() {
                                                          &Material::sheen_roughness_texture,
                                                          &Material::anisotropy_texture,
                                                          &Material::iridescence_texture,
-                                                         &Material::iridescence_thickness_texture};
+                                                         &Material::iridescence_thickness_texture,
+                                                         &Material::diffuse_transmission_texture,
+                                                         &Material::diffuse_transmission_color_texture};
   return slots;
 }
 

@@ -71,6 +71,12 @@ bool is_transmissive(const Material& m) {
          (m.metallic < 1 || m.metallic_roughness_texture != GLEANER_NONE);
 }
 
+bool transmits_diffusely(const Material& m) {
+  return !(m.flags & GLEANER_MATERIAL_UNLIT) && m.diffuse_transmission > 0 &&
+         (m.transmission < 1 || m.transmission_texture != GLEANER_NONE) &&
+         (m.metallic < 1 || m.metallic_roughness_texture != GLEANER_NONE);
+}
+
 bool is_solid(const Material& m) { return (m.flags & GLEANER_MATERIAL_SOLID) && is_transmissive(m); }
 
 std::vector<std::uint32_t> media_by_rank(const Scene& scene) {

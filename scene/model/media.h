@@ -12,6 +12,8 @@ namespace gleaner::scene {
 
 // Does any light pass through this material? Metal hides transmission.
 bool is_transmissive(const Material& material);
+// Does its diffuse layer let light through?
+bool transmits_diffusely(const Material& material);
 // Is it the surface of a solid that light passes through?
 bool is_solid(const Material& material);
 

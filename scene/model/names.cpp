@@ -25,21 +25,58 @@ std::size_t utf8_length(std::string_view text) {
   return 0;
 }
 
-std::string printable(std::string_view name) {
+namespace {
+
+// Whether a terminal shows the character, instead of obeying it. `character` is well-formed UTF-8.
+bool is_shown(std::string_view character) {
+  const auto byte = [&](std::size_t i) { return static_cast<unsigned char>(character[i]); };
+  switch (character.size()) {
+    case 1:
+      return byte(0) >= 0x20 && byte(0) != 0x7f;
+    case 2:
+      return byte(0) != 0xc2 || byte(1) >= 0xa0;  // U+0080 to U+009F
+    case 3:
+      // U+2028 to U+202E and U+2066 to U+2069: breaks of lines and paragraphs, embedded and isolated directions.
+      return !(byte(0) == 0xe2 && ((byte(1) == 0x80 && byte(2) >= 0xa8 && byte(2) <= 0xae) ||
+                                   (byte(1) == 0x81 && byte(2) >= 0xa6 && byte(2) <= 0xa9)));
+    default:
+      return true;
+  }
+}
+
+// What stands for the first character of `text`, which it is removed from.
+std::string take_character(std::string_view& text) {
   constexpr char digits[] = "0123456789abcdef";
+  const std::size_t length = utf8_length(text);
+  const std::string_view character = text.substr(0, length == 0 ? 1 : length);
+  text.remove_prefix(character.size());
+  if (length > 0 && is_shown(character)) return std::string(character);
+  std::string escaped;
+  for (const char c : character) {
+    const auto byte = static_cast<unsigned char>(c);
+    escaped.append("\\x").push_back(digits[byte >> 4]);
+    escaped.push_back(digits[byte & 15]);
+  }
+  return escaped;
+}
+
+}  // namespace
+
+std::string printable(std::string_view name, std::size_t most_bytes) {
   std::string text;
   while (!name.empty()) {
-    if (const std::size_t length = utf8_length(name)) {
-      text.append(name.substr(0, length));
-      name.remove_prefix(length);
-      continue;
-    }
-    const auto byte = static_cast<unsigned char>(name.front());
-    text.append("\\x").push_back(digits[byte >> 4]);
-    text.push_back(digits[byte & 15]);
-    name.remove_prefix(1);
+    const std::string character = take_character(name);
+    if (character.size() > most_bytes - text.size()) break;
+    text += character;
   }
   return text;
+}
+
+std::string printable_lines(std::string_view text) {
+  std::string lines;
+  for (std::size_t end; (end = text.find('\n')) != std::string_view::npos; text.remove_prefix(end + 1))
+    lines += printable(text.substr(0, end)) + "\n";
+  return lines + printable(text);
 }
 
 }  // namespace gleaner

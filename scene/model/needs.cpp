@@ -4,6 +4,7 @@
 
 #include "scene/model/emission.h"
 #include "scene/model/media.h"
+#include "scene/model/needs.h"
 #include "scene/model/scene.h"
 
 namespace gleaner::scene {
@@ -83,6 +84,7 @@ void add_material(const Scene& scene, const Material& m, float vertex_alpha, Sce
   const bool has_lobe = opaque_part && (m.metallic > 0 || m.specular > 0);
   needs.anisotropy |= has_lobe && m.anisotropy > 0;
   needs.iridescence |= has_lobe && m.iridescence > 0;
+  if (transmits_diffusely(m)) needs.diffuse_transmission = needs.transmissive = needs.rough_transmissive = true;
   if (!transmissive) return;
   needs.transmissive = true;
   const bool solid = m.flags & GLEANER_MATERIAL_SOLID;
@@ -152,38 +154,47 @@ std::vector<std::string> lost_light(const SceneNeeds& needs) {
       "thin sheet (KHR_materials_transmission without KHR_materials_volume)"};
 }
 
+// In the order of the struct.
+constexpr bool SceneNeeds::*need_fields[] = {&SceneNeeds::specular,
+                                             &SceneNeeds::glossy,
+                                             &SceneNeeds::metallic,
+                                             &SceneNeeds::transmissive,
+                                             &SceneNeeds::rough_transmissive,
+                                             &SceneNeeds::attenuation,
+                                             &SceneNeeds::alpha,
+                                             &SceneNeeds::unlit,
+                                             &SceneNeeds::textures,
+                                             &SceneNeeds::material_textures,
+                                             &SceneNeeds::normal_maps,
+                                             &SceneNeeds::smooth_normals,
+                                             &SceneNeeds::punctual_lights,
+                                             &SceneNeeds::emissive_triangles,
+                                             &SceneNeeds::environment,
+                                             &SceneNeeds::deforming,
+                                             &SceneNeeds::vertex_colors,
+                                             &SceneNeeds::texture_transforms,
+                                             &SceneNeeds::second_uvs,
+                                             &SceneNeeds::two_sided_emitters,
+                                             &SceneNeeds::panes,
+                                             &SceneNeeds::refractive,
+                                             &SceneNeeds::media,
+                                             &SceneNeeds::clearcoat,
+                                             &SceneNeeds::sheen,
+                                             &SceneNeeds::anisotropy,
+                                             &SceneNeeds::iridescence,
+                                             &SceneNeeds::instances,
+                                             &SceneNeeds::diffuse_transmission};
+
 std::uint32_t SceneNeeds::bits() const {
-  const bool fields[] = {specular,
-                         glossy,
-                         metallic,
-                         transmissive,
-                         rough_transmissive,
-                         attenuation,
-                         alpha,
-                         unlit,
-                         textures,
-                         material_textures,
-                         normal_maps,
-                         smooth_normals,
-                         punctual_lights,
-                         emissive_triangles,
-                         environment,
-                         deforming,
-                         vertex_colors,
-                         texture_transforms,
-                         second_uvs,
-                         two_sided_emitters,
-                         panes,
-                         refractive,
-                         media,
-                         clearcoat,
-                         sheen,
-                         anisotropy,
-                         iridescence,
-                         instances};
   std::uint32_t bits = 0;
-  for (std::size_t i = 0; i < std::size(fields); ++i) bits |= std::uint32_t(fields[i]) << i;
+  for (std::size_t i = 0; i < std::size(need_fields); ++i) bits |= std::uint32_t(this->*need_fields[i]) << i;
   return bits;
+}
+
+SceneNeeds needs_from_bits(std::uint32_t bits) {
+  SceneNeeds needs;
+  for (std::size_t i = 0; i < std::size(need_fields); ++i) needs.*need_fields[i] = bits >> i & 1;
+  return needs;
 }
 
 const std::vector<std::string>& need_names() {
@@ -214,7 +225,8 @@ const std::vector<std::string>& need_names() {
                                                  "sheen",
                                                  "anisotropy",
                                                  "iridescence",
-                                                 "instances"};
+                                                 "instances",
+                                                 "diffuse_transmission"};
   return names;
 }
 

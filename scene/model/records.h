@@ -38,7 +38,8 @@ namespace gleaner::scene {
 #define GLEANER_MATERIAL_DOUBLE_SIDED 32u  // emits from both faces
 
 // glTF 2.0 metallic-roughness with KHR_materials_{specular,ior,transmission,volume,emissive_strength,unlit,clearcoat,
-// sheen,anisotropy,iridescence}. Textures are indices into the texture records, or GLEANER_NONE. 256 bytes.
+// sheen,anisotropy,iridescence,diffuse_transmission}. Textures are indices into the texture records, or GLEANER_NONE.
+// 256 bytes.
 typedef struct {
   gl_float base_color[3];  // linear, in [0, 1]
   gl_float alpha;          // baseColorFactor[3]
@@ -92,7 +93,11 @@ typedef struct {
   // GLEANER_ALBEDO_ROWS where the roughness has a texture.
   gl_uint clearcoat_table;
   gl_uint sheen_table;
-  gl_uint reserved[8];
+  gl_float diffuse_transmission;  // in [0, 1]: share of the diffuse layer's light that leaves it on the far side
+  gl_float diffuse_transmission_color[3];      // of that light, in [0, 1]
+  gl_uint diffuse_transmission_texture;        // linear, A
+  gl_uint diffuse_transmission_color_texture;  // sRGB
+  gl_uint reserved[2];
 } Material;
 GLEANER_SIZE(Material, 256);
 

@@ -4,10 +4,12 @@
 
 #include <array>
 #include <cstdint>
+#include <cstring>
 #include <string>
 #include <vector>
 
 #include "scene/model/records.h"
+#include "scene/model/rig.h"
 
 namespace gleaner::scene {
 
@@ -63,6 +65,8 @@ struct Scene {
   std::vector<Light> lights;
   std::vector<NamedCamera> cameras;
   Environment environment;
+  // What moves, where anything does: the arrays above show it at rest. A scene with a rig is the base of FrameStates.
+  Rig rig;
   // What the importer wants a person to know. Like `origin`, these do not travel.
   std::vector<std::string> warnings;
   std::string light_units;  // what a file's candela and lux were taken for, and why; empty: it has none
@@ -102,9 +106,10 @@ struct SceneNeeds {
   bool media = false;               // solids that absorb or may lie in one another: paths keep what they are in
   bool clearcoat = false;
   bool sheen = false;
-  bool anisotropy = false;   // specular lobes that are longer one way
-  bool iridescence = false;  // thin films
-  bool instances = false;    // meshes stored once that stand in several places, or move as a whole
+  bool anisotropy = false;            // specular lobes that are longer one way
+  bool iridescence = false;           // thin films
+  bool instances = false;             // meshes stored once that stand in several places, or move as a whole
+  bool diffuse_transmission = false;  // sheets that light shines through (transmissive and rough_transmissive as well)
 
   std::uint32_t bits() const;  // one bit a field, in the order above
 };
@@ -119,6 +124,12 @@ struct Bounds {
   std::array<float, 3> lower{}, upper{};
 };
 Bounds bounds_of(const Scene& scene);
+
+// Whether two arrays of records are the same to the bit.
+template <typename Record>
+bool same_bytes(const std::vector<Record>& a, const std::vector<Record>& b) {
+  return a.size() == b.size() && (a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(Record)) == 0);
+}
 
 // White and rough, of no specular lobe and without textures; alpha 1, cutoff 0.5, ior 1.5.
 Material blank_material();
@@ -136,6 +147,14 @@ void finish_materials(Scene& scene);
 // Throws Error::bad_input naming `file` and the element: non-finite vertices, indices and materials out of range,
 // arrays of the wrong length, too many triangles (2^27) or texels (2^32).
 void validate(const Scene& scene, const std::string& file);
+// The parts of it that ask after what a frame may change: so many vertices; where an instance stands, with the box
+// about its mesh; the lights; the materials, with what their meshes may not be made of.
+void validate_vertices(const Scene& scene, std::size_t first, std::size_t count, const std::string& file);
+void validate_placement(const Scene& scene, std::size_t instance, const Bounds& box, const std::string& file);
+void validate_lights(const Scene& scene, const std::string& file);
+void validate_materials(const Scene& scene, const std::string& file);
+// The part of it that asks after the scene's rig.
+void validate_rig(const Scene& scene, const std::string& file);
 
 // A camera that frames the scene's bounds from the front, for files without one.
 NamedCamera framing_camera(const Scene& scene);

@@ -6,8 +6,10 @@
 #include <cstdint>
 #include <iterator>
 #include <string>
+#include <vector>
 
 #include "scene/model/error.h"
+#include "scene/model/instances.h"
 #include "scene/model/limits.h"
 #include "scene/model/scene.h"
 
@@ -25,13 +27,55 @@ class Checker {
   void run() const {
     geometry();
     meshes();
-    for (std::size_t i = 0; i < scene_.materials.size(); ++i) material(i);
+    instances();
+    materials();
     textures();
-    for (std::size_t i = 0; i < scene_.albedo_tables.size(); ++i)
-      within(scene_.albedo_tables[i], 0, 1, [&] { return item("albedo_tables", i); });
-    for (std::size_t i = 0; i < scene_.lights.size(); ++i) light(i);
+    lights();
     for (std::size_t i = 0; i < scene_.cameras.size(); ++i) camera(i);
     environment();
+    validate_rig(scene_, file_);
+  }
+
+  void vertices(std::size_t first, std::size_t count) const {
+    const Scene& s = scene_;
+    for (std::size_t i = 3 * first; i < 3 * (first + count); ++i) {
+      if (!(std::abs(s.positions[i]) <= kMaxCoordinate))
+        fail(item("positions", i / 3), "finite coordinates of at most " + number(kMaxCoordinate) + " m",
+             number(s.positions[i]));
+    }
+    for (std::size_t i = 3 * first; i < 3 * (first + count); i += 3) {
+      const float* n = &s.normals[i];
+      if (n[0] == 0 && n[1] == 0 && n[2] == 0) continue;
+      unit(n, [&] { return item("normals", i / 3); });
+    }
+  }
+
+  void lights() const {
+    for (std::size_t i = 0; i < scene_.lights.size(); ++i) light(i);
+  }
+
+  void materials() const {
+    for (std::size_t i = 0; i < scene_.materials.size(); ++i) material(i);
+    for (std::size_t i = 0; i < scene_.albedo_tables.size(); ++i)
+      within(scene_.albedo_tables[i], 0, 1, [&] { return item("albedo_tables", i); });
+  }
+
+  // After meshes().
+  void instanced_meshes() const {
+    for (std::size_t m = 0; m < scene_.meshes.size(); ++m)
+      if (scene_.meshes[m].instanced) instanced_mesh(m);
+  }
+
+  // `box`: about the instance's mesh.
+  void place(std::size_t i, const Bounds& box) const {
+    const Instance& instance = scene_.instances[i];
+    if (const auto why = refused_transform(instance.transform))
+      fail(item("instances", i, "transform"), "a finite transform with an inverse of moderate size", *why);
+    const DerivedInstance d = derived(instance.transform, box);
+    for (int c = 0; c < 3; ++c)
+      if (!(d.lower[c] >= -kMaxCoordinate && d.upper[c] <= kMaxCoordinate))
+        fail(item("instances", i, "transform"), "a place within " + number(kMaxCoordinate) + " m",
+             number(static_cast<float>(d.lower[c])) + " to " + number(static_cast<float>(d.upper[c])));
   }
 
  private:
@@ -85,16 +129,7 @@ class Checker {
     if (!s.second_uvs.empty()) length("second_uvs", s.second_uvs.size(), 2 * vertices);
     if (!s.colors.empty()) length("colors", s.colors.size(), 4 * vertices);
     length("triangle_material", s.triangle_material.size(), triangles);
-    for (std::size_t i = 0; i < s.positions.size(); ++i) {
-      if (!(std::abs(s.positions[i]) <= kMaxCoordinate))
-        fail(item("positions", i / 3), "finite coordinates of at most " + number(kMaxCoordinate) + " m",
-             number(s.positions[i]));
-    }
-    for (std::size_t i = 0; i < s.normals.size(); i += 3) {
-      const float* n = &s.normals[i];
-      if (n[0] == 0 && n[1] == 0 && n[2] == 0) continue;
-      unit(n, [&] { return item("normals", i / 3); });
-    }
+    this->vertices(0, vertices);
     for (std::size_t i = 0; i < s.uvs.size(); ++i) finite(s.uvs[i], [&] { return item("uvs", i / 2); });
     for (std::size_t i = 0; i < s.second_uvs.size(); ++i)
       finite(s.second_uvs[i], [&] { return item("second_uvs", i / 2); });
@@ -121,6 +156,38 @@ class Checker {
     if (next != scene_.triangle_count())
       fail("meshes", "ranges that cover " + std::to_string(scene_.triangle_count()) + " triangles",
            std::to_string(next));
+  }
+
+  // After geometry() and meshes().
+  void instances() const {
+    const Scene& s = scene_;
+    if (s.instances.size() > kMaxInstances)
+      fail("instances", "at most " + std::to_string(kMaxInstances), std::to_string(s.instances.size()));
+    std::vector<bool> placed(s.meshes.size());
+    instanced_meshes();
+    const std::vector<Bounds> boxes = boxes_of_instanced(s);
+    for (std::size_t i = 0; i < s.instances.size(); ++i) {
+      const Instance& instance = s.instances[i];
+      if (instance.mesh >= s.meshes.size() || !s.meshes[instance.mesh].instanced)
+        fail(item("instances", i, "mesh"), "an instanced mesh, below " + std::to_string(s.meshes.size()),
+             std::to_string(instance.mesh));
+      placed[instance.mesh] = true;
+      if (std::any_of(instance.reserved, instance.reserved + 3, [](gl_uint word) { return word != 0; }))
+        fail(item("instances", i, "reserved"), "zeros", "other words");
+      place(i, boxes[instance.mesh]);
+    }
+    for (std::size_t m = 0; m < s.meshes.size(); ++m)
+      if (s.meshes[m].instanced && !placed[m]) fail(item("meshes", m), "an instance of it", "none");
+  }
+
+  void instanced_mesh(std::size_t m) const {
+    const Mesh& mesh = scene_.meshes[m];
+    if (mesh.deforming) fail(item("meshes", m), "a mesh that is instanced or deforms", "one that does both");
+    if (mesh.triangle_count == 0) fail(item("meshes", m), "triangles, being instanced", "none");
+    for (std::size_t t = mesh.first_triangle; t < std::size_t{mesh.first_triangle} + mesh.triangle_count; ++t)
+      if (!may_be_instanced(scene_.materials[scene_.triangle_material[t]]))
+        fail(item("meshes", m), "materials that neither emit nor bound a solid that light passes, being instanced",
+             item("materials", scene_.triangle_material[t]));
   }
 
   void material(std::size_t i) const {
@@ -168,7 +235,7 @@ class Checker {
            std::to_string(end));
   }
 
-  // Coat, sheen, grain and film.
+  // Coat, sheen, grain, film, and what shines through.
   void layers(const Material& m, std::size_t i) const {
     const auto named = [&](const char* field) { return [i, field] { return item("materials", i, field); }; };
     within(m.clearcoat, 0, 1, named("clearcoat"));
@@ -183,6 +250,10 @@ class Checker {
       fail(item("materials", i, "iridescence_ior"), "at least 1", number(m.iridescence_ior));
     not_negative(m.iridescence_minimum, named("iridescence_minimum"));
     not_negative(m.iridescence_maximum, named("iridescence_maximum"));
+    within(m.diffuse_transmission, 0, 1, named("diffuse_transmission"));
+    for (const float c : m.diffuse_transmission_color) within(c, 0, 1, named("diffuse_transmission_color"));
+    texture_of(m.diffuse_transmission_texture, i, "diffuse_transmission_texture");
+    texture_of(m.diffuse_transmission_color_texture, i, "diffuse_transmission_color_texture");
     texture_of(m.clearcoat_texture, i, "clearcoat_texture");
     texture_of(m.clearcoat_roughness_texture, i, "clearcoat_roughness_texture");
     texture_of(m.clearcoat_normal_texture, i, "clearcoat_normal_texture");
@@ -295,5 +366,21 @@ class Checker {
 }  // namespace
 
 void validate(const Scene& scene, const std::string& file) { Checker(scene, file).run(); }
+
+void validate_vertices(const Scene& scene, std::size_t first, std::size_t count, const std::string& file) {
+  Checker(scene, file).vertices(first, count);
+}
+
+void validate_placement(const Scene& scene, std::size_t instance, const Bounds& box, const std::string& file) {
+  Checker(scene, file).place(instance, box);
+}
+
+void validate_lights(const Scene& scene, const std::string& file) { Checker(scene, file).lights(); }
+
+void validate_materials(const Scene& scene, const std::string& file) {
+  const Checker checker(scene, file);
+  checker.materials();
+  checker.instanced_meshes();
+}
 
 }  // namespace gleaner::scene

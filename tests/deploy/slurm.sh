@@ -24,7 +24,7 @@ is_connected() { (($(connected "$1") == 1)); }
 is_gone() { (($(connected "$1") == 0)); }
 restarts() { scontrol show job "${array}_$1" | sed -n 's/.*Restarts=\([0-9]*\).*/\1/p'; }
 has_restarted() { (($(restarts "$1") == 1)); }
-has_begun() { gleaner show "$1" --json | grep -q '"items_done":[1-9]'; }
+has_begun() { gleaner show "$1" --json | grep '"items_done":[1-9]' >/dev/null; }
 submit_workers() { # submit_workers OPTIONS...: the array's number
   sbatch --parsable --job-name="gleaner-test-$$" --cpus-per-task=1 --mem=400M --time=30 --output="$place/%a.log" \
     --export="ALL,GLEANER_BIN=$programs" "$@" "$root/deploy/slurm/workers.sbatch"
@@ -49,7 +49,7 @@ step "task 1 is told to go"
 scancel --batch --signal=TERM "${array}_1"
 until_true 60 "task 1 is gone" is_gone 1 || true
 grep -q 'leaving when the batch that runs is done' "$place/1.log" || fail "task 1 did not drain: $(tail -n 3 "$place/1.log")"
-until_true 30 "task 1 has ended" eval "! squeue -h -j ${array}_1 2>/dev/null | grep -q ." || true
+until_true 30 "task 1 has ended" eval "! squeue -h -j ${array}_1 2>/dev/null | grep . >/dev/null" || true
 
 step "task 2 comes to the end of its time"
 # As Slurm does before the limit; that Slurm does it at that time is Slurm's own affair.
@@ -58,7 +58,7 @@ until_true 60 "task 2 is gone" is_gone 2 || true
 until_true 30 "task 2 is queued anew" has_restarted 2 || true
 grep -q 'is queued anew' "$place/2.log" || fail "task 2 does not say so"
 
-if scontrol show config | grep -q 'PreemptMode *= REQUEUE' && sinfo -h -o %P | grep -q '^urgent'; then
+if scontrol show config | grep 'PreemptMode *= REQUEUE' >/dev/null && sinfo -h -o %P | grep '^urgent' >/dev/null; then
   step "urgent jobs take all nodes"
   nodes=$(sinfo -h -p urgent -o %D)
   sbatch --job-name="gleaner-test-$$" -p urgent -N "$nodes" -n "$nodes" --exclusive --mem=1000M --time=1 --output=/dev/null \

@@ -85,7 +85,7 @@ inline BlockFarmOutcome run_block_farm(const BlockFarmSettings& settings) {
 
   coordinator::JobRequest request;
   request.scene_name = "triangle.glb";
-  request.scenes = {{blobs.put(scene::serialize(small_scene())), {}, {}}};
+  request.scenes = {{blobs.put(scene::serialize(small_scene())), {}, {}, {}}};
   request.settings = fake_settings(static_cast<std::uint32_t>(settings.bytes / block_bytes), 1);
   const std::string job = farm.submit(request);
 

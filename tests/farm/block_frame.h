@@ -61,7 +61,7 @@ inline BlockDigests block_digests(std::uint64_t seed, std::uint64_t blocks) {
 class BlockPlan final : public coordinator::Plan {
  public:
   BlockPlan(coordinator::FrameSettings settings, const coordinator::SceneSummary& scene)
-      : settings_(std::move(settings)), graph_(scene.blob) {}
+      : settings_(std::move(settings)), graph_(scene.lineage) {}
 
   coordinator::Step next(const coordinator::FinishedStage* finished) override {
     if (finished)
@@ -140,6 +140,15 @@ class BlockRunner final : public worker::Runner {
   void load_scene(const std::string& id, std::shared_ptr<const scene::Scene>,
                   std::shared_ptr<const scene::Bvh>) override {
     scenes_.insert(id);
+  }
+  bool holds_base(const std::string& id) const override { return scenes_.contains(id); }
+  void load_base(const std::string& id, std::shared_ptr<const scene::Scene>,
+                 std::shared_ptr<const scene::Bvh>) override {
+    scenes_.insert(id);
+  }
+  worker::MotionReport load_frame(const std::string& id, const std::string&, const scene::FrameState&) override {
+    scenes_.insert(id);
+    return {};
   }
 
   worker::BatchResult run(const worker::StageTask& task, std::uint64_t first, std::uint64_t count) override {

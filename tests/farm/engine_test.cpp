@@ -473,17 +473,6 @@ TEST_F(FarmEngine, ATimeLimitEndsTheFrameWithWhatThereIs) {
   EXPECT_EQ(report(farm, job)["time_limit"]["reached"], false);
 }
 
-// Offers of a whole stage, which the worker holds without answering.
-std::vector<Offered> all_of(ScriptedWorker& worker, const std::string& stage, std::size_t batches) {
-  std::vector<Offered> offers;
-  while (offers.size() < batches) {
-    auto offer = worker.next();
-    if (!offer || offer->work->stage != stage) break;
-    offers.push_back(*offer);
-  }
-  return offers;
-}
-
 TEST_F(FarmEngine, StreamedRecordsReachThePlanInItemOrderWhateverOrderTheyArriveIn) {
   FarmSettings many = settings(128);
   many.scheduler.in_flight = 16;
@@ -710,6 +699,69 @@ TEST_F(FarmEngine, NonFiniteItemsAreNamed) {
   EXPECT_EQ(json["nonfinite"], 3);
   EXPECT_EQ(json["nonfinite_items"][0]["item"], offer->lease.first + 1);
   EXPECT_EQ(json["nonfinite_items"][0]["stage"], "scatter");
+}
+
+// They say that they live, and take what there is.
+TEST_F(FarmEngine, FourMuteWorkersHoldNobodyUp) {
+  FarmSettings farm_settings = settings(0);
+  farm_settings.scheduler.lease_floor = 30;
+  farm_settings.recheck_share = 0.02;
+  Farm farm(farm_settings, blobs_);
+  std::vector<std::unique_ptr<ScriptedWorker>> mute;
+  for (int i = 0; i < 4; ++i) {
+    mute.push_back(std::make_unique<ScriptedWorker>());
+    mute.back()->join(farm, "mute-" + std::to_string(i));
+  }
+  JobRequest frame = request();
+  frame.settings.set["solo"] = "";
+  const auto begun = std::chrono::steady_clock::now();
+  const std::string job = farm.submit(frame);
+  for (const auto& worker : mute) worker->next(0.2);
+  ScriptedWorker ada;
+  ada.join(farm, "ada");
+  serve(farm, ada, job);
+  EXPECT_EQ(farm.status(job)->state, JobState::done);
+  EXPECT_LT(std::chrono::duration<double>(std::chrono::steady_clock::now() - begun).count(), 12);
+  EXPECT_EQ(report(farm, job)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+}
+
+TEST_F(FarmEngine, WhyNamesWhoIsWaitedForAndWhatGoesFirst) {
+  Farm farm(settings(2048), blobs_);
+  ScriptedWorker mute;
+  mute.join(farm, "eve");
+  const std::string job = farm.submit(request());
+  ASSERT_TRUE(mute.next());  // of this job, before the other one has any
+  JobRequest other = request();
+  other.settings.seed += 1;
+  const std::string later = farm.submit(other);
+  ASSERT_TRUE(mute.next());
+  other.settings.seed += 1;
+  ASSERT_TRUE(eventually([&] { return !farm.status(later)->stages.empty(); }));
+  std::string words;
+  ASSERT_TRUE(eventually(
+      [&] {
+        words.clear();
+        const auto reasons = farm.why(job);
+        for (const std::string& line : *reasons) words += line;
+        return !words.empty();
+      },
+      20));
+  EXPECT_THAT(words, HasSubstr("stage scatter: worker eve has not answered its batch"));
+}
+
+TEST_F(FarmEngine, AFrameWhoseExrCannotBeWrittenLeavesNoPng) {
+  FarmSettings farm_settings = settings();
+  const std::filesystem::path exr = folder_.path() / "in_the_way.exr", png = folder_.path() / "frame.png";
+  std::filesystem::create_directory(exr);
+  farm_settings.paths = [&](const std::string&, std::uint32_t) { return FramePaths{exr, png, {}}; };
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  const std::string job = farm.submit(request());
+  serve(farm, worker, job);
+  EXPECT_EQ(farm.status(job)->state, JobState::failed);
+  EXPECT_THAT(farm.status(job)->message, HasSubstr("in_the_way.exr"));
+  EXPECT_FALSE(std::filesystem::exists(png));
 }
 
 }  // namespace

@@ -98,7 +98,7 @@ inline std::string fake_chain_sha256(const coordinator::FrameSettings& settings)
 class FakeChainPlan final : public coordinator::Plan {
  public:
   FakeChainPlan(coordinator::FrameSettings settings, const coordinator::SceneSummary& scene)
-      : settings_(std::move(settings)), graph_(scene.blob) {}
+      : settings_(std::move(settings)), graph_(scene.lineage) {}
 
   coordinator::Step next(const coordinator::FinishedStage* finished) override {
     if (finished)

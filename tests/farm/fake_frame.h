@@ -111,7 +111,8 @@ class FakePlan final : public coordinator::Plan {
                              .inputs = {{"hashes", id}},
                              .output = {.record_bytes = 4,
                                         .placement = settings_.set.count("stream") ? coordinator::Placement::stream
-                                                                                   : coordinator::Placement::collect}});
+                                                                                   : coordinator::Placement::collect,
+                                        .floats = true}});
       if (settings_.set.count("release")) step.released.push_back("unread");
     } else {
       if (taken_ == 0) {

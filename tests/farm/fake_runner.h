@@ -62,6 +62,15 @@ class FakeRunner final : public worker::Runner {
     scenes_.insert(id);
     ++stage_.scenes_loaded;
   }
+  bool holds_base(const std::string& id) const override { return scenes_.count(id) != 0; }
+  void load_base(const std::string& id, std::shared_ptr<const scene::Scene> scene,
+                 std::shared_ptr<const scene::Bvh> bvh) override {
+    load_scene(id, std::move(scene), std::move(bvh));
+  }
+  worker::MotionReport load_frame(const std::string& id, const std::string&, const scene::FrameState&) override {
+    scenes_.insert(id);
+    return {};
+  }
   worker::BatchResult run(const worker::StageTask& task, std::uint64_t first, std::uint64_t count) override {
     ++stage_.batches;
     stage_.pass(task.kind);

@@ -4,6 +4,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <set>
+
 #include "tests/farm/processes.h"
 
 namespace gleaner::test {
@@ -80,7 +82,7 @@ class AnyMethod : public Farm, public testing::WithParamInterface<const char*> {
   void SetUp() override { method_ = GetParam(); }
   void TearDown() override { method_ = "path"; }
 };
-INSTANTIATE_TEST_SUITE_P(Farm, AnyMethod, testing::Values("path", "vpl"),
+INSTANTIATE_TEST_SUITE_P(Farm, AnyMethod, testing::Values("path", "vpl", "photon", "splat"),
                          [](const auto& test) { return std::string(test.param); });
 
 TEST_P(AnyMethod, SameBitsForAnyWorkersAndAnyBatches) {
@@ -133,6 +135,45 @@ TEST_P(AnyMethod, AKilledWorkerCostsNoPixel) {
     EXPECT_TRUE(farm.wait_for_workers(2));
     return false;
   });
+}
+
+// Frames of a scene that moves: whoever renders them, and whoever dies between two of them.
+TEST_P(AnyMethod, AKilledWorkerCostsNoPixelOfTheFramesToCome) {
+  const std::string moving = (folder("cloth.glb")).string();
+  const Ran made = run({"scene", "waving-cloth", "-o", moving, "--set", "cells=12"});
+  ASSERT_EQ(made.status, 0) << made.err;
+  const std::vector<std::string> words = {moving,  "--frames", "1-6",    "--fps", "8",        "--size",  "80x60",
+                                          "--spp", "64",       "--seed", "7",     "--method", GetParam()};
+  std::vector<std::string> alone = words;
+  alone.insert(alone.begin(), "render");
+  for (const std::string word : {"-o", "cloth.exr", "--report", "cloth.json", "--workers", "1"})
+    alone.push_back(word.find('.') == std::string::npos ? word : folder(word).string());
+  const Ran rendered = run(alone);
+  ASSERT_EQ(rendered.status, 0) << rendered.err;
+  const auto frame_name = [](const char* stem, int number) {
+    return std::string(stem) + "_000" + std::to_string(number) + ".json";
+  };
+
+  ProcessFarm farm(folder("farm"), programs, {"--batch-items", "256"});
+  farm.add_worker("survivor");
+  Process& victim = farm.add_worker("victim");
+  ASSERT_TRUE(farm.wait_for_workers(2));
+  const std::string job = farm.submit(words);
+  ASSERT_TRUE(eventually([&] { return farm.job(job).frames_done() >= 2 || farm.ended(job); }, 120));
+  victim.signal(SIGKILL);
+  EXPECT_EQ(victim.wait(), 128 + SIGKILL);
+  EXPECT_FALSE(farm.ended(job)) << "INCONCLUSIVE: all frames were done";
+  farm.finish(job);
+  std::set<std::string> different;
+  for (int number = 1; number <= 6; ++number) {
+    const json expected = json::parse(read_text(folder(frame_name("cloth", number))));
+    const json report = json::parse(read_text(farm.fetched(job) / frame_name("frame", number)));
+    EXPECT_EQ(report["pixels_sha256"], expected["pixels_sha256"]) << "frame " << number;
+    different.insert(report["pixels_sha256"]);
+    ASSERT_TRUE(expected.contains("motion")) << "frame " << number;
+    EXPECT_EQ(expected["motion"][0]["load_seconds"] > 0, number == 1);
+  }
+  EXPECT_EQ(different.size(), 6u) << "the cloth does not move";
 }
 
 // A second picture of a camera trajectory begins with the first one's lights, and says so.
@@ -204,6 +245,22 @@ TEST_F(Farm, CancelEndsAJobAndTheFarmGoesOn) {
   EXPECT_EQ(farm.finish(farm.submit(frame(8)))["pixels_sha256"], embedded_sha256(8));
 }
 
+// A batch that would take minutes is given up within a second.
+TEST_F(Farm, CancelStopsTheKernel) {
+  ProcessFarm farm(folder("farm"), programs, {"--batch-items", "10000000"});
+  farm.add_worker("w");
+  ASSERT_TRUE(farm.wait_for_workers(1));
+  farm.finish(farm.submit(frame(8)));  // compiles
+  const std::string job = farm.submit({scene().string(), "--size", "640x480", "--spp", "4096", "--method", method_});
+  ASSERT_TRUE(eventually([&] { return farm.workers().front().leases() > 0; }));
+  std::this_thread::sleep_for(std::chrono::seconds(2));
+  EXPECT_EQ(farm.items_done(job), 0u);
+  const auto begun = std::chrono::steady_clock::now();
+  EXPECT_EQ(farm.gleaner({"cancel", job}).status, 0);
+  farm.finish(farm.submit(frame(4)));
+  EXPECT_LT(std::chrono::duration<double>(std::chrono::steady_clock::now() - begun).count(), 15);
+}
+
 TEST_F(Farm, TwoJobsAtOnce) {
   ProcessFarm farm(folder("farm"), programs);
   farm.add_worker("a");
@@ -265,6 +322,75 @@ TEST_F(Farm, SubmitWatchFetchAndTheirFiles) {
   EXPECT_EQ(workers[0]["worker"], "w");
 }
 
+TEST_F(Farm, OneRequestIsOneJobAndItsFramesAreAList) {
+  ProcessFarm farm(folder("farm"), programs);
+  const std::vector<std::string> words = {
+      "submit", scene().string(),        "--size",     "40x30", "--spp",        "4",     "--frames", "9,3-4,3",
+      "--name", "n\u00e4chtlich, \"7\"", "--priority", "3",     "--request-id", "shot 7"};
+  Ran first = farm.gleaner(words);
+  ASSERT_EQ(first.status, 0) << first.err;
+  const std::string job = first.out.substr(0, first.out.size() - 1);
+  EXPECT_EQ(farm.gleaner(words).out, first.out);
+  std::vector<std::string> other = words;
+  other[5] = "8";
+  Ran refused = farm.gleaner(other);
+  EXPECT_EQ(refused.status, 3);
+  EXPECT_THAT(refused.err, HasSubstr("shot 7"));
+  ASSERT_EQ(farm.gleaner({"pause", job}).status, 0);
+  farm.restart();
+  EXPECT_EQ(farm.gleaner(words).out, first.out);
+  EXPECT_THAT(farm.gleaner({"list"}).out, testing::AllOf(HasSubstr("paused"), HasSubstr("n\u00e4chtlich")));
+  farm.add_worker("w");
+  Ran early = farm.gleaner({"submit", scene().string(), "--after", "no-such-job"});
+  EXPECT_EQ(early.status, 3);
+  ASSERT_EQ(farm.gleaner({"resume", job}).status, 0);
+  EXPECT_EQ(farm.gleaner({"watch", job, "--quiet"}).status, 0);
+  EXPECT_EQ(farm.show(job)["written"], json::parse("[[3, 4], [9, 9]]"));
+  EXPECT_EQ(farm.gleaner({"pause", job}).status, 1) << "it is done";
+  EXPECT_EQ(farm.gleaner({"retry", job}).status, 3);
+  const std::string csv = farm.gleaner({"list", "--csv"}).out;
+  EXPECT_THAT(csv, testing::StartsWith("job,name,state,"));
+  EXPECT_THAT(csv, HasSubstr(job + ",\"n\u00e4chtlich, \"\"7\"\"\",done,3,\"box.glb\",path,40,30,3,3,0,20"));
+  EXPECT_THAT(csv, testing::Not(HasSubstr(",0.000,0\r\n"))) << "it cost something";
+}
+
+TEST_F(Farm, SubmitWaitsAndFetchesAndOverwritesNothing) {
+  ProcessFarm farm(folder("farm"), programs);
+  farm.add_worker("w");
+  const std::string out = folder("out").string();
+  const std::vector<std::string> words = {"submit", scene().string(), "--size",  "40x30",  "--spp",
+                                          "4",      "--frames",       "2",       "--wait", "-o",
+                                          out,      "--pattern",      "shot.###"};
+  Ran done = farm.gleaner(words);
+  ASSERT_EQ(done.status, 0) << done.err;
+  const std::string job = done.out.substr(0, done.out.size() - 1);
+  for (const char* name : {"shot.002.exr", "shot.002.png", "shot.002.json"})
+    EXPECT_TRUE(fs::exists(folder("out") / name));
+  const auto written = fs::last_write_time(folder("out/shot.002.exr"));
+  Ran again = farm.gleaner(words);
+  EXPECT_EQ(again.status, 1);
+  EXPECT_THAT(again.err, testing::AllOf(HasSubstr("shot.002.exr"), HasSubstr("--force")));
+  EXPECT_EQ(again.out, "") << "nothing is rendered that could not be fetched";
+  std::vector<std::string> fetch = {"fetch", job, "-o", out, "--pattern", "shot.###"};
+  EXPECT_EQ(farm.gleaner(fetch).status, 1);
+  fetch.push_back("--new");
+  EXPECT_EQ(farm.gleaner(fetch).status, 0);
+  EXPECT_EQ(fs::last_write_time(folder("out/shot.002.exr")), written);
+  fetch.back() = "--force";
+  EXPECT_EQ(farm.gleaner(fetch).status, 0);
+  EXPECT_NE(fs::last_write_time(folder("out/shot.002.exr")), written);
+  EXPECT_EQ(farm.gleaner({"fetch", job, "-o", out, "--pattern", "shot"}).status, 2);
+}
+
+TEST_F(Farm, DrainSendsAWorkerHome) {
+  ProcessFarm farm(folder("farm"), programs);
+  Process& worker = farm.add_worker("w");
+  ASSERT_TRUE(farm.wait_for_workers(1));
+  EXPECT_EQ(farm.gleaner({"drain", "v"}).status, 3);
+  EXPECT_EQ(farm.gleaner({"drain", "w"}).status, 0);
+  EXPECT_EQ(worker.wait(), 0);
+}
+
 TEST_F(Farm, AJobThatCannotWriteFailsAndTheCoordinatorLives) {
   ProcessFarm farm(folder("farm"), programs);
   farm.add_worker("w");
@@ -295,6 +421,10 @@ TEST_F(Farm, StatusesAndWordsOfErrors) {
       {{"render", box, "-o", out, "--size", "0x10"}, 2, {"--size", "0x10"}},
       {{"render", box, "-o", out, "--spp", "0"}, 2, {"--spp"}},
       {{"render", box, "-o", out, "--frames", "5-2"}, 2, {"--frames", "5-2"}},
+      {{"render", box, "-o", out, "--frames", "1,,3"}, 2, {"--frames", "1,,3"}},
+      {{"render", box, "-o", out, "--frames", "1,2-4x0"}, 2, {"--frames"}},
+      {{"render", box, "-o", out, "--frames", "7,0-4294967295,0-4294967295"}, 2, {"--frames", "100000"}},
+      {{"submit", box, "-o", out}, 2, {"--wait"}},
       {{"render", box, "-o", out, "--frames", "0-4294967294"}, 2, {"--frames", "100000"}},
       {{"render", box, "-o", out, "--frames", "1-4294967295", "--look-at", "0,1,5,0,1,0", "--look-at", "0,1,6,0,1,0"},
        2,
@@ -429,6 +559,44 @@ TEST_F(Farm, OtherMachinesAreLetInOnlyWhereTheUserSaysSo) {
   EXPECT_EQ(open.wait(), 0);
   EXPECT_EQ(Process({coordinator, "--check", address}, folder("check")).wait(), 4);
   EXPECT_EQ(Process({coordinator}, folder("no-data")).wait(), 2);
+}
+
+// With keys that `gleaner keys` made, on all of this machine's addresses; workers fetch from each other by them too.
+TEST_F(Farm, KeysMakeAFarmOfEncryptedConnections) {
+  const std::string authority = folder("authority").string(), all = folder("all").string();
+  ASSERT_EQ(run({"keys", "init", authority}).status, 0);
+  ASSERT_EQ(
+      run({"keys", "issue", authority, "all", "-o", all, "--role", "coordinate", "--role", "work", "--role", "submit"})
+          .status,
+      0);
+  EXPECT_THAT(run({"keys", "list", authority}).out, HasSubstr("coordinate,work,submit"));
+  EXPECT_EQ(run({"keys", "issue", authority, "king", "--role", "king"}).status, 2);
+  EXPECT_EQ(run({"keys", "issue", folder("nowhere").string(), "anna", "--role", "submit"}).status, 3);
+
+  ::setenv("GLEANER_KEYS", all.c_str(), 1);
+  method_ = "vpl";
+  {
+    ProcessFarm farm(folder("farm"), programs);
+    farm.add_worker("w0");
+    farm.add_worker("w1");
+    const json report = farm.finish(farm.submit(frame(16)));
+    EXPECT_EQ(report["pixels_sha256"], embedded_sha256(16));
+    EXPECT_THAT(farm.gleaner({"workers"}).out, HasSubstr("w1"));
+    ::unsetenv("GLEANER_KEYS");
+    const Ran stranger = farm.gleaner({"list"});
+    EXPECT_EQ(stranger.status, 4);
+    EXPECT_THAT(stranger.err, HasSubstr("--keys"));
+    EXPECT_EQ(farm.gleaner({"list", "--keys", all}).status, 0);
+    const Ran none = farm.gleaner({"list", "--keys", folder("nowhere").string()});
+    EXPECT_EQ(none.status, 3);
+    EXPECT_THAT(none.err, HasSubstr("authority.crt"));
+  }
+  ::unsetenv("GLEANER_KEYS");
+  method_ = "path";
+  Process open({(programs / "gleaner-coordinator").string(), "--listen", "0.0.0.0:0", "--data", folder("open").string(),
+                "--keys", authority + "/coordinator"},
+               folder("open-log"));
+  EXPECT_TRUE(eventually([&] { return open.out().find('\n') != std::string::npos; }, 20)) << open.err();
 }
 
 TEST_F(Farm, ATimeLimitIsKeptAndSaid) {

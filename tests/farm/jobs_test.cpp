@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <system_error>
+
 #include "coordinator/jobs/kept_records.h"
 #include "tests/farm/scripted_farm.h"
 
@@ -198,6 +200,19 @@ TEST_F(FarmJobs, AFrameThatNeedsMoreMemoryThanThereIsIsRefused) {
   EXPECT_TRUE(farm.list().empty());
 }
 
+TEST_F(FarmJobs, AFrameThatMovesHoldsItsSceneToo) {
+  FarmSettings farm_settings = settings();
+  farm_settings.check = [](const FrameSettings&, const SceneSummary&) { return std::uint64_t{100}; };
+  farm_settings.memory_bytes = 1000;
+  Farm farm(farm_settings, blobs_);
+  JobRequest still = request();
+  still.scenes.front().scene_blob = blobs_.put(scene::Bytes(800));
+  JobRequest moving = still;
+  moving.scenes.front().state_blob = blobs_.put(scene::Bytes(10));
+  EXPECT_THROW(farm.submit(moving), Error) << "the base, and a copy of it";
+  EXPECT_NO_THROW(farm.cancel(farm.submit(still)));
+}
+
 TEST_F(FarmJobs, AJobWaitsForTheMemoryOfThoseThatRun) {
   FarmSettings farm_settings = settings();
   farm_settings.active_jobs = 2;
@@ -337,6 +352,89 @@ TEST_F(FarmJobs, WhateverAPlanThrowsFailsItsJobAlone) {
     // The third one's message is that its picture is white from end to end.
     EXPECT_NE(status.message, "");
   }
+}
+
+TEST_F(FarmJobs, HigherPrioritiesComeFirst) {
+  FarmSettings one = settings();
+  one.active_jobs = 1;
+  Farm farm(one, blobs_);
+  JobRequest low = request(), high = request();
+  low.priority = -1;
+  high.priority = 1;
+  const std::string first = farm.submit(request()), last = farm.submit(low), usual = farm.submit(request()),
+                    urgent = farm.submit(high);
+  farm.cancel(first);
+  end_of(farm, first);
+  EXPECT_EQ(farm.status(urgent)->state, JobState::running);
+  farm.cancel(urgent);
+  end_of(farm, urgent);
+  EXPECT_EQ(farm.status(usual)->state, JobState::running);
+  EXPECT_EQ(farm.status(last)->state, JobState::queued);
+  high.priority = 1001;
+  EXPECT_THROW(farm.submit(high), Error);
+}
+
+// Of two jobs that run, the later one is served first where its priority is higher.
+TEST_F(FarmJobs, WorkersServeTheHigherPriorityOfTwoThatRun) {
+  Farm farm(settings(), blobs_);
+  JobRequest high = request();
+  high.priority = 1;
+  high.settings.seed += 1;
+  const std::string usual = farm.submit(request()), urgent = farm.submit(high);
+  ASSERT_TRUE(eventually([&] { return !farm.status(usual)->stages.empty() && !farm.status(urgent)->stages.empty(); }));
+  ScriptedWorker worker;
+  worker.join(farm);
+  auto offer = worker.next();
+  ASSERT_TRUE(offer);
+  EXPECT_EQ(offer->work->job, urgent);
+}
+
+TEST_F(FarmJobs, APausedJobHandsOutNothingAndLetsOthersRun) {
+  FarmSettings one = settings();
+  one.active_jobs = 1;
+  Farm farm(one, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  JobRequest other = request();
+  other.settings.seed += 1;
+  const std::string paused = farm.submit(request()), next = farm.submit(other);
+  auto offer = worker.next();
+  ASSERT_TRUE(offer);
+  ASSERT_TRUE(farm.pause(paused, true));
+  EXPECT_EQ(farm.status(next)->state, JobState::running);
+  EXPECT_EQ(worker.deliver(*offer, worker.compute(*offer, blobs_)), Verdict::accepted) << "what is out may finish";
+  serve(farm, worker, next);
+  EXPECT_EQ(farm.status(paused)->state, JobState::running);
+  farm.pause(paused, false);
+  serve(farm, worker, paused);
+  EXPECT_EQ(end_of(farm, paused).state, JobState::done);
+  EXPECT_EQ(report(farm, paused)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+}
+
+TEST_F(FarmJobs, AJobAfterOneThatIsNotThereIsRefused) {
+  Farm farm(settings(), blobs_);
+  JobRequest lost = request();
+  lost.after = {"nobody"};
+  EXPECT_THROW(farm.submit(lost), Error);
+  lost.after = {};
+  lost.numbers = {3, 3};
+  EXPECT_THROW(farm.submit(lost), Error) << "a frame twice";
+}
+
+TEST_F(FarmJobs, AThreadThatCannotStartIsWaitedFor) {
+  FarmSettings farm_settings = settings();
+  std::atomic<int> refused{2};
+  farm_settings.start_thread = [&](std::function<void()> what) {
+    if (refused-- > 0) throw std::system_error(std::make_error_code(std::errc::resource_unavailable_try_again));
+    return std::thread(std::move(what));
+  };
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  const std::string job = farm.submit(request());
+  EXPECT_EQ(farm.status(job)->state, JobState::queued);
+  serve(farm, worker, job);
+  EXPECT_EQ(end_of(farm, job).state, JobState::done) << end_of(farm, job).message;
 }
 
 }  // namespace

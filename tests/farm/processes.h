@@ -103,22 +103,19 @@ struct Ran {
 class ProcessFarm {
  public:
   ProcessFarm(std::filesystem::path folder, std::filesystem::path programs,
-              const std::vector<std::string>& coordinator_words = {})
-      : folder_(std::move(folder)), programs_(std::move(programs)) {
+              std::vector<std::string> coordinator_words = {})
+      : folder_(std::move(folder)), programs_(std::move(programs)), words_(std::move(coordinator_words)) {
     std::filesystem::create_directories(folder_);
-    std::vector<std::string> words = {(programs_ / "gleaner-coordinator").string(), "--listen", "127.0.0.1:0", "--data",
-                                      (folder_ / "data").string()};
-    words.insert(words.end(), coordinator_words.begin(), coordinator_words.end());
-    coordinator_ = std::make_unique<Process>(words, folder_ / "coordinator");
-    if (!eventually([&] { return coordinator_->out().find('\n') != std::string::npos || !coordinator_->running(); }) ||
-        !coordinator_->running())
-      throw Error::failed("the coordinator does not start: " + coordinator_->err());
-    address_ = coordinator_->out();
-    address_.erase(address_.find('\n'));
-    stub_ = v1::Farm::NewStub(grpc::CreateChannel(address_, grpc::InsecureChannelCredentials()));
+    start("127.0.0.1:0");
   }
 
   const std::string& address() const { return address_; }
+  // Ends the coordinator by the signal; another one begins at its address, on its data.
+  void restart(int signal = SIGKILL) {
+    coordinator_->signal(signal);
+    coordinator_->wait();
+    start(address_);
+  }
   Process& coordinator() { return *coordinator_; }
   std::filesystem::path data() const { return folder_ / "data"; }
 
@@ -129,15 +126,18 @@ class ProcessFarm {
                                   folder_ / name, std::map<std::string, std::string>{{"POCL_MAX_PTHREAD_COUNT", "1"}});
     return *workers_[name];
   }
-  // Runs `gleaner WORDS...` against this farm.
-  Ran gleaner(std::vector<std::string> words) {
+  // Starts `gleaner WORDS...` against this farm.
+  std::unique_ptr<Process> begin_gleaner(std::vector<std::string> words) {
     words.insert(words.begin(), (programs_ / "gleaner").string());
-    Process process(words, folder_ / (std::string("gleaner").append(std::to_string(calls_++))),
-                    {{"GLEANER_COORDINATOR", address_}});
+    return std::make_unique<Process>(words, folder_ / (std::string("gleaner").append(std::to_string(calls_++))),
+                                     std::map<std::string, std::string>{{"GLEANER_COORDINATOR", address_}});
+  }
+  Ran gleaner(const std::vector<std::string>& words) {
+    const auto process = begin_gleaner(words);
     Ran ran;
-    ran.status = process.wait();
-    ran.out = process.out();
-    ran.err = process.err();
+    ran.status = process->wait();
+    ran.out = process->out();
+    ran.err = process->err();
     return ran;
   }
 
@@ -181,18 +181,37 @@ class ProcessFarm {
     return eventually([&] { return workers().size() == count; }, 120);
   }
 
-  // Waits for the job's end and fetches its report.
+  // Where finish() puts a job's files.
+  std::filesystem::path fetched(const std::string& job) const { return folder_ / (std::string("fetched-") + job); }
+  // Waits for the job's end and fetches its files; returns the first frame's report.
   nlohmann::json finish(const std::string& job) {
     Ran watched = gleaner({"watch", job, "--quiet"});
     if (watched.status != 0) throw Error::failed("job " + job + ": " + watched.err);
-    std::filesystem::path into = folder_ / (std::string("fetched-") + job);
-    Ran fetched = gleaner({"fetch", job, "-o", into.string()});
-    if (fetched.status != 0) throw Error::failed("fetch " + job + ": " + fetched.err);
+    const std::filesystem::path into = fetched(job);
+    const Ran ran = gleaner({"fetch", job, "-o", into.string(), "--force"});
+    if (ran.status != 0) throw Error::failed("fetch " + job + ": " + ran.err);
     return nlohmann::json::parse(read_text(into / "frame_0001.json"));
   }
 
  private:
+  void start(const std::string& listen) {
+    std::vector<std::string> words = {(programs_ / "gleaner-coordinator").string(), "--listen", listen, "--data",
+                                      (folder_ / "data").string()};
+    words.insert(words.end(), words_.begin(), words_.end());
+    coordinator_ = std::make_unique<Process>(
+        words, folder_ / std::string("coordinator").append(starts_ == 0 ? "" : std::to_string(starts_)));
+    ++starts_;
+    if (!eventually([&] { return coordinator_->out().find('\n') != std::string::npos || !coordinator_->running(); }) ||
+        !coordinator_->running())
+      throw Error::failed("the coordinator does not start: " + coordinator_->err());
+    address_ = coordinator_->out();
+    address_.erase(address_.find('\n'));
+    stub_ = v1::Farm::NewStub(grpc::CreateChannel(address_, grpc::InsecureChannelCredentials()));
+  }
+
   std::filesystem::path folder_, programs_;
+  std::vector<std::string> words_;
+  unsigned starts_ = 0;
   std::unique_ptr<Process> coordinator_;
   std::string address_;
   std::unique_ptr<v1::Farm::Stub> stub_;

@@ -133,7 +133,7 @@ class FarmRetained : public testing::Test {
   JobRequest request(std::map<std::string, std::string> set = {}) {
     JobRequest job;
     job.scene_name = "fake.glb";
-    job.scenes = {{blobs_.put(bytes_of(std::vector<int>{1, 2, 3})), {}, {}}};
+    job.scenes = {{blobs_.put(bytes_of(std::vector<int>{1, 2, 3})), {}, {}, {}}};
     job.settings = frame_;
     job.settings.set = std::move(set);
     return job;
@@ -420,7 +420,11 @@ TEST_F(FarmRetained, RecordsThatDifferWhenComputedAgainAreDecidedByAThirdWorker)
     serve(farm, {&eve, &bob}, job);
     expect_right(farm, job);
     EXPECT_THAT(log(), HasSubstr(std::string("worker ") + (first_lied ? "ada" : "bob") + " is quarantined"));
-    EXPECT_EQ(bob.drained, !first_lied);
+    const auto workers = farm.workers();
+    const auto status =
+        std::find_if(workers.begin(), workers.end(), [](const auto& worker) { return worker.id == "bob"; });
+    ASSERT_NE(status, workers.end()) << "it stays connected";
+    EXPECT_EQ(status->aside.empty(), first_lied);
     // Nothing that the liar made counts: what it held is computed again, too.
     std::map<std::string, std::uint64_t> items, of_bob;
     const auto json = report(farm, job);
@@ -684,6 +688,46 @@ TEST_F(FarmRetained, AnotherFrameReadsWhatIsReusable) {
   const std::string third = farm.submit(request({{"reusable", "1"}}));
   serve(farm, {&bob}, third);
   expect_right(farm, third);
+}
+
+// Two frames that ask for the same at the same time; the second one's job may lose the first one's.
+class FarmFollowers : public FarmRetained, public testing::WithParamInterface<const char*> {};
+INSTANTIATE_TEST_SUITE_P(Places, FarmFollowers, testing::Values("collect", "retain"),
+                         [](const auto& place) { return std::string(place.param); });
+
+TEST_P(FarmFollowers, WhatTwoFramesAskForIsMadeOnce) {
+  Farm farm(settings_, blobs_);
+  HoldingWorker worker;
+  worker.join(farm, "worker");
+  const std::string first = farm.submit(request({{"reusable", "1"}, {"place", GetParam()}}));
+  ASSERT_TRUE(serve(worker, "hashes", 1));
+  const std::string second = farm.submit(request({{"reusable", "1"}, {"place", GetParam()}}));
+  ASSERT_TRUE(eventually([&] { return !farm.status(second)->stages.empty(); }));
+  std::map<std::string, int> batches;
+  while (!ended(farm.status(first)->state) || !ended(farm.status(second)->state)) {
+    const std::string stage = worker.work(chain_, 0.05);
+    if (!stage.empty()) ++batches[stage];
+  }
+  const int all = static_cast<int>((chain_.pixels * items_a_pixel + 511) / 512);
+  EXPECT_EQ(batches["hashes"], all - 1);
+  EXPECT_EQ(batches["spread"], all);
+  expect_right(farm, first);
+  expect_right(farm, second);
+  EXPECT_THAT(report(farm, second)["skips"].dump(), HasSubstr("made at the same time for another frame"));
+}
+
+TEST_P(FarmFollowers, WhoFollowsAFrameThatEndsGoesOnAlone) {
+  Farm farm(settings_, blobs_);
+  HoldingWorker worker;
+  worker.join(farm, "worker");
+  const std::string first = farm.submit(request({{"reusable", "1"}, {"place", GetParam()}}));
+  ASSERT_TRUE(serve(worker, "hashes", 1));
+  std::vector<std::string> others;
+  others.push_back(farm.submit(request({{"reusable", "1"}, {"place", GetParam()}})));
+  ASSERT_TRUE(eventually([&] { return !farm.status(others[0])->stages.empty(); }));
+  farm.cancel(first);
+  serve(farm, {&worker}, others[0]);
+  expect_right(farm, others[0]);
 }
 
 TEST_F(FarmRetained, ReusableOutputsStayWithinTheirBound) {

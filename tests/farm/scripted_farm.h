@@ -94,7 +94,7 @@ class FarmEngine : public testing::Test {
   JobRequest request(const FrameSettings& frame = fake_settings()) {
     JobRequest job;
     job.scene_name = "fake.glb";
-    job.scenes = {{blobs_.put(bytes_of(std::vector<int>{1, 2, 3})), {}, {}}};
+    job.scenes = {{blobs_.put(bytes_of(std::vector<int>{1, 2, 3})), {}, {}, {}}};
     job.settings = frame;
     return job;
   }
@@ -114,6 +114,17 @@ class FarmEngine : public testing::Test {
       auto offer = worker.next(0.05);
       if (offer) worker.deliver(*offer, worker.compute(*offer, blobs_));
     }
+  }
+
+  // Offers of a whole stage, which the worker holds without answering.
+  static std::vector<Offered> all_of(ScriptedWorker& worker, const std::string& stage, std::size_t batches) {
+    std::vector<Offered> offers;
+    while (offers.size() < batches) {
+      auto offer = worker.next();
+      if (!offer || offer->work->stage != stage) break;
+      offers.push_back(*offer);
+    }
+    return offers;
   }
 
   nlohmann::json report(Farm& farm, const std::string& job, const std::string& extension = ".json",

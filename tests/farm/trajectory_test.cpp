@@ -11,6 +11,7 @@
 #include "coordinator/plan/trajectory.h"
 #include "scene/bvh/build.h"
 #include "scene/library/library.h"
+#include "scene/model/frame_state.h"
 #include "tests/farm/fake_frame.h"
 
 namespace gleaner::test {
@@ -25,7 +26,7 @@ using testing::StartsWith;
 JobRequest request_of(const scene::Scene& scene) {
   JobRequest request;
   request.scene_name = "box";
-  request.scenes = {{{}, {}, coordinator::summarize(scene)}};
+  request.scenes.emplace_back().summary = coordinator::summarize(scene);
   request.settings.method = "vpl";
   request.settings.width = request.settings.height = 48;
   request.settings.spp = 4;
@@ -131,6 +132,143 @@ TEST(FarmMovingScenes, FramesAreThoseOfTheirScenes) {
     EXPECT_EQ(frames[0]["pixels_sha256"], frames[1]["pixels_sha256"]) << method;
     EXPECT_NE(frames[0]["pixels_sha256"], frames[2]["pixels_sha256"]) << method;
     EXPECT_EQ(render(scenes[2], alone).at(0)["pixels_sha256"], frames[2]["pixels_sha256"]) << method;
+  }
+}
+
+// The box with a mesh that moves: the scene's last triangles, placed by a matrix.
+scene::Scene moving_box() {
+  scene::Scene base = scene::make_scene("cornell-box", {});
+  const scene::Mesh& mesh = base.meshes.back();
+  const std::size_t corners = 3 * std::size_t{mesh.triangle_count};
+  scene::PosedMesh posed{};
+  posed.first_triangle = mesh.first_triangle;
+  posed.triangle_count = mesh.triangle_count;
+  // Vertices of its own, at the end.
+  posed.first_vertex = static_cast<std::uint32_t>(base.vertex_count());
+  posed.vertex_count = static_cast<std::uint32_t>(corners);
+  posed.matrix_count = 1;
+  for (std::size_t i = 0; i < corners; ++i) {
+    std::uint32_t& index = base.indices[3 * std::size_t{mesh.first_triangle} + i];
+    for (std::size_t c = 0; c < 3; ++c) {
+      base.rig.positions.push_back(base.positions[3 * std::size_t{index} + c]);
+      base.rig.normals.push_back(base.normals[3 * std::size_t{index} + c]);
+    }
+    index = posed.first_vertex + static_cast<std::uint32_t>(i);
+  }
+  base.positions.insert(base.positions.end(), base.rig.positions.begin(), base.rig.positions.end());
+  base.normals.insert(base.normals.end(), base.rig.normals.begin(), base.rig.normals.end());
+  if (!base.uvs.empty()) base.uvs.resize(2 * base.vertex_count());
+  if (!base.second_uvs.empty()) base.second_uvs.resize(2 * base.vertex_count());
+  if (!base.colors.empty()) base.colors.resize(4 * base.vertex_count(), 65535);
+  base.rig.meshes = {posed};
+  base.rig.matrices = 1;
+  mark_deforming(base);
+  return base;
+}
+
+// The same, whose mesh moves as an instance.
+scene::Scene rigid_box() {
+  scene::Scene base = scene::make_scene("cornell-box", {});
+  base.meshes.back().instanced = true;
+  base.instances = {{{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}, static_cast<gl_uint>(base.meshes.size() - 1), {}}};
+  base.rig.instances = {{0, 0}};
+  base.rig.matrices = 1;
+  return base;
+}
+
+scene::FrameState moved_by(double x) {
+  scene::FrameState state;
+  state.matrices = {{1, 0, 0, x, 0, 1, 0, 0, 0, 0, 1, 0}};
+  return state;
+}
+
+// The frames' reports, of a farm that has rendered nothing before; of no states: those of the base's own scene.
+std::vector<json> reports(const scene::Scene& base, const std::vector<scene::FrameState>& states, JobRequest request,
+                          unsigned workers) {
+  TemporaryFolder folder;
+  cli::EmbeddedSettings settings;
+  settings.workers = workers;
+  settings.paths = [&](const std::string&, std::uint32_t frame) {
+    return coordinator::FramePaths{{}, {}, folder.path() / (std::to_string(frame) + ".json")};
+  };
+  cli::EmbeddedFarm embedded(settings);
+  coordinator::FrameScene shown;
+  shown.summary = coordinator::summarize(base);
+  shown.scene_blob = embedded.blobs().put(scene::serialize(base));
+  if (embedded.needs_bvh()) shown.bvh_blob = embedded.blobs().put(scene::serialize(scene::build_bvh(base)));
+  request.scenes = {shown};
+  if (!states.empty()) request.scenes.assign(states.size(), shown);
+  for (std::size_t i = 0; i < states.size(); ++i)
+    request.scenes[i].state_blob = embedded.blobs().put(scene::serialize(states[i]));
+  request.last_frame = static_cast<std::uint32_t>(request.scenes.size());
+  const std::string job = embedded.farm().submit(request);
+  while (!ended(embedded.farm().status(job)->state)) embedded.farm().wait(job, ~std::uint64_t{0}, 0.1);
+  EXPECT_EQ(embedded.farm().status(job)->state, coordinator::JobState::done) << embedded.farm().status(job)->message;
+  std::vector<json> all;
+  for (std::uint32_t frame = 1; frame <= request.last_frame; ++frame) {
+    std::ifstream file(folder.path() / (std::to_string(frame) + ".json"));
+    all.push_back(json::parse(file));
+  }
+  return all;
+}
+
+std::vector<std::string> pixels(const scene::Scene& base, const std::vector<scene::FrameState>& states,
+                                const JobRequest& request, unsigned workers) {
+  return names(reports(base, states, request, workers), "pixels_sha256");
+}
+
+// A base in a state is the picture of that scene alone, whatever frames came before and however many workers there are.
+void compare_states_with_their_scenes(const scene::Scene& base) {
+  for (const char* method : {"path", "vpl", "ao"}) {
+    JobRequest request = request_of(base);
+    request.settings.method = method;
+    if (std::string(method) != "vpl") request.settings.set = {};
+    const std::vector<scene::FrameState> states = {moved_by(0), moved_by(0.1), moved_by(0.2)};
+    const std::vector<std::string> frames = pixels(base, states, request, 1);
+    EXPECT_NE(frames[0], frames[2]) << method;
+    EXPECT_EQ(pixels(scene::posed(base, states[2], "own"), {}, request, 1)[0], frames[2]) << method;
+    EXPECT_EQ(pixels(base, {states[2]}, request, 1)[0], frames[2]) << method << ", rendered alone";
+    EXPECT_EQ(pixels(base, {states[2], states[0], states[1]}, request, 2)[0], frames[2]) << method;
+    EXPECT_EQ(pixels(base, states, request, 3), frames) << method;
+  }
+}
+
+TEST(FarmMovingScenes, StatesOfABaseAreThoseOfTheirScenes) { compare_states_with_their_scenes(moving_box()); }
+
+TEST(FarmMovingScenes, StatesOfInstancesAreThoseOfTheirScenes) { compare_states_with_their_scenes(rigid_box()); }
+
+// What is seen of what stays while lights change, and is used again; no picture depends on that.
+TEST(FarmMovingScenes, SurfacesServeEveryLight) {
+  scene::Scene base = moving_box();
+  base.lights = scene::make_scene("furnace-point").lights;
+  for (int k = 0; k < 3; ++k) base.lights[0].position[k] = base.cameras.front().camera.origin[k];
+  const auto lit = [&](float intensity, float x, double moved) {
+    scene::FrameState state = moved_by(moved);
+    state.light_indices = {0};
+    state.lights = base.lights;
+    std::fill(state.lights[0].intensity, state.lights[0].intensity + 3, intensity);
+    state.lights[0].position[0] += x;
+    return state;
+  };
+  const std::vector<scene::FrameState> states = {lit(1, 0, 0), lit(2, 0, 0), lit(2, 0.1f, 0), lit(0, 0.1f, 0),
+                                                 lit(1, 0, 0.1)};
+  const JobRequest request = request_of(base);
+  const std::vector<json> frames = reports(base, states, request, 1);
+  ASSERT_EQ(frames.size(), states.size());
+  for (std::size_t k = 0; k < frames.size(); ++k) {
+    const auto run = names(frames[k]["stages"], "name"), left_out = names(frames[k]["skips"], "what");
+    // A frame in which another number of lights shines runs kernels of its own; in the last one an object has moved.
+    const bool again = k == 1 || k == 2;
+    for (const char* stage : {"vpl.points", "vpl.point_cluster"}) {
+      EXPECT_EQ(std::ranges::count(run, stage), again ? 0 : 1) << stage << ", frame " << k + 1;
+      EXPECT_EQ(std::ranges::count(left_out, std::string("stage ") + stage), again ? 1 : 0)
+          << stage << ", frame " << k + 1;
+    }
+    for (const char* stage : {"vpl.trace.0", "vpl.shade.0"}) EXPECT_THAT(run, Contains(stage)) << "frame " << k + 1;
+    if (!again) continue;
+    EXPECT_EQ(pixels(base, {states[k]}, request, 2)[0], frames[k]["pixels_sha256"]) << "frame " << k + 1 << " alone";
+    EXPECT_EQ(pixels(scene::posed(base, states[k], "own"), {}, request, 1)[0], frames[k]["pixels_sha256"])
+        << "frame " << k + 1 << ", a scene of its own";
   }
 }
 

@@ -14,3 +14,4 @@ gleaner_test(NAME farm_retained_processes SOURCES retained_processes_test.cpp
              LIBRARIES gleaner_gateway gleaner_agent gleaner_digest nlohmann_json::nlohmann_json)
 target_compile_definitions(test_farm_retained_processes PRIVATE GLEANER_BLOCK_WORKER="$<TARGET_FILE:block_worker>")
 add_dependencies(test_farm_retained_processes block_worker)
+gleaner_test(NAME farm_keys SOURCES keys_test.cpp LIBRARIES gleaner_gateway gleaner_agent)

@@ -19,10 +19,10 @@ namespace pb = gleaner::v1;
 class WireFarm {
  public:
   explicit WireFarm(std::uint64_t upload_bytes = 64 << 20, unsigned most_workers = 16,
-                    coordinator::Seconds silence = 30)
+                    coordinator::Seconds silence = 30, std::shared_ptr<const Keys> keys = {})
       : blobs_(folder_.path() / "blobs"),
         farm_(farm_settings(silence), blobs_),
-        server_(farm_, blobs_, server_settings(upload_bytes, most_workers)) {}
+        server_(farm_, blobs_, server_settings(upload_bytes, most_workers, std::move(keys))) {}
 
   coordinator::Farm& farm() { return farm_; }
   coordinator::BlobStore& blobs() { return blobs_; }
@@ -58,12 +58,14 @@ class WireFarm {
     };
     return settings;
   }
-  static gateway::ServerSettings server_settings(std::uint64_t upload_bytes, unsigned most_workers) {
+  static gateway::ServerSettings server_settings(std::uint64_t upload_bytes, unsigned most_workers,
+                                                 std::shared_ptr<const Keys> keys) {
     gateway::ServerSettings settings;
     settings.listen = "127.0.0.1:0";
     settings.upload_bytes = upload_bytes;
     settings.most_workers = most_workers;
     settings.heartbeat_seconds = 0.2;
+    settings.keys = std::move(keys);
     return settings;
   }
 

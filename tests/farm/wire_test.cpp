@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <limits>
+#include <set>
 
 #include "coordinator/blobs/sha256.h"
 #include "proto/packing.h"
@@ -223,6 +224,32 @@ TEST_F(Wire, SubmissionsAreChecked) {
   EXPECT_TRUE(farm_.farm().list().empty());
 }
 
+// What is too much for a message comes as a blob.
+TEST_F(Wire, ManyMovingFramesComeInABlob) {
+  pb::SubmitJobRequest request = farm_.good_request();
+  pb::JobFrames frames;
+  const std::uint32_t count = 20000;
+  for (std::uint32_t i = 0; i < count; ++i) {
+    *frames.add_cameras() = request.settings().camera();
+    pb::FrameScene& scene = *frames.add_scenes();
+    scene.set_scene_blob(request.scene_blob());
+    scene.set_bvh_blob(request.bvh_blob());
+  }
+  request.set_last_frame(count);
+  request.set_first_frame(1);
+  ASSERT_GT(frames.ByteSizeLong(), 2u << 20);
+  const std::string bytes = frames.SerializeAsString();
+  request.set_frames_blob(farm_.blobs().put(bytes_of(std::vector<char>(bytes.begin(), bytes.end()))));
+  std::string job;
+  grpc::Status status = submit(request, &job);
+  ASSERT_TRUE(status.ok()) << status.error_message();
+  EXPECT_EQ(farm_.farm().status(job)->frames, count);
+  request.set_frames_blob(request.scene_blob());
+  EXPECT_EQ(submit(request).error_code(), grpc::StatusCode::INVALID_ARGUMENT) << "a scene is no list of frames";
+  request.set_frames_blob(std::string(64, '0'));
+  EXPECT_EQ(submit(request).error_code(), grpc::StatusCode::INVALID_ARGUMENT) << "it is not there";
+}
+
 TEST_F(Wire, UnknownJobsAreNotFound) {
   for (const std::string& job :
        {std::string("no-such-job"), std::string(), std::string(100000, 'j'), std::string("../../etc")}) {
@@ -333,6 +360,37 @@ TEST_F(Wire, WorkersSpeakInOrder) {
   }
 }
 
+// A name that ends within a character must not break the list for everybody, nor one with escape sequences a terminal.
+TEST_F(Wire, NamesOfStrangersAreOneLineOfText) {
+  pb::WorkerMessage words = hello();
+  words.mutable_hello()->mutable_device()->set_name(std::string(255, 'a') + "\u00e9");
+  words.mutable_hello()->mutable_device()->set_driver("\x1b[2Jgone\nworker eve joined");
+  words.mutable_hello()->mutable_device()->set_version("\u009b2J");
+  words.mutable_hello()->mutable_device()->set_platform(std::string(100, '\n') + "\u202e");
+  ClientContext context, list;
+  auto stream = workers_->Work(&context);
+  pb::HubMessage welcome;
+  ASSERT_TRUE(stream->Write(words) && stream->Read(&welcome));
+  pb::ListWorkersReply reply;
+  const grpc::Status status = people_->ListWorkers(&list, {}, &reply);
+  stream->WritesDone();
+  while (stream->Read(&welcome)) continue;
+  stream->Finish();
+  ASSERT_TRUE(status.ok()) << status.error_message();
+  ASSERT_EQ(reply.workers_size(), 1);
+  const pb::Device& device = reply.workers(0).device();
+  EXPECT_EQ(device.name(), std::string(255, 'a'));  // no half of a character
+  EXPECT_EQ(device.driver(), "\\x1b[2Jgone\\x0aworker eve joined");
+  EXPECT_EQ(device.version(), "\\xc2\\x9b2J");
+  EXPECT_EQ(device.platform().size(), 4 * 64u);  // escaped, it is no longer than names may be
+
+  pb::SubmitJobRequest request = farm_.good_request();
+  request.set_scene_name("a\nb\x1b[31m.glb");
+  std::string job;
+  ASSERT_TRUE(submit(request, &job).ok());
+  EXPECT_EQ(farm_.farm().status(job)->scene_name, "a\\x0ab\\x1b[31m.glb");
+}
+
 TEST_F(Wire, ResultsArePiecedTogetherInOrder) {
   std::string job;
   ASSERT_TRUE(submit(farm_.good_request(), &job).ok());
@@ -420,6 +478,8 @@ TEST_F(Wire, ResultsHaveTheBytesOfTheirLease) {
     EXPECT_EQ(farm_.farm().status(job)->stages.at(0).items_done, answer.code == StatusCode::OK ? 256u : 0u)
         << answer.what;
     farm_.farm().cancel(job);
+    // Until it has ended, its items may go to the next worker.
+    EXPECT_TRUE(eventually([&] { return ended(farm_.farm().status(job)->state); }));
     EXPECT_TRUE(eventually([&] { return farm_.farm().workers().empty(); }));
   }
 }
@@ -438,6 +498,49 @@ TEST_F(Wire, SeatsAreCounted) {
   for (auto& context : contexts) context->TryCancel();
   for (auto& stream : streams) stream->Finish();
   EXPECT_TRUE(eventually([&] { return work({hello()}).ok(); })) << "a seat is free again";
+}
+
+// Each holds a thread: without an end to them a few thousand hold all there are.
+TEST_F(Wire, SilentStreamsAreEnded) {
+  gateway::ServerSettings settings;
+  settings.listen = "127.0.0.1:0";
+  settings.hello_seconds = settings.silent_seconds = 2;
+  settings.most_uploads = 2;
+  gateway::Server impatient(farm_.farm(), farm_.blobs(), settings);
+  const auto channel = grpc::CreateChannel(impatient.address(), grpc::InsecureChannelCredentials());
+  const auto within = [](ClientContext& context) {
+    context.set_deadline(std::chrono::system_clock::now() + std::chrono::seconds(20));
+  };
+  {
+    auto stub = pb::WorkerHub::NewStub(channel);
+    ClientContext context;
+    within(context);
+    auto stream = stub->Work(&context);
+    pb::HubMessage heard;
+    EXPECT_FALSE(stream->Read(&heard));
+    EXPECT_EQ(stream->Finish().error_code(), StatusCode::CANCELLED);
+  }
+  auto stub = pb::Farm::NewStub(channel);
+  ClientContext contexts[3];
+  pb::UploadBlobReply replies[3];
+  std::unique_ptr<grpc::ClientWriter<pb::UploadBlobRequest>> uploads[3];
+  for (int i = 0; i < 3; ++i) {
+    within(contexts[i]);
+    uploads[i] = stub->UploadBlob(&contexts[i], &replies[i]);
+  }
+  std::multiset<StatusCode> codes;
+  for (auto& upload : uploads) codes.insert(upload->Finish().error_code());
+  EXPECT_EQ(codes,
+            (std::multiset<StatusCode>{StatusCode::CANCELLED, StatusCode::CANCELLED, StatusCode::RESOURCE_EXHAUSTED}));
+  const std::string bytes = "a blob";
+  ClientContext context;
+  within(context);
+  pb::UploadBlobReply reply;
+  auto good = stub->UploadBlob(&context, &reply);
+  good->Write(header(id_of(bytes), bytes.size()));
+  good->Write(data(bytes));
+  good->WritesDone();
+  EXPECT_TRUE(good->Finish().ok()) << "there is room again";
 }
 
 TEST_F(Wire, BlobsAreFetchedByTheirIdsAlone) {

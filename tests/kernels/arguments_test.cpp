@@ -109,7 +109,8 @@ TEST_F(KernelArguments, AWrongOneIsAnErrorAtOnce) {
   EXPECT_THAT(message([&] { kernel.set("ray", buffer); }), HasSubstr("kernel trace_any has no parameter ray"));
   EXPECT_THAT(message([&] { kernel.set("rays", cl_uint{1}); }), HasSubstr("rays is of another type"));
   EXPECT_THAT(message([&] { kernel.set("count", 1.0f); }), HasSubstr("count is of another type"));
-  for (const char* name : {"nodes", "slots", "triangles", "rays", "overflow"}) kernel.set(name, buffer);
+  for (const char* name : {"nodes", "slots", "triangles", "top", "entries", "inverses", "rays", "overflow"})
+    kernel.set(name, buffer);
   kernel.set("count", cl_uint{0});
   cl::CommandQueue queue = device_->make_queue();
   EXPECT_THAT(message([&] { kernel.launch(queue, {.work = 1, .capacity = 1}); }), HasSubstr("without rows"));

@@ -103,7 +103,7 @@ struct Held {
   bool environment = false;
 
   explicit Held(scene::Scene made) : scene(std::make_shared<const scene::Scene>(std::move(made))) {
-    tables = worker::make_light_tables(*scene);
+    tables = worker::make_light_tables(*scene, worker::make_environment_table(scene->environment).power);
     environment = !scene->environment.empty();
     for (unsigned c = 0; c < tables.cluster_slots; ++c) {
       std::uint32_t count;

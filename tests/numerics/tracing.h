@@ -26,11 +26,13 @@ struct Ray {
   std::array<float, 3> origin{}, direction{};
   float far = kInfinity;
   std::uint32_t source = GLEANER_NONE;
+  std::uint32_t source_instance = 0;  // in scenes with instances; GLEANER_NONE: of none
 };
 
 struct Hit {
   std::uint32_t primitive = GLEANER_NONE;
   float t = kInfinity, u = 0, v = 0;
+  std::uint32_t instance = GLEANER_NONE;  // in scenes with instances
   bool found() const { return primitive != GLEANER_NONE; }
 };
 
@@ -86,7 +88,8 @@ class TracedScene {
     in_batches(count, make, packing, false, [&](std::size_t i, const Ray& ray, const float* at) {
       Hit hit;
       if (word(at, ROW_GEOMETRY) != GLEANER_NONE)
-        hit = {word(at, ROW_PRIMITIVE), at[RAY_BLOCK * ROW_FAR], at[RAY_BLOCK * ROW_U], at[RAY_BLOCK * ROW_V]};
+        hit = {word(at, ROW_PRIMITIVE), at[RAY_BLOCK * ROW_FAR], at[RAY_BLOCK * ROW_U], at[RAY_BLOCK * ROW_V],
+               word(at, ROW_INSTANCE)};
       seen(i, ray, hit);
     });
   }
@@ -100,6 +103,7 @@ class TracedScene {
   }
 
   worker::Tracer& tracer() { return on_device_->tracer(); }
+  worker::DeviceScene& on_device() { return *on_device_; }
 
  private:
   static constexpr std::size_t kBatch = std::size_t{1} << 15;
@@ -141,7 +145,7 @@ class TracedScene {
           at[RAY_BLOCK * ROW_FAR] = made[i].far;
           set_word(at, ROW_MASK, 0xffffffffu);
           set_word(at, ROW_SOURCE, made[i].source);
-          set_word(at, ROW_FLAGS, 0);
+          set_word(at, ROW_FLAGS, made[i].source_instance);
           set_word(at, ROW_GEOMETRY, GLEANER_NONE);
         }
       });

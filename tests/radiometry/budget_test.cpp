@@ -146,10 +146,10 @@ TEST(Budget, ShadowRaysThroughAlpha) {
   SceneBuilder b("floor under two veils");
   b.mesh("floor");
   b.quad({-9, 0, 9}, {9, 0, 9}, {9, 0, -9}, {-9, 0, -9}, b.material("floor", scene::lambert(grey(0.5))));
-  scene::Material veil = scene::lambert(grey(0));
-  veil.flags |= GLEANER_MATERIAL_ALPHA_BLEND;
-  veil.alpha = 0.5f;
-  const auto material = b.material("veil", veil);
+  scene::Material sheet = scene::lambert(grey(0));
+  sheet.flags |= GLEANER_MATERIAL_ALPHA_BLEND;
+  sheet.alpha = 0.5f;
+  const auto material = b.material("sheet", sheet);
   for (const double y : {1.0, 2.0}) b.quad({-9, y, 9}, {9, y, 9}, {9, y, -9}, {-9, y, -9}, material);
   b.directional_light({0, -1, 0}, grey(1));
   b.camera("camera", {0, 0.5, 0.1}, {}, 20, 16, 16);

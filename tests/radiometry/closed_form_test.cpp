@@ -207,7 +207,7 @@ TEST(ClosedForm, LightThroughAlpha) {
   beyond.point_light({1.5, 0.25, -2.5}, scene::grey(7));
   EXPECT_NEAR(floor_radiance(beyond, 1.5, -2.5), kFloor / M_PI * 7 / 0.0625, 4e-6 * kFloor / M_PI * 7 / 0.0625);
 
-  // An emitter and a sun together, behind a veil.
+  // An emitter and a sun together, behind a sheet.
   SceneBuilder both = veiled({0.4});
   const std::vector<Vec> corners{{0, 2, -4}, {4, 2, -4}, {4, 2, -1}, {0, 2, -1}};
   both.mesh("emitter");
@@ -217,8 +217,8 @@ TEST(ClosedForm, LightThroughAlpha) {
       kFloor * 0.6 *
       (5 * polygon_form_factor({1.5, 0, -2.5}, {0, 1, 0}, corners) + 0.3 / std::sqrt(0.64 + 0.09 + 0.04) / M_PI);
   const Picture picture = floor_picture(both, 1.5, -2.5, 512);
-  if (!expect_mean(picture.mean(1), expected, "emitter and sun behind a veil", kFamily, 5e-3))
-    keep_failure(picture, "veil");
+  if (!expect_mean(picture.mean(1), expected, "emitter and sun behind a sheet", kFamily, 5e-3))
+    keep_failure(picture, "sheet");
 }
 
 // A small lamp far away is seen whole: none of its triangles stands in the way of the light samples on it, although a

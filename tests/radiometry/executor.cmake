@@ -1,5 +1,5 @@
 if(TARGET gleaner_device AND TARGET gleaner_library AND TARGET gleaner_film)
-  foreach(subject executor budget path_filter)
+  foreach(subject executor budget path_filter frames)
     gleaner_test(NAME ${subject} SOURCES ${subject}_test.cpp LIBRARIES gleaner_device gleaner_library gleaner_bvh gleaner_film gleaner_model ${CMAKE_DL_LIBS})
   endforeach()
 endif()

@@ -309,36 +309,46 @@ TEST(Matter, NoMethodCarriesPunctualLightThroughSolids) {
 
 // --- Frosted glass ---
 
-// Light samples and scattered rays through rough glass, thin and solid, add up to what scattered rays alone find.
+// Beneath what `build` adds, a floor under a lamp: light samples and scattered rays add up to what scattered rays alone
+// find, where the lamp is a surface that takes no light samples.
+void expect_lit_alike(const std::string& name, const std::function<void(SceneBuilder&)>& build, double least_p) {
+  double mean[2], error[2];
+  for (const bool unlit : {false, true}) {
+    SceneBuilder b("lit alike");
+    build(b);
+    Material light = scene::emitter(grey(1));
+    if (unlit) {
+      light = scene::lambert(grey(1));
+      light.flags |= GLEANER_MATERIAL_UNLIT;
+    }
+    b.mesh("lamp");
+    b.quad({-0.7, 1.4, -0.7}, {0.7, 1.4, -0.7}, {0.7, 1.4, 0.7}, {-0.7, 1.4, 0.7}, b.material("lamp", light));
+    const Sample seen = floor_picture(b, 512, TraceKind::automatic, 6).mean(1);
+    mean[unlit] = seen.mean;
+    error[unlit] = seen.standard_error();
+  }
+  const double t = (mean[0] - mean[1]) / std::hypot(error[0], error[1]);
+  std::printf("  %s: %.5f +- %.5f with light samples, %.5f +- %.5f without, t = %.2f\n", name.c_str(), mean[0],
+              error[0], mean[1], error[1], t);
+  EXPECT_GE(student_p(t, 511), least_p) << name;
+  EXPECT_LT(error[0], error[1]) << name << ": light samples are worth nothing";
+  EXPECT_LT(std::hypot(error[0], error[1]), 0.03 * mean[1]) << name << ": too noisy to prove anything";
+}
+
+// Thin and solid.
 TEST(Matter, RoughGlassIsLitAlike) {
   for (const bool solid : {false, true})
     for (const double roughness : {0.3, 0.7}) {
-      double mean[2], error[2];
-      for (const bool unlit : {false, true}) {
-        SceneBuilder b("frosted");
+      const auto build = [&](SceneBuilder& b) {
         b.mesh("glass");
         const Material glass = solid ? scene::solid_glass(1.5, roughness) : pane(grey(0.9), roughness);
         if (solid)
           b.box({0, 0.6, 0}, {2, 0.2, 2}, 0, b.material("glass", glass));
         else
           level(b, 0.6, b.material("glass", glass), 2);
-        Material light = scene::emitter(grey(1));
-        if (unlit) {
-          light = scene::lambert(grey(1));
-          light.flags |= GLEANER_MATERIAL_UNLIT;
-        }
-        b.mesh("lamp");
-        b.quad({-0.7, 1.4, -0.7}, {0.7, 1.4, -0.7}, {0.7, 1.4, 0.7}, {-0.7, 1.4, 0.7}, b.material("lamp", light));
-        const Sample seen = floor_picture(b, 512, TraceKind::automatic, 6).mean(1);
-        mean[unlit] = seen.mean;
-        error[unlit] = seen.standard_error();
-      }
-      const double t = (mean[0] - mean[1]) / std::hypot(error[0], error[1]);
-      std::printf("  %s, roughness %.1f: %.5f +- %.5f with light samples, %.5f +- %.5f without, t = %.2f\n",
-                  solid ? "solid" : "sheet", roughness, mean[0], error[0], mean[1], error[1], t);
-      EXPECT_GE(student_p(t, 511), sidak(kFamily, 4));
-      EXPECT_LT(error[0], error[1]) << "light samples are worth nothing";
-      EXPECT_LT(std::hypot(error[0], error[1]), 0.03 * mean[1]) << "too noisy to prove anything";
+      };
+      expect_lit_alike((solid ? "solid, roughness " : "sheet, roughness ") + std::to_string(roughness), build,
+                       sidak(kFamily, 4));
     }
 }
 
@@ -438,6 +448,32 @@ TEST(Matter, SolidsAbsorbOverEveryMetre) {
         check("lit within", seen_along_z(b, {}, trace, k, 1), 0.5 / M_PI * 2 * 0.8 / 0.25 * left(0.5) * left(1));
       }
     }
+}
+
+// Who leaves a solid that was never entered, since it is open, has been in it since the ray began.
+TEST(Matter, OpenSolidsAbsorbFromWhereTheRayBegan) {
+  for (const TraceKind trace : kTracers) {
+    SceneBuilder b("open");
+    b.mesh("back");
+    b.quad({1, -1, -4}, {-1, -1, -4}, {-1, 1, -4}, {1, 1, -4}, b.material("back", tinted(1, {0.7f, 0.7f, 0.7f})));
+    card(b, -6, 6);
+    EXPECT_NEAR(seen_along_z(b, {}, trace, 1), 6 * std::exp(-0.7 * 4), 1e-5);
+  }
+}
+
+// What of a solid lies within another of higher rank is not there: it tints nothing either.
+TEST(Matter, HiddenBoundariesDoNotTint) {
+  for (const TraceKind trace : kTracers) {
+    SceneBuilder b("hidden");
+    Material half = tinted(1, {0, 0, 0});
+    std::fill(half.base_color, half.base_color + 3, 0.5f);
+    b.mesh("wide");
+    b.box({0, 0, -2}, {2, 2, 1}, 0, b.material("wide", half));
+    b.mesh("narrow");
+    b.box({0, 0, -3}, {1, 1, 1}, 0, b.material("narrow", tinted(1, {0, 0, 0})));
+    card(b, -6, 6);
+    EXPECT_NEAR(seen_along_z(b, {}, trace, 1), 6 * 0.5, 1e-5);
+  }
 }
 
 // A solid of index 1 does not bend light: shadow rays go through it, weakened, from outside, from within and into it;
@@ -551,6 +587,64 @@ TEST(Matter, NoSheetIsLitFromBehind) {
       day.directional_light(scene::normalize({-1, -1, 0}), grey(3));
       EXPECT_NEAR(sheet_radiance(day, trace), 0.6 / M_PI * 3 * std::cos(5 * M_PI / 180), 0.08);
     }
+}
+
+// --- Sheets that light shines through ---
+
+Material shining(Material m, double share, double color) {
+  m.diffuse_transmission = static_cast<float>(share);
+  std::fill(m.diffuse_transmission_color, m.diffuse_transmission_color + 3, static_cast<float>(color));
+  return m;
+}
+
+// A sheet at y = 0 under the lamp, seen at the origin from one side.
+Picture lit_sheet(const Material& sheet, bool from_below, TraceKind trace) {
+  SceneBuilder b("sheet");
+  lamp(b, scene::emitter(grey(6)), true);
+  b.mesh("sheet");
+  level(b, 0, b.material("sheet", sheet));
+  b.camera("camera", {0, 5, 5}, {}, 40, 16, 16);
+  Shot shot{.scene = std::make_shared<const Scene>(b.finish())};
+  shot.camera = from_below ? orthographic({0, -0.1, 0}, {1, 0, 0}, {0, 0, 1}, 1e-6)
+                           : orthographic({0, 0.1, 0}, {1, 0, 0}, {0, 0, -1}, 1e-6);
+  shot.width = shot.height = 4;
+  shot.chunks = 256;
+  shot.depth = 1;
+  shot.trace = trace;
+  return shoot(shot);
+}
+
+TEST(Matter, LightShinesThroughSheets) {
+  const double irradiance = 6 * form_factor(kLamp);  // over pi
+  const Material sheet = shining(scene::lambert(grey(0.8)), 0.4, 0.5);
+  for (const TraceKind trace : kTracers) {
+    const std::string by = trace == TraceKind::opencl ? ", OpenCL" : "";
+    expect_mean(lit_sheet(sheet, true, trace).mean(1), 0.4 * 0.5 * irradiance, "lit from behind" + by,
+                sidak(kFamily, 4), 6e-3);
+    expect_mean(lit_sheet(sheet, false, trace).mean(1), 0.6 * 0.8 * irradiance, "lit from the front" + by,
+                sidak(kFamily, 4), 6e-3);
+    EXPECT_EQ(lit_sheet(scene::lambert(grey(0.8)), true, trace).mean(1).mean, 0);
+  }
+}
+
+TEST(Matter, SheetsThatShineAreLitAlike) {
+  const auto build = [](SceneBuilder& b) {
+    b.mesh("shade");
+    level(b, 0.6, b.material("shade", shining(scene::dielectric(grey(0.5), 0.3), 0.7, 0.9)), 2);
+  };
+  expect_lit_alike("glossy sheet that light shines through", build, kFamily);
+}
+
+TEST(Matter, PaperWindowByPathAndVpl) {
+  const Material paper = shining(scene::dielectric({0.6, 0.5, 0.4}, 0.5), 0.6, 0.8);
+  SceneBuilder sun = room(paper, "paper");
+  sun.directional_light({0.3, -0.9, -0.2}, grey(8));
+  expect_same_means(std::make_shared<const Scene>(sun.finish()), "sun on a paper window", 2, 1024);
+  SceneBuilder inside = room(paper, "lantern");
+  inside.mesh("screen");
+  inside.quad({-0.9, -1, -0.2}, {0.9, -1, -0.2}, {0.9, 0.7, -0.2}, {-0.9, 0.7, -0.2}, inside.material("screen", paper));
+  inside.point_light({0.2, 0.2, -0.6}, grey(2));
+  expect_same_means(std::make_shared<const Scene>(inside.finish()), "point light behind a screen", 2, 1024);
 }
 
 // A white sphere of few triangles in a white furnace gives back at most what it gets, and hardly less; no speck is

@@ -3,98 +3,25 @@
 #include <cmath>
 #include <cstdio>
 #include <functional>
-#include <nlohmann/json.hpp>
 #include <numeric>
 
-#include "cli/local_frame.h"
-#include "coordinator/plan/plan.h"
 #include "coordinator/plan/trajectory.h"
 #include "kernels/cluster_records.h"
 #include "kernels/path_records.h"
 #include "kernels/vpl_records.h"
 #include "scene/library/library.h"
-#include "tests/radiometry/shot.h"
+#include "tests/radiometry/rendered_frame.h"
 
 namespace gleaner::test {
 namespace {
 
-using coordinator::Film;
-using coordinator::FrameSettings;
 using kernels::VisibilityParameters;
-using Settings = std::map<std::string, std::string>;
 
 constexpr double kFamily = 1e-3;  // chance of a false alarm of one test
 
-struct Frame {
-  std::shared_ptr<const Scene> scene;
-  FrameSettings settings;
-  worker::TraceKind trace = worker::TraceKind::automatic;
-};
-
 Frame frame_of(const std::string& scene, const Settings& parameters, const std::string& camera, std::uint32_t size,
                std::uint32_t spp, const Settings& set) {
-  Frame frame;
-  frame.scene = std::make_shared<const Scene>(scene::make_scene(scene, parameters));
-  frame.settings.method = "vpl";
-  frame.settings.width = frame.settings.height = size;
-  frame.settings.spp = spp;
-  frame.settings.set = set;
-  frame.settings.camera = camera_of(*frame.scene, camera);
-  frame.settings.camera.half_width = frame.settings.camera.half_height;
-  return frame;
-}
-
-struct Rendered {
-  Film film;
-  std::map<std::string, std::vector<float>> records;  // by stage
-  std::map<std::string, worker::StageTask> tasks;
-  std::map<std::string, coordinator::StageSpec> specs;
-  std::map<std::string, std::vector<std::uint32_t>> counts;  // of counted records
-  double predicted = 0;                                      // error of the VPLs' light over the picture's mean
-};
-
-Rendered render(const Frame& frame) {
-  worker::Executor& on = executor(frame.trace);
-  const std::string id = load(on, frame.scene);
-  auto plan = coordinator::make_plan(frame.settings, coordinator::summarize(*frame.scene));
-  Rendered made;
-  cli::run_frame(
-      *plan, on, id,
-      [&](const auto& stage, const worker::StageTask& task) {
-        made.tasks[stage.name] = task;
-        made.specs[stage.name] = stage;
-        return true;
-      },
-      [&](const auto& stage, const worker::BatchResult& result) {
-        EXPECT_EQ(result.counters.nonfinite, 0u) << stage.name;
-        if (!stage.name.starts_with("vpl.")) return;
-        made.counts[stage.name] = result.counts;
-        auto& values = made.records[stage.name];
-        values.resize(result.records.size() / 4);
-        std::memcpy(values.data(), result.records.data(), result.records.size());
-      });
-  made.film = plan->film();
-  const auto parameters = nlohmann::json::parse(plan->parameters_json());
-  if (parameters.contains("vpl") && parameters["vpl"].contains("pilot"))
-    made.predicted = parameters["vpl"]["pilot"]["error"];
-  return made;
-}
-
-double mean_of(const Film& film, const std::string& channel) {
-  double sum = 0;
-  const auto* found = film.find(channel);
-  if (!found) throw Error::failed("no channel " + channel);
-  for (float value : found->values) sum += value;
-  return sum / static_cast<double>(found->values.size());
-}
-
-Sample means_of(Frame frame, const std::string& channel, unsigned seeds) {
-  Sample sample;
-  for (unsigned seed = 1; seed <= seeds; ++seed) {
-    frame.settings.seed = seed;
-    sample.add(mean_of(render(frame).film, channel));
-  }
-  return sample;
+  return square_frame("vpl", scene::make_scene(scene, parameters), camera, size, spp, set);
 }
 
 // --- Closed forms ---
@@ -198,7 +125,7 @@ TEST(Vpl, RoughLobesMeetThePathTracer) {
   path.settings.spp = 256;
   const Rendered made = render(vpl);
   // Carriers and receivers are there.
-  const auto& traced = made.records.at("vpl.trace.0");
+  const auto traced = made.floats("vpl.trace.0");
   double sent = 0;
   for (std::size_t at = 0; at < traced.size(); at += VPL_WORDS) {
     const float* row = &traced[at];
@@ -236,12 +163,12 @@ TEST(Vpl, ClustersLightRoughLobes) {
   const Settings base = {{"vpl.count", "800"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}};
   Frame frame = frame_of("cornell-glossy", {}, {}, 32, 1, base);
   frame.scene = rough_boxes();
-  const auto exact = render(frame).records.at("vpl.shade.0");
+  const auto exact = render(frame).floats("vpl.shade.0");
   frame.settings.set["vpl.point_clusters"] = "100";
   frame.settings.set["vpl.residual_threshold"] = "0.0001";
-  const auto asked = render(frame).records.at("vpl.shade.0");
+  const auto asked = render(frame).floats("vpl.shade.0");
   frame.settings.set["vpl.clusters"] = "200";
-  const auto clustered = render(frame).records.at("vpl.shade.0");
+  const auto clustered = render(frame).floats("vpl.shade.0");
   // On the metal box, which no diffuse layer lights, and in all.
   const auto error = [&](const std::vector<float>& shaded, bool box) {
     double square = 0, mean = 0, n = 0;
@@ -283,7 +210,7 @@ TEST(Vpl, AsManyClustersAsPointsAreAllPairs) {
   for (const char* scene : {"cornell-box", "cornell-glossy", "cornell-glass"}) {
     const Rendered a = render(frame_of(scene, {}, {}, 32, 1, pairs)),
                    b = render(frame_of(scene, {}, {}, 32, 1, clusters));
-    const auto &x = a.records.at("vpl.shade.0"), &y = b.records.at("vpl.shade.0");
+    const auto x = a.floats("vpl.shade.0"), y = b.floats("vpl.shade.0");
     ASSERT_EQ(x.size(), y.size());
     double sum = 0;
     std::size_t different = 0;
@@ -301,10 +228,9 @@ TEST(Vpl, FuzzinessOfOneIsHardClustering) {
   const Rendered weighted = render(frame_of("cornell-box", {}, {}, 32, 1, set));
   set["vpl.equal_weights"] = "1";
   const Rendered equal = render(frame_of("cornell-box", {}, {}, 32, 1, set));
-  EXPECT_EQ(weighted.records.at("vpl.shade.0"), equal.records.at("vpl.shade.0"));
+  EXPECT_EQ(weighted.floats("vpl.shade.0"), equal.floats("vpl.shade.0"));
   set["vpl.fuzziness"] = "6";
-  EXPECT_NE(render(frame_of("cornell-box", {}, {}, 32, 1, set)).records.at("vpl.shade.0"),
-            equal.records.at("vpl.shade.0"));
+  EXPECT_NE(render(frame_of("cornell-box", {}, {}, 32, 1, set)).floats("vpl.shade.0"), equal.floats("vpl.shade.0"));
 }
 
 // Residual samples bring points nearer to all pairs.
@@ -312,12 +238,12 @@ TEST(Vpl, ResidualSamplesCorrectClusters) {
   const Settings base = {{"vpl.count", "200"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "60"}};
   Settings pairs = base;
   pairs["vpl.point_clusters"] = "0";
-  const auto exact = render(frame_of("cornell-box", {}, {}, 32, 1, pairs)).records.at("vpl.shade.0");
+  const auto exact = render(frame_of("cornell-box", {}, {}, 32, 1, pairs)).floats("vpl.shade.0");
   std::vector<double> errors;
   for (const char* threshold : {"0", "0.02", "0.001"}) {
     Settings set = base;
     set["vpl.residual_threshold"] = threshold;
-    const auto shaded = render(frame_of("cornell-box", {}, {}, 32, 1, set)).records.at("vpl.shade.0");
+    const auto shaded = render(frame_of("cornell-box", {}, {}, 32, 1, set)).floats("vpl.shade.0");
     double square = 0, mean = 0;
     for (std::size_t i = 0; i < exact.size(); ++i) {
       square += (shaded[i] - exact[i]) * (shaded[i] - exact[i]);
@@ -344,14 +270,14 @@ TEST(Vpl, NegligiblePairsAreNotQueried) {
     const worker::StageTask& task = made.tasks.at("vpl.visibility.0");
     std::memcpy(&p, task.parameters.data(), sizeof p);
     const std::size_t words = p.clusters / 32 + VISIBILITY_COUNTS;
-    const auto& records = made.records.at("vpl.visibility.0");
+    const auto records = made.floats("vpl.visibility.0");
     little = 0;
     for (std::size_t at = 0; at < records.size(); at += words) {
       std::uint32_t left_out[VISIBILITY_COUNTS];
       std::memcpy(left_out, &records[at + p.clusters / 32], sizeof left_out);
       little += left_out[1];
     }
-    return made.records.at("vpl.shade.0");
+    return made.floats("vpl.shade.0");
   };
   std::uint64_t none = 0, some = 0;
   const auto all = shade("0", none), fewer = shade("0.1", some);
@@ -374,8 +300,8 @@ TEST(Vpl, NearClustersShineFromAllMembers) {
       {"vpl.count", "1000"}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}, {"vpl.clamp", "0.01"}};
   Settings clustered = pairs;
   clustered["vpl.clusters"] = "100";
-  const auto exact = render(frame_of("cornell-box", {}, {}, 32, 1, pairs)).records.at("vpl.shade.0");
-  const auto shaded = render(frame_of("cornell-box", {}, {}, 32, 1, clustered)).records.at("vpl.shade.0");
+  const auto exact = render(frame_of("cornell-box", {}, {}, 32, 1, pairs)).floats("vpl.shade.0");
+  const auto shaded = render(frame_of("cornell-box", {}, {}, 32, 1, clustered)).floats("vpl.shade.0");
   double square = 0, mean = 0;
   for (std::size_t i = 0; i < exact.size(); ++i) {
     square += (shaded[i] - exact[i]) * (shaded[i] - exact[i]);
@@ -476,7 +402,7 @@ TEST(Vpl, PredictionIsNearTheLightsError) {
         {"vpl.passes", "1"}, {"vpl.clusters", "384"}, {"vpl.count", "4000"}, {"vpl.residual_threshold", "0.2"}};
     const Rendered made = render(frame);
     measured += squared_difference(made.film, truth, "indirect.") / (whole * whole) / 3;
-    predicted += std::pow(made.predicted, 2) / 3;
+    predicted += std::pow(made.parameters.at("vpl").at("pilot").at("error").get<double>(), 2) / 3;
   }
   std::printf("  RMSE of the indirect light over the picture's mean: predicted %.4f, measured %.4f\n",
               std::sqrt(predicted), std::sqrt(measured));
@@ -496,13 +422,13 @@ TEST(Vpl, ClustersCarryTheirMembersLight) {
     return sum;
   };
   const auto luminance = [](const std::array<double, 3>& c) { return 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2]; };
-  const auto& traced = made.records.at("vpl.trace.0");
+  const auto traced = made.floats("vpl.trace.0");
   const auto paths = static_cast<double>(made.specs.at("vpl.trace.0").items);
   const auto held = made.tasks.at("vpl.cluster.0").inputs.at("lights").load();
   const auto& bytes = *held;
   std::vector<float> kept(bytes.size() / 4);
   std::memcpy(kept.data(), bytes.data(), bytes.size());
-  const auto& records = made.records.at("vpl.cluster.0");
+  const auto records = made.floats("vpl.cluster.0");
   const std::vector<float> clusters(records.begin(), records.begin() + 90 * VPL_WORDS);
   const auto all = total(traced.data(), traced.size(), 1 / paths), drawn = total(kept.data(), kept.size(), 1),
              gathered = total(clusters.data(), clusters.size(), 1);
@@ -607,9 +533,9 @@ double flicker(const std::vector<Frame>& frames) {
   double square = 0, light = 0, values = 0;
   std::vector<float> before;
   for (Frame frame : frames) {
-    const std::vector<float> clustered = render(frame).records.at("vpl.shade.0");
+    const std::vector<float> clustered = render(frame).floats("vpl.shade.0");
     frame.settings.set["vpl.point_clusters"] = std::string("0");
-    std::vector<float> error = render(frame).records.at("vpl.shade.0");
+    std::vector<float> error = render(frame).floats("vpl.shade.0");
     for (std::size_t i = 0; i < error.size(); ++i) {
       light += error[i];
       error[i] = clustered[i] - error[i];
@@ -663,7 +589,7 @@ TEST(Vpl, RecordsDoNotDependOnBatches) {
     two.load_scene(scene, frame.scene, nullptr);
     for (const char* name : {"vpl.trace.0", "vpl.points", "vpl.visibility.0", "vpl.shade.0"}) {
       const coordinator::StageSpec& spec = whole.specs.at(name);
-      const auto& counts = whole.counts.at(name);
+      const auto& counts = whole.results.at(name).counts;
       const auto record_of = [&](std::uint64_t item) {
         if (!spec.output.counted) return item;
         return std::accumulate(counts.begin(), counts.begin() + static_cast<std::ptrdiff_t>(item), std::uint64_t{0});
@@ -676,9 +602,10 @@ TEST(Vpl, RecordsDoNotDependOnBatches) {
         const auto result = two.run(again, first, count);
         const std::uint64_t begin = record_of(first), end = record_of(first + count);
         ASSERT_EQ(result.records.size(), (end - begin) * spec.output.record_bytes) << name << " from " << first;
-        ASSERT_EQ(std::memcmp(result.records.data(), &whole.records.at(name)[begin * spec.output.record_bytes / 4],
-                              result.records.size()),
-                  0)
+        ASSERT_EQ(
+            std::memcmp(result.records.data(), whole.results.at(name).records.data() + begin * spec.output.record_bytes,
+                        result.records.size()),
+            0)
             << scene << ", " << name << " from " << first;
       }
     }

@@ -254,6 +254,43 @@ std::vector<Tile> layers() {
   return all;
 }
 
+// Sheets that light shines through: what the lobe leaves goes to both sides together.
+std::vector<Tile> shining() {
+  const auto shines = [](double share, double color) {
+    return [=](Material& m) {
+      m.diffuse_transmission = static_cast<float>(share);
+      std::fill(m.diffuse_transmission_color, m.diffuse_transmission_color + 3, static_cast<float>(color));
+    };
+  };
+  const auto glass = [](Material m, double transmission) {
+    m.transmission = static_cast<float>(transmission);
+    return m;
+  };
+  const auto one = [](double) { return 1; };
+  Material coated = lambert(grey(1));
+  coated.clearcoat = 1;
+  return {
+      {"Lambert 0.8, 0.3 of it shines through, 0.5", with(lambert(grey(0.8)), shines(0.3, 0.5)),
+       [](double) { return 0.7 * 0.8 + 0.3 * 0.5; }},
+      {"glossy white, 0.6 shines through", with(dielectric(grey(1), 0.3), shines(0.6, 1)), one},
+      {"glossy black, all shines through", with(dielectric(grey(0), 0.5), shines(1, 1)), one},
+      {"mirror over white, 0.4 shines through", with(dielectric(grey(1), 0), shines(0.4, 1)), one},
+      {"glossy white, 0.5 shines through, 0.25", with(dielectric(grey(1), 0.5), shines(0.5, 0.25)),
+       [](double mu) {
+         const double e = lobe(f0_of(1.5), 0.5, mu);
+         return e + (1 - e) * (0.5 + 0.5 * 0.25);
+       }},
+      {"metal, through which none shines", with(metal(grey(1), 0.5), shines(0.5, 1)),
+       [](double mu) { return lobe(1, 0.5, mu); }},
+      {"half smooth thin glass, of the rest 0.4 shines through",
+       with(glass(dielectric(grey(1), 0), 0.5), shines(0.4, 1)), one},
+      {"0.7 rough thin glass, of the rest 0.4 shines through",
+       with(glass(dielectric(grey(1), 0.3), 0.7), shines(0.4, 1)),
+       [](double mu) { return 0.3 + 0.7 * integrate(0.09, mu, [](double) { return 1; }).reflected; }},
+      {"smooth coat over white, 0.5 shines through", with(coated, shines(0.5, 1)), one},
+  };
+}
+
 void add_sky(SceneBuilder& b) {
   b.environment(2, [](scene::Vec) { return grey(1); });
 }
@@ -324,6 +361,11 @@ void check_board(const Board& b, double mu, std::uint32_t chunks, std::size_t fa
 
 TEST(WhiteFurnace, EveryMaterial) {
   const Board b = board(tiles());
+  for (const double mu : {0.99, 0.6, 0.2}) check_board(b, mu, 128, 3);
+}
+
+TEST(WhiteFurnace, SheetsThatLightShinesThrough) {
+  const Board b = board(shining());
   for (const double mu : {0.99, 0.6, 0.2}) check_board(b, mu, 128, 3);
 }
 

@@ -7,6 +7,7 @@
 #include <functional>
 #include <map>
 
+#include "coordinator/artifacts/scene_lineage.h"
 #include "coordinator/blobs/sha256.h"
 
 namespace gleaner::coordinator {
@@ -66,6 +67,41 @@ TEST(ArtifactName, IsTheSameWhereTheBytesAreTheSame) {
   stage.output.placement = Placement::retain;
   stage.output.reusable = true;
   EXPECT_EQ(artifact_id(scene_a, stage), artifact_id(scene_a, sample()));
+}
+
+// Frames that show a base in states share what is made of the parts in which they do not differ.
+TEST(ArtifactName, NamesThePartsOfTheSceneThatAStageReads) {
+  scene::Scene base;
+  base.lights.resize(2);
+  base.lights[0].intensity[1] = 3;
+  const auto named = [&](const scene::FrameState& state, unsigned parts) {
+    StageSpec stage = sample();
+    stage.scene_parts = parts;
+    return artifact_id(lineage_of(scene_a, base, state), stage);
+  };
+  const scene::FrameState none;
+  scene::FrameState moved, lit, painted, dark;
+  moved.matrices = {{1, 0, 0, 2, 0, 1, 0, 0, 0, 0, 1, 0}};
+  lit.light_indices = {0};
+  lit.lights = {base.lights[0]};
+  lit.lights[0].intensity[1] = 4;
+  painted.material_indices = {0};
+  painted.materials.resize(1);
+  painted.materials[0].alpha = 0.5f;
+  for (const unsigned parts : {0u, 1u, 2u, 3u, 4u, 5u, 6u, 7u}) {
+    EXPECT_EQ(named(moved, parts) == named(none, parts), !(parts & kGeometry)) << parts;
+    EXPECT_EQ(named(painted, parts) == named(none, parts), !(parts & kMaterials)) << parts;
+    EXPECT_EQ(named(lit, parts) == named(none, parts), !(parts & kLights)) << parts;
+  }
+  // Which of the parts it is makes a difference.
+  scene::FrameState weighed;
+  weighed.morph_weights = {1, 0, 0, 2, 0, 1, 0, 0, 0, 0, 1, 0};
+  EXPECT_NE(named(moved, kGeometry), named(weighed, kGeometry));
+  // Where another number of lights shines, other programs of kernels are built: their roundings may differ.
+  dark = lit;
+  dark.lights[0].intensity[1] = 0;
+  EXPECT_NE(named(dark, kSurfaces), named(lit, kSurfaces));
+  EXPECT_EQ(named(dark, kNoScene), named(lit, kNoScene));
 }
 
 TEST(ArtifactName, OfAPlansOwnDataIsThatOfItsBytes) {

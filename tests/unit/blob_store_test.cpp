@@ -183,5 +183,18 @@ TEST(BlobStore, AnUploadThatStandsStillHoldsUpNobody) {
   EXPECT_FALSE(store.begin_upload(id, all.size(), 0.05));
 }
 
+// Frames that run side by side may have equal lists of items.
+TEST(BlobStore, WhatTwoLendIsThereUntilBothHaveTakenItBack) {
+  BlobStore store;
+  auto first = std::make_shared<const Bytes>(Bytes(8, std::byte{7}));
+  auto second = std::make_shared<const Bytes>(*first);
+  const std::string id = store.lend(first);
+  ASSERT_EQ(store.lend(second), id);
+  second.reset();
+  ASSERT_NE(store.source(id), nullptr);
+  first.reset();
+  EXPECT_EQ(store.source(id), nullptr);
+}
+
 }  // namespace
 }  // namespace gleaner::coordinator

@@ -87,7 +87,7 @@ TEST_F(Deform, BadSkinsAreNamed) {
   file = skinned(weights);
   file.json["skins"][0]["joints"] = json::array();
   file.json["skins"][0].erase("inverseBindMatrices");
-  EXPECT_THAT(refused(file), HasSubstr("joints below 0"));
+  EXPECT_THAT(refused(file), AllOf(HasSubstr("skins[0].joints"), HasSubstr("at least one joint")));
 }
 
 TEST_F(Deform, MorphTargetsCountByTheirDefaultWeights) {
@@ -173,8 +173,8 @@ TEST_F(Deform, InstanceBombsAreRefused) {
   json& attributes = file.json["nodes"][0]["extensions"]["EXT_mesh_gpu_instancing"]["attributes"];
   file.json["accessors"].push_back({{"componentType", 5126}, {"count", 1000000000}, {"type", "VEC3"}});
   attributes["TRANSLATION"] = file.json["accessors"].size() - 1;
-  EXPECT_THAT(refused(file), AllOf(HasSubstr("TRANSLATION"), HasSubstr("triangles in all")));
-  file.json["accessors"].back()["count"] = 20000000;
+  EXPECT_THAT(refused(file), AllOf(HasSubstr("TRANSLATION"), HasSubstr("at most 4194304 instances")));
+  file.json["accessors"].back()["count"] = 4000000;
   EXPECT_THAT(refused(file), HasSubstr("without a bufferView"));
 }
 

@@ -27,6 +27,15 @@ constexpr double kHalf = 0.70710678118654752;  // of a quarter turn's quaternion
 class Gltf : public testing::Test {
  protected:
   Scene read(const GltfFile& file) { return import_text(folder_, "scene.glb", file.glb()); }
+  // A triangle with texture coordinates, and a texture.
+  GltfFile textured_file() {
+    GltfFile file = triangle_file();
+    file.primitive()["attributes"]["TEXCOORD_0"] = file.add<float>({0, 0, 1, 0, 0, 1}, 5126, "VEC2");
+    folder_.write_image("t.png", 1, 1, 4, {1, 1, 1, 1});
+    file.json["images"] = {{{"uri", "t.png"}}};
+    file.json["textures"] = {{{"source", 0}}};
+    return file;
+  }
   // As far as a test sees: without the warning about the missing camera.
   std::vector<std::string> warnings(const Scene& scene) {
     std::vector<std::string> all;
@@ -415,11 +424,7 @@ TEST_F(Gltf, Materials) {
 }
 
 TEST_F(Gltf, CoatSheenGrainAndFilm) {
-  GltfFile file = triangle_file();
-  file.primitive()["attributes"]["TEXCOORD_0"] = file.add<float>({0, 0, 1, 0, 0, 1}, 5126, "VEC2");
-  folder_.write_image("t.png", 1, 1, 4, {1, 1, 1, 1});
-  file.json["images"] = {{{"uri", "t.png"}}};
-  file.json["textures"] = {{{"source", 0}}};
+  GltfFile file = textured_file();
   const json texture = {{"index", 0}};
   json coated, woven, brushed, oily, off;
   coated["extensions"]["KHR_materials_clearcoat"] = {{"clearcoatFactor", 0.5},
@@ -500,6 +505,32 @@ TEST_F(Gltf, PrimitivesWithoutMaterialGetTheDefault) {
   EXPECT_THAT(s.triangle_material, ElementsAre(1, 0));
   EXPECT_FLOAT_EQ(s.materials.at(1).base_color[0], 1);
   EXPECT_FLOAT_EQ(s.materials.at(1).metallic, 1);
+}
+
+TEST_F(Gltf, LightShinesThrough) {
+  GltfFile file = textured_file();
+  const json texture = {{"index", 0}};
+  json leaf, off;
+  leaf["extensions"]["KHR_materials_diffuse_transmission"] = {{"diffuseTransmissionFactor", 0.25},
+                                                              {"diffuseTransmissionColorFactor", {0.5, 1, 0.25}},
+                                                              {"diffuseTransmissionTexture", texture},
+                                                              {"diffuseTransmissionColorTexture", texture}};
+  leaf["extensions"]["KHR_materials_volume"]["thicknessFactor"] = 0.1;
+  leaf["pbrMetallicRoughness"]["metallicFactor"] = 0;  // through the default, metal, nothing shines
+  off["extensions"]["KHR_materials_diffuse_transmission"]["diffuseTransmissionTexture"] = texture;
+  file.json["materials"] = {leaf, off};
+  file.json["extensionsUsed"] = {"KHR_materials_diffuse_transmission", "KHR_materials_volume"};
+  const Scene s = read(file);
+  EXPECT_THAT(warnings(s), ElementsAre(HasSubstr("thin sheet")));
+  const Material& m = s.materials[0];
+  EXPECT_FLOAT_EQ(m.diffuse_transmission, 0.25f);
+  EXPECT_THAT(m.diffuse_transmission_color, ElementsAre(0.5f, 1, 0.25f));
+  EXPECT_EQ(s.textures.at(m.diffuse_transmission_texture).flags, 0u);
+  EXPECT_EQ(s.textures.at(m.diffuse_transmission_color_texture).flags, GLEANER_TEXTURE_SRGB);
+  EXPECT_EQ(s.materials[1].diffuse_transmission_texture, GLEANER_NONE);
+  EXPECT_TRUE(needs_of(s).diffuse_transmission && needs_of(s).transmissive);
+  file.json["materials"][0]["extensions"]["KHR_materials_diffuse_transmission"]["diffuseTransmissionFactor"] = 1.5;
+  EXPECT_THAT(refusal(folder_.write("bad.gltf", file.gltf())), HasSubstr("diffuseTransmissionFactor"));
 }
 
 TEST_F(Gltf, UnknownExtensionsThatAreOnlyUsedGetAWord) {

@@ -143,6 +143,67 @@ TEST(Stl, Ascii) {
   EXPECT_THAT(refusal(folder.write("f.stl", "solid x\nwhatever comes next\n")), HasSubstr("the words of an STL file"));
 }
 
+TEST(Stl, WhatProgramsWrite) {
+  const Folder folder;
+  const auto triangles = [&](const std::string& bytes) { return import_text(folder, "p.stl", bytes).triangle_count(); };
+  const std::string facet =
+      "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n";
+  const std::string text = "solid part\n" + facet + "endsolid part\n";
+  for (const char* end : {"\r", "\r\n", " "}) {
+    std::string other;
+    for (const char c : text) c == '\n' ? other += end : other += c;
+    EXPECT_EQ(triangles(other), 1u) << int(end[0]);
+  }
+  std::string upper = text;
+  for (char& c : upper) c = static_cast<char>(std::toupper(c));
+  EXPECT_EQ(triangles(upper), 1u);
+  EXPECT_EQ(triangles("\xef\xbb\xbf\n  " + text), 1u);
+  EXPECT_THAT(import_text(folder, "c.stl", "solid part\n" + facet).warnings, Contains(HasSubstr("no endsolid")));
+  std::string apart = text;
+  for (const char* word : {"loop\nendf", "facet\nends", "solid part\n"}) apart.insert(apart.rfind(word), 1, ' ');
+  const Scene of_words = import_text(folder, "w.stl", apart);
+  EXPECT_EQ(of_words.triangle_count(), 1u);
+  EXPECT_THAT(of_words.warnings, testing::Not(Contains(HasSubstr("no endsolid"))));
+  // Binary, whatever the head says and however the length is wrong.
+  EXPECT_EQ(triangles(binary_stl(2, "solid " + std::string(74, ' ')) + "\n"), 2u);
+  EXPECT_THAT(refusal(folder.write("d.stl", binary_stl(2, "solid part").substr(0, 150))), HasSubstr("bytes of 2"));
+  std::string uncounted = binary_stl(2);
+  uncounted[80] = 0;
+  EXPECT_EQ(triangles(uncounted), 2u);
+  std::string colored = binary_stl(1);
+  colored.back() = '\x84';
+  EXPECT_THAT(import_text(folder, "e.stl", colored).warnings, Contains(HasSubstr("attributes")));
+}
+
+TEST(Ply, WhatScannersWrite) {
+  const Folder folder;
+  const std::string head =
+      "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+      "property float red\nproperty float green\nproperty float blue\nelement face 1\n"
+      "property list uchar int vertex_indices\nend_header\n";
+  const std::string body = "0 0 0 255 128 0\n1 0 0 255 128 0\n0 1 0 255 128 0\nnan nan nan 0 0 0\n";
+  Scene s = import_text(folder, "a.ply", "\xef\xbb\xbf" + head + body + "3 0 1 2\n");
+  EXPECT_EQ(s.triangle_count(), 1u);  // the point without a place is no corner
+  EXPECT_THAT(s.warnings, Contains(HasSubstr("without a place")));
+  for (const float c : s.positions) EXPECT_TRUE(c >= 0 && c <= 1);
+  EXPECT_NEAR(s.colors[1], 65535 * 0.2159, 20);  // colours up to 255, as floats
+  EXPECT_THAT(refusal(folder.write("b.ply", head + body + "3 0 1 3\n")), HasSubstr("finite coordinates"));
+  // Lines that end with CR alone, before data that begins with the byte of an LF.
+  std::string binary =
+      "ply\rformat binary_little_endian 1.0\relement vertex 3\rproperty uchar x\rproperty uchar y\r"
+      "property uchar z\relement face 1\rproperty list uchar uchar vertex_indices\rend_header\r";
+  binary += std::string("\n\0\0\1\0\0\0\1\0\3\0\1\2", 13);
+  s = import_text(folder, "c.ply", binary);
+  EXPECT_THAT(s.positions, ElementsAre(10, 0, 0, 1, 0, 0, 0, 1, 0));
+  EXPECT_THAT(s.indices, ElementsAre(0, 1, 2));
+  // Blender 2.47 wrote its comment without that word.
+  std::string by_blender = head + body + "3 0 1 2\n";
+  by_blender.insert(by_blender.find("element"), "Created by Blender3D 247 - www.blender.org, source file: \n");
+  s = import_text(folder, "d.ply", by_blender);
+  EXPECT_EQ(s.triangle_count(), 1u);
+  EXPECT_THAT(s.warnings, Contains(AllOf(HasSubstr("Created by Blender3D"), HasSubstr("passed over"))));
+}
+
 // --- OBJ of many programs --------------------------------------------------------------------------------------------
 
 class PeoplesObj : public testing::Test {
@@ -166,6 +227,78 @@ TEST_F(PeoplesObj, MarksAndLineEnds) {
                 .materials[0]
                 .emission[1],
             2);
+}
+
+TEST_F(PeoplesObj, ContinuedLines) {
+  const std::string library = "newmtl a\nKe 1 0 0\n";
+  Scene s = read("mtllib \\\nm.mtl\n" + square_ + "usemtl a\nf 1 2 \\ \n 3 4\n", library);
+  EXPECT_EQ(s.triangle_count(), 2u);
+  EXPECT_EQ(s.materials[0].emission[0], 1);
+  // A backslash that ends a name continues nothing where a statement follows.
+  s = read("mtllib m.mtl\ng C:\\parts\\\nusemtl a\n" + square_ + "f 1 2 3\n", library);
+  EXPECT_EQ(s.meshes[0].name, "C:\\parts\\");
+  EXPECT_EQ(s.materials[0].emission[0], 1);
+}
+
+TEST_F(PeoplesObj, LibrariesAndNamesOfAllKinds) {
+  folder_.write("a b.mtl", "newmtl red # the first\nKe 1 0 0\n");
+  folder_.write("c.mtl", "newmtl gr\xfcn\nKe 0 1 0\n");
+  const std::string faces = square_ + "usemtl red\nf 1 2 3\nusemtl gr\xc3\xbcn\nf 1 3 4\n";
+  Scene s = read("mtllib a b.mtl c.mtl\n" + faces);
+  EXPECT_EQ(s.materials.at(0).emission[0], 1);  // the comment stands in the library alone
+  EXPECT_EQ(s.materials.at(1).emission[1], 1);  // UTF-8 here, Latin-1 there
+  EXPECT_EQ(read("mtllib \"a b.mtl\"\n" + faces).materials.at(0).emission[0], 1);
+  for (const char* path : {"C:\\me\\c.mtl", "/home/me/c.mtl"}) {
+    s = read(std::string("mtllib ") + path + "\n" + faces);
+    EXPECT_EQ(s.materials.at(1).emission[1], 1) << path;
+    EXPECT_THAT(s.warnings, Contains(HasSubstr("an absolute path")));
+  }
+  folder_.write("empty.mtl", "");
+  EXPECT_THAT(read("mtllib empty.mtl\n" + faces).warnings, Contains(HasSubstr("an empty file")));
+}
+
+TEST_F(PeoplesObj, WhatIsNoNumber) {
+  const Scene s = read(square_ + "vn nan -nan(ind) 1.#QNAN\nvt 1.#IND inf\nf 1/1/1 2/1/1 3/1/1\n");
+  EXPECT_EQ(s.triangle_count(), 1u);
+  EXPECT_THAT(s.normals, Each(0.0f));
+  EXPECT_THAT(s.warnings, Contains(HasSubstr("line 5: vn: not a finite number")));
+  EXPECT_THAT(s.warnings, Contains(HasSubstr("line 6: vt: not a finite number")));
+  EXPECT_EQ(read("mtllib m.mtl\n" + square_ + "usemtl a\nf 1 2 3\n", "newmtl a\nd 1.0000001\n").materials[0].alpha, 1);
+  // Vertices that are not there, and maps without a name.
+  const Scene holes = read("v nan nan nan\nv 1.#QNAN 0 0\n" + square_ + "f 3 4 5\n");
+  EXPECT_EQ(holes.triangle_count(), 1u);
+  EXPECT_THAT(holes.warnings, Contains(HasSubstr("line 1: v: without a place")));
+  EXPECT_THAT(refusal(folder_.write("h.obj", "v nan 0 0\n" + square_ + "f 1 2 3\n")), HasSubstr("finite coordinates"));
+  EXPECT_THAT(read("mtllib m.mtl\n" + square_ + "usemtl a\nf 1 2 3\n", "newmtl a\nmap_Kd\n").warnings,
+              Contains(HasSubstr("line 2: map_Kd: no file's name")));
+  folder_.write("lib/readme", "");
+  EXPECT_THAT(read("mtllib lib\n" + square_ + "f 1 2 3\n").warnings, Contains(HasSubstr("mtllib lib: a folder")));
+  // A colour of a little more than 1 does not make counts of 255 of all.
+  EXPECT_GT(read("v 0 0 0 1.01 0.5 0\nv 1 0 0 1 1 1\nv 1 1 0 1 1 1\nf 1 2 3\n").colors[1], 10000);
+}
+
+TEST_F(PeoplesObj, PolygonsWithSpikesAndKnots) {
+  const auto area = [](const Scene& s) {
+    double sum = 0;
+    for (std::size_t t = 0; t < s.triangle_count(); ++t) {
+      const float* p[3];
+      for (std::size_t k = 0; k < 3; ++k) p[k] = &s.positions[3 * std::size_t(s.indices[3 * t + k])];
+      sum += std::abs((p[1][0] - p[0][0]) * (p[2][1] - p[0][1]) - (p[1][1] - p[0][1]) * (p[2][0] - p[0][0])) / 2;
+    }
+    return sum;
+  };
+  const Scene s = read("v 0 0 0\nv 4 0 0\nv 6 0 0\nv 4 0 0\nv 4 2 0\nv 0 2 0\nf 1 2 3 4 5 6\n");
+  EXPECT_NEAR(area(s), 8, 1e-6);  // the spike to x = 6 encloses nothing
+  EXPECT_THAT(s.warnings, testing::Not(Contains(HasSubstr("crosses"))));
+  EXPECT_THAT(read("v 0 0 0\nv 2 2 0\nv 2 0 0\nv 0 2 0\nf 1 2 3 4\n").warnings, Contains(HasSubstr("crosses itself")));
+}
+
+TEST_F(PeoplesObj, TextureOptionsBehindTheName) {
+  folder_.write_image("my wood.png", 1, 1, 3, {1, 1, 1});
+  const Scene s = read("mtllib m.mtl\n" + square_ + "vt 0 0\nusemtl m\nf 1/1 2/1 3/1\n",
+                       "newmtl m\nmap_Kd my wood.png -s 2 3 1 -o 0.25 0.5\n");
+  ASSERT_EQ(s.textures.size(), 1u);
+  EXPECT_THAT(s.textures[0].transform, ElementsAre(2, 0, 0.25f, 0, 3, -2.5f));
 }
 
 TEST_F(PeoplesObj, NumberSignsAreParts) {

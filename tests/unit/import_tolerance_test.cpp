@@ -94,6 +94,36 @@ TEST(Tolerance, OfGltf) {
       {"an extension that is used but not declared",
        [](GltfFile& f) { f.json["materials"][0]["extensions"]["KHR_materials_dispersion"]["dispersion"] = 1; },
        "KHR_materials_dispersion is not read"},
+      {"members that are null",
+       [](GltfFile& f) {
+         f.json["nodes"][0]["skin"] = nullptr;
+         f.json["nodes"][0]["camera"] = nullptr;
+         f.json["materials"][0]["name"] = nullptr;
+       },
+       "materials[0].name: null is taken as absent"},
+      {"extensions that are an empty array", [](GltfFile& f) { f.json["nodes"][0]["extensions"] = json::array(); },
+       "nodes[0].extensions: an empty array is taken as absent"},
+      {"factors rounded beyond their range",
+       [](GltfFile& f) {
+         f.json["materials"][0]["pbrMetallicRoughness"] = {{"roughnessFactor", 1.0000001},
+                                                           {"baseColorFactor", {0.5, 0.5, 0.5, -1e-9}}};
+       },
+       "materials[0].pbrMetallicRoughness.roughnessFactor: a little more than 1"},
+      {"a camera without an aspect ratio",
+       [](GltfFile& f) {
+         f.json["cameras"] = {{{"type", "perspective"}, {"perspective", {{"yfov", 1}, {"aspectRatio", 0}}}}};
+       },
+       "cameras[0].perspective.aspectRatio: 0 is taken"},
+      {"a light without a range",
+       [](GltfFile& f) {
+         f.json["extensions"]["KHR_lights_punctual"]["lights"] = {{{"type", "point"}, {"range", 0}}};
+       },
+       "lights[0].range: 0 is taken"},
+      {"a node listed twice",
+       [](GltfFile& f) {
+         f.json["scenes"][0]["nodes"] = {0, 0};
+       },
+       "scenes[0].nodes: a node that is listed twice"},
       {"names in Latin-1", [](GltfFile& f) { f.json["nodes"][0]["name"] = "M@hle"; }, "JSON: not UTF-8"},
   };
   const Folder folder;
@@ -126,6 +156,27 @@ TEST(Tolerance, BytesAfterTheEndOfAGlb) {
     EXPECT_EQ(s.triangle_count(), 1u);
     EXPECT_THAT(s.warnings, Contains(HasSubstr(std::to_string(more.size()) + " bytes after its end")));
   }
+}
+
+TEST(Tolerance, TextThatIsCalledBinary) {
+  const Folder folder;
+  EXPECT_THAT(import_text(folder, "text.glb", triangle_file().gltf()).warnings,
+              Contains(HasSubstr("the file is JSON")));
+  EXPECT_THAT(refusal(folder.write("bad.glb", "PK\3\4")), HasSubstr("the magic"));
+}
+
+TEST(Tolerance, UrisThatNobodyEncoded) {
+  const Folder folder;
+  GltfFile file = triangle_file();
+  folder.write("100%.bin", file.binary);
+  file.json["buffers"] = {{{"byteLength", file.binary.size()}, {"uri", "100%.bin"}}};
+  EXPECT_EQ(import_text(folder, "s.gltf", file.json.dump()).triangle_count(), 1u);
+  std::string text = triangle_file().gltf();
+  const std::size_t digits = text.find(";base64,");
+  ASSERT_NE(digits, text.npos);
+  text.replace(digits, 8, ";BASE64,");
+  text.insert(digits + 20, "\\r\\n");
+  EXPECT_EQ(import_text(folder, "t.gltf", text).triangle_count(), 1u);
 }
 
 TEST(Tolerance, TextsInOtherEncodings) {

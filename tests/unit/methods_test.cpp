@@ -1,6 +1,7 @@
 // The table of methods and settings, and what is made of it.
 
 #include "coordinator/plan/methods.h"
+#include "coordinator/plan/vpl_settings.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -53,6 +54,18 @@ TEST(Methods, NamesAreUniqueAndSaid) {
 }
 
 // Each setting of the table takes the ends of its range, and nothing beyond them.
+// Importers ask the table; whoever makes a scene otherwise is told.
+TEST(Methods, InstancesAreTakenOrRefusedAsTheTableSays) {
+  SceneSummary scene;
+  scene.needs.instances = true;
+  for (const Method& method : methods())
+    if (method.takes_instances)
+      EXPECT_NO_THROW(make_plan(frame({}, std::string(method.name)), scene)) << method.name;
+    else
+      EXPECT_THROW(make_plan(frame({}, std::string(method.name)), scene), Error) << method.name;
+  EXPECT_FALSE(method_of("links").takes_instances);
+}
+
 TEST(Methods, RangesHold) {
   const auto with = [](const Setting& setting, const std::string& value) {
     return refused(frame({{std::string(setting.name), value}}));
@@ -101,6 +114,27 @@ TEST(Methods, OldNamesAreUnderstoodWithAWarning) {
         << old_name;
     EXPECT_THAT(refused(frame({{old_name, "1"}, {name, "1"}})), HasSubstr("expected one of them"));
   }
+}
+
+// Who sets all counts gets the error that they stand for; other frames weigh it against the noise of their samples.
+TEST(Methods, CountsThatAreSetHaveASmallResidualThreshold) {
+  const auto threshold = [](std::map<std::string, std::string> set, std::uint32_t spp) {
+    FrameSettings settings = frame(std::move(set));
+    settings.spp = spp;
+    return make_vpl_settings(settings).residual_threshold;
+  };
+  const std::map<std::string, std::string> counts = {
+      {"vpl.count", "1000"}, {"vpl.clusters", "100"}, {"vpl.point_clusters", "100"}};
+  for (const std::uint32_t spp : {4u, 64u, 1024u}) EXPECT_EQ(threshold(counts, spp), 0.02);
+  for (const auto& [missing, value] : counts) {
+    std::map<std::string, std::string> some = counts;
+    some.erase(missing);
+    EXPECT_EQ(threshold(some, 4), 0.2);
+    EXPECT_EQ(threshold(some, 64), 0.025);
+  }
+  std::map<std::string, std::string> all = counts;
+  all["vpl.residual_threshold"] = "0.3";
+  EXPECT_EQ(threshold(all, 64), 0.3);
 }
 
 TEST(Methods, ReferencePageIsUpToDate) {

@@ -101,7 +101,7 @@ TEST(SceneBlob, NoBeginningOfItIsTaken) {
 }
 
 TEST(SceneBlob, NothingElseIsTakenForOne) {
-  EXPECT_THAT(rejection(serialize(Bvh{{BvhNode{}}, {}, 1})), HasSubstr("magic"));
+  EXPECT_THAT(rejection(serialize(Bvh{{BvhNode{}}, {}, {{GLEANER_NONE, 0, 1, 0, 0}}, 1})), HasSubstr("magic"));
   Bytes bytes = serialize(square());
   bytes[8] = std::byte{9};
   EXPECT_THAT(rejection(bytes), HasSubstr("version"));
@@ -157,6 +157,7 @@ Bvh small_bvh() {
   bvh.nodes[1].child[0] = leaf(1, 2);
   bvh.nodes[1].child[1] = leaf(3, 1);
   bvh.triangles = {3, 0, 1, 2};
+  bvh.parts = {{GLEANER_NONE, 0, 2, 0, 4}};
   bvh.max_depth = 2;
   return bvh;
 }

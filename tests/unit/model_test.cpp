@@ -11,6 +11,7 @@
 #include "model_scene.h"
 #include "scene/model/albedo.h"
 #include "scene/model/error.h"
+#include "scene/model/names.h"
 #include "scene/model/scene.h"
 
 namespace gleaner::scene {
@@ -286,15 +287,58 @@ TEST(Needs, HaveOneNameABit) {
   EXPECT_EQ(needs.bits(), 1u);
   EXPECT_EQ(need_names().front(), "specular");
   needs = {};
-  needs.iridescence = true;
+  needs.diffuse_transmission = true;
   EXPECT_EQ(needs.bits(), 1u << (need_names().size() - 1));
-  EXPECT_EQ(need_names().back(), "iridescence");
+  EXPECT_EQ(need_names().back(), "diffuse_transmission");
   needs = {};
   needs.normal_maps = true;
   EXPECT_EQ(need_names()[std::countr_zero(needs.bits())], "normal_maps");
 }
 
 // --- validation ----------------------------------------------------------------------------------------------------
+
+TEST(Validate, InstancesAreChecked) {
+  const auto instanced = [] {
+    Scene scene = square();
+    scene.meshes[0].instanced = true;
+    for (std::size_t m = 1; m < scene.meshes.size(); ++m) scene.meshes[m].instanced = true;
+    for (std::uint32_t m = 0; m < scene.meshes.size(); ++m) {
+      Instance instance{};
+      instance.transform[0] = instance.transform[5] = instance.transform[10] = 1;
+      instance.mesh = m;
+      scene.instances.push_back(instance);
+    }
+    for (Material& m : scene.materials) std::fill(m.emission, m.emission + 3, 0.0f);
+    return scene;
+  };
+  const auto why = [](const Scene& scene) -> std::string {
+    try {
+      validate(scene, "f");
+    } catch (const Error& error) {
+      return error.what();
+    }
+    return "accepted";
+  };
+  EXPECT_EQ(why(instanced()), "accepted");
+  Scene s = instanced();
+  s.instances[0].mesh = 99;
+  EXPECT_NE(why(s).find("instances[0].mesh"), std::string::npos) << why(s);
+  s = instanced();
+  s.instances[0].transform[5] = 0;
+  EXPECT_NE(why(s).find("instances[0].transform"), std::string::npos) << why(s);
+  s = instanced();
+  s.instances[0].transform[3] = std::numeric_limits<float>::quiet_NaN();
+  EXPECT_NE(why(s).find("instances[0].transform"), std::string::npos) << why(s);
+  s = instanced();
+  s.meshes[0].deforming = true;
+  EXPECT_NE(why(s).find("meshes[0]"), std::string::npos) << why(s);
+  s = instanced();
+  s.instances.clear();
+  EXPECT_NE(why(s).find("meshes[0]"), std::string::npos) << why(s);
+  s = instanced();
+  s.materials[s.triangle_material[0]].emission[0] = 1;
+  EXPECT_NE(why(s).find("meshes[0]"), std::string::npos) << why(s);
+}
 
 TEST(Validate, AcceptsWhatIsRight) {
   EXPECT_NO_THROW(validate(square(), "f"));
@@ -441,6 +485,26 @@ TEST(FramingCamera, SeesEveryCorner) {
 TEST(FramingCamera, StandsBeforeNothing) {
   Scene empty;
   expect_right_handed(framing_camera(empty).camera);
+}
+
+TEST(Names, BytesThatAreNoTextAreSpelledOut) {
+  EXPECT_EQ(printable("caf\u00e9 \xe9 \xff"), "caf\u00e9 \\xe9 \\xff");
+  EXPECT_EQ(printable(std::string_view("a\0b", 3)), "a\\x00b");
+}
+
+TEST(Names, CharactersThatATerminalObeysAreSpelledOut) {
+  EXPECT_EQ(printable("\x1b[31mred\x7f"), "\\x1b[31mred\\x7f");
+  EXPECT_EQ(printable("\u009b2J"), "\\xc2\\x9b2J");
+  EXPECT_EQ(printable("gpj.\u202eexe"), "gpj.\\xe2\\x80\\xaeexe");  // turns the line around
+  EXPECT_EQ(printable("one\u2028two"), "one\\xe2\\x80\\xa8two");
+  EXPECT_EQ(printable("two\nlines\u00a0\u20ac"), "two\\x0alines\u00a0\u20ac");
+  EXPECT_EQ(printable_lines("two\nlines\x1b\n"), "two\nlines\\x1b\n");
+}
+
+TEST(Names, LongOnesAreCutBetweenCharacters) {
+  EXPECT_EQ(printable("abcd\u00e9", 5), "abcd");
+  EXPECT_EQ(printable("abcd\u00e9", 6), "abcd\u00e9");
+  EXPECT_EQ(printable("abc\n", 5), "abc");  // no half of "\x0a"
 }
 
 }  // namespace

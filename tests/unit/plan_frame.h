@@ -42,11 +42,21 @@ class PlannedFrame {
 
   // Runs the frame to its end.
   void run() {
-    Step step = plan_->next(nullptr);
+    Step step = next(nullptr);
     while (!step.done) {
       FinishedStage finished = finish(step);
-      step = plan_->next(&finished);
+      step = next(&finished);
     }
+  }
+
+  // The plan's next step that asks for a stage, or ends the frame.
+  Step next(const FinishedStage* finished) {
+    Step step = plan_->next(finished);
+    while (step.again) {
+      EXPECT_TRUE(step.stages.empty());
+      step = plan_->next(nullptr);
+    }
+    return step;
   }
 
   // The records of the one stage that a step asks for.

@@ -269,14 +269,34 @@ TEST(PathPlan, RefusesWhatItDidNotAskFor) {
   empty.records = nullptr;
   shorter.records = std::make_shared<Bytes>(good.records->size() - 1);
   for (const auto* bad : {&other, &empty, &shorter}) EXPECT_THROW(frame.plan().next(bad), Error);
-  EXPECT_FALSE(frame.plan().next(&good).done);
+  EXPECT_FALSE(frame.next(&good).done);
+}
+
+// A stage's list of items is large: the next one is made when the farm has dropped it.
+TEST(PathPlan, MakesAListWhenTheOneBeforeIsReleased) {
+  const Truth truth = uneven(40);
+  PlannedFrame frame(settings(8, 5, 64), truth);
+  FinishedStage finished = frame.finish(frame.next(nullptr));
+  const Step second = frame.next(&finished);
+  ASSERT_EQ(second.artifacts.size(), 1u);
+  const std::weak_ptr<const Bytes> list = second.artifacts.begin()->second;
+  finished = frame.finish(second);
+  Step third = frame.plan().next(&finished);
+  ASSERT_TRUE(third.again);
+  EXPECT_FALSE(third.done);
+  EXPECT_THAT(third.released, ::testing::Contains(second.artifacts.begin()->first));
+  EXPECT_TRUE(third.stages.empty() && third.artifacts.empty());
+  EXPECT_EQ(list.use_count(), 1);  // `second` alone has it
+  third = frame.plan().next(nullptr);
+  EXPECT_FALSE(third.again);
+  EXPECT_EQ(third.artifacts.size(), 1u);
 }
 
 // The live preview: batches in any order, and the whole once all have come.
 TEST(PathPlan, PreviewBecomesThePicture) {
   const Truth truth = uneven(40);
   PlannedFrame frame(settings(8, 5, 3), truth);
-  Step step = frame.plan().next(nullptr);
+  Step step = frame.next(nullptr);
   while (!step.done) {
     const FinishedStage finished = frame.finish(step);
     const StageSpec& spec = frame.runs().back().spec;
@@ -287,7 +307,7 @@ TEST(PathPlan, PreviewBecomesThePicture) {
           Bytes(finished.records->begin() + static_cast<std::ptrdiff_t>(first * spec.output.record_bytes),
                 finished.records->begin() + static_cast<std::ptrdiff_t>(end * spec.output.record_bytes)));
     }
-    step = frame.plan().next(&finished);
+    step = frame.next(&finished);
   }
   const Film film = frame.plan().film(), preview = frame.plan().preview_film();
   for (std::size_t i = 0; i < 40; ++i)
@@ -328,7 +348,7 @@ TEST(MakePlan, TellsTheStagesBeforehand) {
   const auto plan = make_plan(s, summarize(scene::make_scene("cornell-box")));
   const auto lines = plan->outline();
   ASSERT_EQ(lines.size(), 2u);
-  // The foreseen first stage is the one that comes.
+  // The predicted first stage is the one that comes.
   const Step step = plan->next(nullptr);
   EXPECT_THAT(lines[0],
               ::testing::HasSubstr(step.stages[0].name + ": " + std::to_string(step.stages[0].items) + " items"));

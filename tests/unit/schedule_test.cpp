@@ -659,8 +659,58 @@ TEST(Solo, OneLeaseHoldsAllItems) {
   EXPECT_EQ(lease.first, 0u);
   EXPECT_EQ(lease.count, 1'000'000u);
   EXPECT_GE(lease.expires, 300);
-  EXPECT_FALSE(farm.next_lease(kBob, 100).has_value()) << "solo work must not be copied";
+  EXPECT_FALSE(farm.next_lease(kBob, 0.9).has_value()) << "solo work must not be copied";
   EXPECT_TRUE(deliver(farm, lease, 3, 3).stage_complete);
+}
+
+// A worker that shows signs of life but never answers must not hold up a frame for a whole lease.
+TEST(Solo, AnIdleWorkerBeginsItTooWhenItLastsFarTooLong) {
+  Scheduler farm;
+  farm.worker_joined(kAda, 0);
+  farm.worker_joined(kBob, 0);
+  const StageId stage = farm.add_stage(solo_of(10, {}), 0);
+  take(farm, kAda);
+  EXPECT_EQ(farm.why_waiting(stage, 1), "");
+  const auto name = [](WorkerId) { return std::string("ada"); };
+  EXPECT_EQ(farm.why_waiting(stage, 10, {name, name}),
+            "worker ada has not answered its batch for 10 s, expected 1 s at most");
+  const Lease copy = take(farm, kBob, 10);
+  EXPECT_TRUE(copy.duplicate);
+  EXPECT_EQ(copy.count, 10u);
+  const ResultOutcome outcome = deliver(farm, copy, 2, 12);
+  EXPECT_EQ(outcome.verdict, Verdict::accepted);
+  EXPECT_TRUE(outcome.stage_complete);
+  ASSERT_EQ(outcome.revoke.size(), 1u);
+  EXPECT_EQ(outcome.revoke[0].worker, kAda);
+  // Of one that has answered before more is believed: 2 s are expected.
+  farm.add_stage(solo_of(10, {}), 20);
+  take(farm, kBob, 20);
+  EXPECT_FALSE(farm.next_lease(kAda, 25.5).has_value());
+  EXPECT_TRUE(farm.next_lease(kAda, 26.5).has_value());
+}
+
+TEST(Solo, WhoHasAnsweredBeforeComesFirst) {
+  Scheduler farm;
+  farm.worker_joined(kAda, 0);
+  farm.worker_joined(kBob, 0);
+  farm.add_stage(solo_of(10, {}), 0);
+  deliver(farm, take(farm, kAda), 0.1, 0.1);
+  const StageId stage = farm.add_stage(solo_of(10, {}), 1);
+  EXPECT_FALSE(farm.next_lease(kBob, 1).has_value()) << "it may be mute";
+  EXPECT_TRUE(farm.next_lease(kBob, 2.5).has_value()) << "and it may be new";
+  EXPECT_EQ(farm.why_waiting(stage, 2.5), "");
+}
+
+// Or both would hold the items for a whole lease.
+TEST(Duplicates, OfOneThatNeverAnsweredAreForOneThatDid) {
+  Scheduler farm;
+  for (const WorkerId worker : {kAda, kBob, kEve}) farm.worker_joined(worker, 0);
+  farm.add_stage(stage_of(64, 64), 0);
+  farm.add_stage(stage_of(64, 64), 0);
+  take(farm, kBob);
+  deliver(farm, take(farm, kAda), 0.1, 0.1);
+  EXPECT_FALSE(farm.next_lease(kEve, 5).has_value());
+  EXPECT_TRUE(take(farm, kAda, 5).duplicate);
 }
 
 TEST(Solo, ThePreferredWorkerHasItsChanceFirst) {

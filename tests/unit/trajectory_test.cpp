@@ -360,8 +360,9 @@ TEST(VplTrajectory, TheOrderInWhichPointsComeIsNothing) {
 
 TEST(VplTrajectory, ASingleCameraIsNoTrajectory) {
   const VplFrame frame = run(vpl_settings(camera_at(0), {}), see_wall);
-  EXPECT_FALSE(frame.stages.at("vpl.points").spec.output.reusable);
-  EXPECT_FALSE(frame.stages.at("vpl.point_cluster").spec.output.reusable);
+  // Points serve frames of this camera whose lights change.
+  EXPECT_TRUE(frame.stages.at("vpl.points").spec.output.reusable);
+  EXPECT_TRUE(frame.stages.at("vpl.point_cluster").spec.output.reusable);
   EXPECT_FALSE(frame.stages.at("vpl.visibility.0").spec.output.reusable);
   EXPECT_EQ(frame.stages.at("vpl.point_cluster").spec.items, 128u);
   EXPECT_FALSE(frame.parameters["vpl"].contains("trajectory"));

@@ -75,6 +75,10 @@ class RunFrame {
       }
       for (const ArtifactId& id : step.released) EXPECT_EQ(artifacts_.erase(id), 1u) << "released before it was made";
       if (step.done) return;
+      if (step.again) {
+        step = plan_->next(nullptr);
+        continue;
+      }
       ASSERT_FALSE(waiting.empty()) << "the plan waits for nothing";
       const auto at = waiting.begin() + static_cast<std::ptrdiff_t>(choose_(waiting.size()));
       const StageSpec spec = *at;

@@ -1,4 +1,4 @@
-// The pilot of method `vpl`: what it foresees against what can be reckoned, and what the plan makes of it.
+// The pilot of method `vpl`: what it predicts against what can be computed, and what the plan makes of it.
 
 #include "coordinator/plan/vpl_pilot.h"
 
@@ -278,7 +278,7 @@ TEST(VplPilot, NothingToSee) {
   EXPECT_EQ(queried_points(points).size(), 64u * (1 + Shape::spacings * Shape::neighbours) * POINT_WORDS);
 }
 
-// A worker that is broken or lies: numbers that nothing can be reckoned with.
+// A worker that is broken or lies: numbers that nothing can be computed with.
 TEST(VplPilot, RefusesFactsThatAreNone) {
   const auto facts = facts_of(ceiling(100, 1), floor_points(8), half, bounds_about(1));
   for (const double bad : {std::numeric_limits<double>::infinity(), std::nan(""), -1.0})

@@ -36,7 +36,7 @@ constexpr std::size_t piece_bytes = std::size_t{1} << 20;
 constexpr std::size_t most_facts_bytes = std::size_t{64} << 10;
 constexpr std::size_t most_unsent = 2;  // results: a device faster than the network waits
 constexpr std::chrono::milliseconds unavailable_pause{200};
-constexpr double first_backoff_seconds = 0.2, longest_backoff_seconds = 10;
+constexpr double first_backoff_seconds = 1, longest_backoff_seconds = 30;
 
 using Clock = std::chrono::steady_clock;
 
@@ -64,6 +64,7 @@ struct Outgoing {
   std::shared_ptr<const StoredPart> part;  // retained: what is kept
   std::uint64_t records = 0;               // how many
   std::uint64_t fetched_bytes = 0, peer_bytes = 0;
+  std::optional<MotionReport> shown;  // where a base was shown in another state for it
 };
 
 using Stream = grpc::ClientReaderWriter<pb::WorkerMessage, pb::HubMessage>;
@@ -92,6 +93,27 @@ std::uint64_t check_result(const pb::Lease& lease, const BatchResult& result) {
   return records;
 }
 
+pb::ShownFrame to_proto(const MotionReport& report) {
+  pb::ShownFrame shown;
+  shown.set_load_seconds(report.load_seconds);
+  shown.set_pose_seconds(report.pose_seconds);
+  shown.set_table_seconds(report.table_seconds);
+  shown.set_written_bytes(report.written_bytes);
+  shown.set_top_level_seconds(report.top_level_seconds);
+  for (const MotionReport::Mesh& mesh : report.meshes) {
+    if (mesh.rebuilt) {
+      shown.set_rebuilt(shown.rebuilt() + 1);
+      shown.set_rebuild_seconds(shown.rebuild_seconds() + mesh.seconds);
+    } else {
+      shown.set_refitted(shown.refitted() + 1);
+      shown.set_refit_seconds(shown.refit_seconds() + mesh.seconds);
+    }
+    // Of a tree without extent it may be anything.
+    if (mesh.growth < 1e6) shown.set_most_growth(std::max(shown.most_growth(), mesh.growth));
+  }
+  return shown;
+}
+
 pb::BatchCost cost_of(const Outgoing& out) {
   const BatchCounters& counters = out.result.counters;
   pb::BatchCost cost;
@@ -105,6 +127,7 @@ pb::BatchCost cost_of(const Outgoing& out) {
   for (std::uint64_t item : counters.nonfinite_items) cost.add_nonfinite_items(item);
   cost.set_fetched_bytes(out.fetched_bytes);
   cost.set_peer_bytes(out.peer_bytes);
+  if (out.shown) *cost.mutable_shown() = to_proto(*out.shown);
   return cost;
 }
 
@@ -117,7 +140,7 @@ std::string usual_peers(const std::string& coordinator) {
   return {};
 }
 
-std::shared_ptr<grpc::Channel> dial(const std::string& address) {
+std::shared_ptr<grpc::Channel> dial(const std::string& address, const Keys* keys) {
   grpc::ChannelArguments arguments;
   arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 15000);
   arguments.SetInt(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10000);
@@ -128,7 +151,8 @@ std::shared_ptr<grpc::Channel> dial(const std::string& address) {
   arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, static_cast<int>(first_backoff_seconds * 1000));
   arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 1000);
   arguments.SetMaxReceiveMessageSize(static_cast<int>(4 * piece_bytes));
-  return grpc::CreateCustomChannel(address, grpc::InsecureChannelCredentials(), arguments);
+  const auto credentials = channel_credentials(keys, Role::coordinate, arguments);
+  return grpc::CreateCustomChannel(address, credentials, arguments);
 }
 
 struct Agent::Impl {
@@ -141,11 +165,11 @@ struct Agent::Impl {
         owner(parts->new_owner()),
         cache(std::make_shared<ByteCache>(settings.cache_bytes)),
         blobs(channel, settings.pack),
-        part_client(channel, parts, cache, [this](const pb::WrongPart& wrong) { report(wrong); }),
+        part_client(channel, parts, cache, settings.keys, [this](const pb::WrongPart& wrong) { report(wrong); }),
         inputs(blobs, part_client, cache),
         responder(channel, parts) {
     if (!settings.log) settings.log = [](const std::string&) {};
-    if (!settings.peers.empty()) peers = std::make_unique<PeerServer>(settings.peers, parts);
+    if (!settings.peers.empty()) peers = std::make_unique<PeerServer>(settings.peers, parts, settings.keys);
   }
 
   void run() {
@@ -223,6 +247,7 @@ struct Agent::Impl {
       {
         std::lock_guard lock(mutex);
         connection_ended = true;
+        if (given_up) *given_up = true;
       }
       changed.notify_all();
       executor.join();
@@ -246,6 +271,7 @@ struct Agent::Impl {
           std::uint64_t epoch = message.revoke().epoch();
           if (std::erase_if(leases, [&](const pb::Lease& lease) { return lease.epoch() == epoch; }) == 0)
             revoked.insert(epoch);
+          if (given_up && epoch == running_epoch) *given_up = true;
           break;
         }
         case pb::HubMessage::kDrain:
@@ -306,6 +332,8 @@ struct Agent::Impl {
       }
       pb::Lease lease = std::move(leases.front());
       leases.pop_front();
+      running_epoch = lease.epoch();
+      given_up = std::make_shared<std::atomic<bool>>(false);
       lock.unlock();
       Outgoing done = run_lease(std::move(lease));
       lock.lock();
@@ -326,7 +354,7 @@ struct Agent::Impl {
     std::string failure;
     bool unavailable = false;
     try {
-      out.result = run_stage(lease);
+      out.result = run_stage(lease, out.shown);
       out.records = check_result(lease, out.result);
       if (lease.retain())
         out.part = parts->put(owner, lease.artifact(), lease.first(), lease.count(), out.result.counts,
@@ -340,8 +368,9 @@ struct Agent::Impl {
     out.fetched_bytes = blobs.fetched_bytes() - fetched_before;
     out.peer_bytes = part_client.peer_bytes() - peer_before;
     if (!failure.empty()) {
-      settings.log("stage " + lease.stage() + ", items " + std::to_string(lease.first()) + " to " +
-                   std::to_string(lease.first() + lease.count() - 1) + ": " + failure);
+      if (!*given_up)
+        settings.log("stage " + lease.stage() + ", items " + std::to_string(lease.first()) + " to " +
+                     std::to_string(lease.first() + lease.count() - 1) + ": " + failure);
       out.failed.emplace();
       out.failed->set_lease(lease.lease());
       out.failed->set_epoch(lease.epoch());
@@ -352,13 +381,13 @@ struct Agent::Impl {
     return out;
   }
 
-  BatchResult run_stage(const pb::Lease& lease) {
+  BatchResult run_stage(const pb::Lease& lease, std::optional<MotionReport>& shown) {
     StageTask task;
     task.kind = lease.kind();
     auto parameters = std::as_bytes(std::span(lease.parameters()));
     task.parameters.assign(parameters.begin(), parameters.end());
-    task.scene = lease.scene_blob();
-    prepare_scene(lease);
+    task.given_up = given_up;
+    task.scene = prepare_scene(lease, shown);
     for (const pb::StageInput& input : lease.inputs()) task.inputs[input.name()] = inputs.load(input, lease);
     Clock::time_point begin = Clock::now();
     BatchResult result = runner->run(task, lease.first(), lease.count());
@@ -367,9 +396,31 @@ struct Agent::Impl {
     return result;
   }
 
-  void prepare_scene(const pb::Lease& lease) {
+  // Returns the name under which the runner holds what the lease shows. `shown`: what that took, where it is a base in
+  // a state that the runner did not hold.
+  std::string prepare_scene(const pb::Lease& lease, std::optional<MotionReport>& shown) {
     const std::string& id = lease.scene_blob();
-    if (runner->holds_scene(id)) return;
+    if (lease.state_blob().empty()) {
+      if (!runner->holds_scene(id)) {
+        auto [scene, bvh] = fetch_scene(lease);
+        runner->load_scene(id, std::move(scene), std::move(bvh));
+      }
+      return id;
+    }
+    const std::string name = id + "+" + lease.state_blob();
+    if (runner->holds_scene(name)) return name;
+    if (!runner->holds_base(id)) {
+      auto [scene, bvh] = fetch_scene(lease);
+      runner->load_base(id, std::move(scene), std::move(bvh));
+    }
+    shown = runner->load_frame(
+        name, id, scene::parse_frame_state(*inputs.blob(lease.state_blob()), "state blob " + lease.state_blob()));
+    return name;
+  }
+
+  std::pair<std::shared_ptr<const scene::Scene>, std::shared_ptr<const scene::Bvh>> fetch_scene(
+      const pb::Lease& lease) {
+    const std::string& id = lease.scene_blob();
     auto scene = std::make_shared<const scene::Scene>(scene::parse_scene(*inputs.blob(id), "scene blob " + id));
     std::shared_ptr<const scene::Bvh> bvh;
     if (runner->needs_bvh()) {
@@ -377,7 +428,7 @@ struct Agent::Impl {
       bvh = std::make_shared<const scene::Bvh>(
           scene::parse_bvh(*inputs.blob(lease.bvh_blob()), scene->triangle_count(), "BVH blob " + lease.bvh_blob()));
     }
-    runner->load_scene(id, std::move(scene), std::move(bvh));
+    return {std::move(scene), std::move(bvh)};
   }
 
   // The sender's thread: results as they come, a heartbeat where there are none.
@@ -497,6 +548,9 @@ struct Agent::Impl {
   std::mutex mutex;  // guards what follows
   std::condition_variable changed;
   bool stopping = false, drained = false;
+  // Of the lease that runs. Only the executor's thread replaces the pointer.
+  std::uint64_t running_epoch = 0;
+  std::shared_ptr<std::atomic<bool>> given_up;
   bool welcomed = false, connection_ended = false, work_ended = false;
   double heartbeat_seconds = 5;
   grpc::ClientContext* connection = nullptr;

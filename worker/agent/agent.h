@@ -9,6 +9,7 @@
 #include <memory>
 #include <string>
 
+#include "proto/credentials.h"
 #include "worker/agent/runner.h"
 #include "worker/artifacts/part_store.h"
 
@@ -24,6 +25,7 @@ struct AgentSettings {
   std::shared_ptr<PartStore> parts;
   std::string peers;  // HOST:PORT on which other workers may fetch its parts; empty: through the coordinator alone
   bool pack = true;   // what is sent and fetched; false: the coordinator is in this process
+  std::shared_ptr<const Keys> keys;             // for other workers; null: in the clear
   std::function<void(const std::string&)> log;  // one line each; empty: silence
   bool reconnect = true;                        // dial again when the connection is lost
   double give_up_seconds = 0;                   // without a connection for so long: run() throws; 0 = never
@@ -34,7 +36,7 @@ struct AgentSettings {
 std::string usual_peers(const std::string& coordinator);
 
 // A channel to a coordinator that notices a dead connection within half a minute.
-std::shared_ptr<grpc::Channel> dial(const std::string& address);
+std::shared_ptr<grpc::Channel> dial(const std::string& address, const Keys* keys = nullptr);
 
 class Agent {
  public:

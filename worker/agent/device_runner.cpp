@@ -14,6 +14,14 @@ class DeviceRunner final : public Runner {
                   std::shared_ptr<const scene::Bvh> bvh) override {
     executor_.load_scene(id, std::move(scene), std::move(bvh));
   }
+  bool holds_base(const std::string& id) const override { return executor_.holds_base(id); }
+  void load_base(const std::string& id, std::shared_ptr<const scene::Scene> scene,
+                 std::shared_ptr<const scene::Bvh> bvh) override {
+    executor_.load_base(id, std::move(scene), std::move(bvh));
+  }
+  MotionReport load_frame(const std::string& id, const std::string& base, const scene::FrameState& state) override {
+    return executor_.load_frame(id, base, state);
+  }
   BatchResult run(const StageTask& task, std::uint64_t first, std::uint64_t count) override {
     return executor_.run(task, first, count);
   }

@@ -166,6 +166,8 @@ TaskInput InputLoader::load_parts(const pb::StageInput& input, const pb::Lease& 
   std::uint64_t next = first;
   for (LocatedPart& located : parts_.locate(input.artifact(), lease.epoch())) {
     const std::uint64_t begin = located.part.first(), part_end = begin + located.part.items();
+    // Where the stage reads the artifact whole as well, parts of other items are among them.
+    if (next == end || (part_end >= begin && part_end <= first)) continue;
     if (part_end < begin || begin > next || part_end <= next)
       throw inconsistent(input, "its parts leave a gap at item " + std::to_string(next));
     const std::uint64_t from = next - begin, to = std::min(part_end, end) - begin;  // items of this part
@@ -183,7 +185,6 @@ TaskInput InputLoader::load_parts(const pb::StageInput& input, const pb::Lease& 
     append_offsets(*offsets, std::span(counts).subspan(from));
     const std::uint64_t table = located.part.items() * count_bytes;
     records->add(std::move(located), table + before * stride, (offsets->back() - so_far) * stride);
-    if (next == end) break;
   }
   if (next != end) throw inconsistent(input, "its parts end at item " + std::to_string(next));
   TaskInput out;

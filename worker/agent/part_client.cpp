@@ -44,10 +44,11 @@ struct PartClient::Source {
 };
 
 PartClient::PartClient(std::shared_ptr<grpc::Channel> coordinator, std::shared_ptr<PartStore> own,
-                       std::shared_ptr<ByteCache> cache, Report report)
+                       std::shared_ptr<ByteCache> cache, std::shared_ptr<const Keys> keys, Report report)
     : hub_(pb::WorkerHub::NewStub(std::move(coordinator))),
       own_(std::move(own)),
       cache_(std::move(cache)),
+      keys_(std::move(keys)),
       report_(std::move(report)) {}
 
 void PartClient::connected(const std::string& token) {
@@ -138,7 +139,8 @@ std::shared_ptr<pb::WorkerPeer::Stub> PartClient::peer(const std::string& addres
     arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 15000);
     arguments.SetInt(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10000);
     arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 3000);  // which is how long connecting may take
-    stub = pb::WorkerPeer::NewStub(grpc::CreateCustomChannel(address, grpc::InsecureChannelCredentials(), arguments));
+    const auto credentials = channel_credentials(keys_.get(), Role::work, arguments);
+    stub = pb::WorkerPeer::NewStub(grpc::CreateCustomChannel(address, credentials, arguments));
   }
   return stub;
 }

@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "gleaner/v1/worker.grpc.pb.h"
+#include "proto/credentials.h"
 #include "scene/model/blob.h"
 #include "worker/artifacts/byte_cache.h"
 #include "worker/artifacts/part_store.h"
@@ -35,7 +36,7 @@ class PartClient {
   using Report = std::function<void(const gleaner::v1::WrongPart&)>;
 
   PartClient(std::shared_ptr<grpc::Channel> coordinator, std::shared_ptr<PartStore> own,
-             std::shared_ptr<ByteCache> cache, Report report);
+             std::shared_ptr<ByteCache> cache, std::shared_ptr<const Keys> keys, Report report);
 
   // A connection begins, under this token.
   void connected(const std::string& token);
@@ -62,6 +63,7 @@ class PartClient {
   std::unique_ptr<gleaner::v1::WorkerHub::Stub> hub_;
   std::shared_ptr<PartStore> own_;
   std::shared_ptr<ByteCache> cache_;
+  std::shared_ptr<const Keys> keys_;  // for other workers; null: in the clear
   Report report_;
   std::atomic<std::uint64_t> peer_bytes_{0};
   std::mutex mutex_;  // guards what follows

@@ -82,7 +82,7 @@ struct PeerServer::Impl final : pb::WorkerPeer::Service {
   std::unique_ptr<grpc::Server> server;
 };
 
-PeerServer::PeerServer(const std::string& listen, std::shared_ptr<PartStore> store)
+PeerServer::PeerServer(const std::string& listen, std::shared_ptr<PartStore> store, std::shared_ptr<const Keys> keys)
     : impl_(std::make_unique<Impl>(std::move(store))) {
   grpc::ServerBuilder builder;
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
@@ -95,7 +95,8 @@ PeerServer::PeerServer(const std::string& listen, std::shared_ptr<PartStore> sto
   builder.SetResourceQuota(quota);
   builder.RegisterService(impl_.get());
   int port = 0;
-  builder.AddListeningPort(listen, grpc::InsecureServerCredentials(), &port);
+  builder.AddListeningPort(listen, server_credentials(std::move(keys), [](std::string_view) { return Role::work; }),
+                           &port);
   impl_->server = builder.BuildAndStart();
   if (!impl_->server || port == 0)
     throw Error::failed("cannot listen for other workers on " + listen +

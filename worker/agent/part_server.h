@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "gleaner/v1/worker.grpc.pb.h"
+#include "proto/credentials.h"
 #include "worker/artifacts/part_store.h"
 
 namespace gleaner::worker {
@@ -34,7 +35,8 @@ struct ServedRange {
 class PeerServer {
  public:
   // HOST:PORT, port 0 = any free one. Throws Error::failed where it cannot listen.
-  PeerServer(const std::string& listen, std::shared_ptr<PartStore> store);
+  // Null keys: in the clear; else for workers alone.
+  PeerServer(const std::string& listen, std::shared_ptr<PartStore> store, std::shared_ptr<const Keys> keys = {});
   ~PeerServer();
   const std::string& address() const;  // HOST:PORT as bound
   // The token of this worker's connection: tickets are made with it.

@@ -93,11 +93,22 @@ std::uint64_t fingerprint(std::uint64_t hash, std::string_view text) {
 // Processes that compile beside this one, at most.
 constexpr unsigned kMostCompilers = 4;
 
+constexpr const char* kCompiledMark = ".compiled";
+
 std::filesystem::path cache_folder() {
   if (const char* folder = std::getenv("GLEANER_CACHE")) return folder;
   if (const char* folder = std::getenv("XDG_CACHE_HOME")) return std::filesystem::path(folder) / "gleaner";
   if (const char* home = std::getenv("HOME")) return std::filesystem::path(home) / ".cache" / "gleaner";
   return {};
+}
+
+// Whether the folder has no mark of a compiled program (Device::compiled_mark).
+bool nothing_compiled() {
+  const std::filesystem::path folder = cache_folder();
+  std::error_code ignored;
+  for (const auto& entry : std::filesystem::directory_iterator(folder, ignored))
+    if (entry.path().extension() == kCompiledMark) return false;
+  return !folder.empty();
 }
 
 // The text of `file` with its #includes put in, each once.
@@ -189,6 +200,18 @@ Device::Device(const DeviceChoice& choice) {
                                                    [this](const std::string& file, const std::string& options) {
                                                      remember_compiled(program_text(file), options);
                                                    });
+  if (compilers_ && nothing_compiled()) ready_compiler();
+}
+
+// PoCL needs half a second of CPU time for the first program of a context, whatever that is: it reads its library.
+void Device::ready_compiler() {
+  readying_ = std::jthread([this] {
+    try {
+      cl::Program(context_, "kernel void nothing(void) {}").build(std::vector<cl::Device>{device_});
+    } catch (const cl::Error&) {
+      // The first program that is needed meets the same failure and reports it.
+    }
+  });
 }
 
 namespace {
@@ -214,7 +237,7 @@ std::filesystem::path Device::compiled_mark(const std::string& text, const std::
   const std::filesystem::path folder = cache_folder();
   if (folder.empty()) return {};
   const char* pocl = std::getenv("POCL_CACHE_DIR");
-  return folder / (build_name(text, options + (pocl ? pocl : "")) + ".compiled");
+  return folder / (build_name(text, options + (pocl ? pocl : "")) + kCompiledMark);
 }
 
 bool Device::was_compiled(const std::string& text, const std::string& options) const {

@@ -6,6 +6,7 @@
 #include <memory>
 #include <mutex>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "worker/device/device_info.h"
@@ -18,7 +19,8 @@ namespace gleaner::worker {
 
 class Device {
  public:
-  // Throws Error::failed where there is no such device.
+  // Throws Error::failed where there is no such device. Where PoCL has compiled nothing yet, its compiler is made ready
+  // beside whatever happens next.
   explicit Device(const DeviceChoice& choice);
 
   const DeviceInfo& info() const { return info_; }
@@ -49,6 +51,7 @@ class Device {
   std::filesystem::path compiled_mark(const std::string& text, const std::string& options) const;
   bool was_compiled(const std::string& text, const std::string& options) const;
   void remember_compiled(const std::string& text, const std::string& options) const;
+  void ready_compiler();
   cl::Program compile(const std::string& file, const std::string& text, const std::string& options) const;
 
   DeviceInfo info_;
@@ -58,6 +61,7 @@ class Device {
   cl::Device device_;
   cl::Context context_;
   std::unique_ptr<KernelCompilers> compilers_;
+  std::jthread readying_;  // PoCL's compiler
 };
 
 // "clEnqueueNDRangeKernel failed: CL_OUT_OF_RESOURCES (-5)".

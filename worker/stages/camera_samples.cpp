@@ -81,7 +81,7 @@ void resolve(const StageRun& run, cl::CommandQueue& queue, const SamplePart& par
 
 }  // namespace
 
-void check_sample_parameters(const StageRun& run, const PathParameters& p) {
+void check_sample_parameters(const StageRun& run, const PathParameters& p, std::uint32_t classes) {
   run.check_film(p.camera, p.width, p.height);
   if (!std::has_single_bit(p.samples_per_item) || p.samples_per_item > GLEANER_PATH_MAX_ITEM_SAMPLES)
     throw Error::bad_input(run.where(), "samples_per_item",
@@ -90,8 +90,10 @@ void check_sample_parameters(const StageRun& run, const PathParameters& p) {
   if (p.last_item_samples == 0 || p.last_item_samples > p.samples_per_item)
     throw Error::bad_input(run.where(), "last_item_samples", "1 to samples_per_item",
                            std::to_string(p.last_item_samples));
-  if (p.filter & ~PATH_CLASSES)
-    throw Error::bad_input(run.where(), "filter", "classes of light, up to " + std::to_string(PATH_CLASSES),
+  if (p.filter & ~classes && p.filter != PATH_CLASS_RADIOSITY && p.filter != PATH_CLASS_IRRADIANCE)
+    throw Error::bad_input(run.where(), "filter",
+                           "classes of light within " + std::to_string(classes) + ", or " +
+                               std::to_string(PATH_CLASS_RADIOSITY) + " or " + std::to_string(PATH_CLASS_IRRADIANCE),
                            std::to_string(p.filter));
   if (p.filter && !(p.clamp > 0))
     throw Error::bad_input(run.where(), "clamp", "a number above 0", std::to_string(p.clamp));
@@ -105,23 +107,26 @@ SampleThread::SampleThread(const SamplePart& part, Workspace& workspace, WorkQue
             take("next_paths", PathWave::bytes(wave_size(part.device), part.scene.path_rows())), wave_size(part.device),
             part.scene.path_rows()),
       shadows_(take("shadows", PathWave::bytes(wave_.capacity(), part.scene.shadow_rows()))),
+      generate_(part.device, part.program, part.generator.empty() ? "camera_generate" : part.generator),
       shadow_rows_(part.scene.shadow_rows()),
       transparent_(part.scene.transparent_shadows()),
-      generate_(part.device, part.program, "camera_generate"),
       connect_(part.device, part.program, transparent_ ? "shadow_pass" : "shadow_connect") {
-  generate_.set("parameters", part.parameters)
-      .set("items", part.items)
-      .set("listed", static_cast<cl_uint>(part.listed))
-      .set_words("first_item", part.first_item)
-      .set("slots", part.slots)
-      .set("features", part.features)
-      .set("media_high", part.media[0])
-      .set("media_low", part.media[1]);
+  generate_.set("parameters", part.parameters).set("slots", part.slots);
+  if (part.generator.empty()) set_camera_arguments();
   connect_.set("shadows", shadows_).set("slots", part.slots).set("slot_count", part.slot_count());
   if (transparent_) {
     connect_.set("counters", device_counters());
     part.scene.set_arguments(connect_);
   }
+}
+
+void SampleThread::set_camera_arguments() {
+  generate_.set("items", part_.items)
+      .set("listed", static_cast<cl_uint>(part_.listed))
+      .set_words("first_item", part_.first_item)
+      .set("features", part_.features)
+      .set("media_high", part_.media[0])
+      .set("media_low", part_.media[1]);
 }
 
 void SampleThread::set_arguments(Kernel& kernel) {
@@ -210,7 +215,7 @@ BatchResult run_samples(const StageRun& run, const PathParameters& p, const Prog
     part.items = run.workspace.take("path.items", list ? (part.item_count + RAY_BLOCK) * sizeof(PathItem) : 4);
     if (list) upload_list(*list, queue, part.items, done, part.item_count, pixels);
 
-    WorkQueue work(part.paths, host_threads(run.device), kLeastPaths);
+    WorkQueue work(part.paths, host_threads(run.device), kLeastPaths, run.task.given_up.get());
     run_host_threads(work, result, [&](unsigned index) { return make(part, work, index); });
     // The stage's last item may have fewer samples: the paths that pad it sent no ray.
     if (part.first_item + part.item_count == total)

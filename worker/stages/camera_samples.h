@@ -5,6 +5,7 @@
 #include <array>
 #include <functional>
 #include <memory>
+#include <string>
 
 #include "kernels/path_layout.h"
 #include "kernels/path_records.h"
@@ -14,8 +15,10 @@
 
 namespace gleaner::worker {
 
-// Throws Error::bad_input for parameters that are out of range, and for a batch that is not of the stage.
-void check_sample_parameters(const StageRun& run, const kernels::PathParameters& parameters);
+// Throws Error::bad_input for parameters that are out of range, and for a batch that is not of the stage. `classes`: of
+// light, PATH_CLASS_..., that the stage's filter may leave out.
+void check_sample_parameters(const StageRun& run, const kernels::PathParameters& parameters,
+                             std::uint32_t classes = PATH_CLASSES);
 
 // Items that run together, and the buffers that their host threads share.
 struct SamplePart {
@@ -27,6 +30,9 @@ struct SamplePart {
   bool listed = false;
   std::uint64_t first_item = 0;
   std::uint32_t item_count = 0, paths = 0;
+  // The kernel that makes paths `first_path` to `first_path + count` at `base` of `paths`; empty: camera_generate. A
+  // thread sets what other parameters it has.
+  std::string generator{};
   std::uint32_t slot_count() const { return (paths + RAY_BLOCK - 1) / RAY_BLOCK * RAY_BLOCK; }
 };
 
@@ -54,14 +60,16 @@ class SampleThread : public HostThread {
   const SamplePart& part_;
   PathWave wave_;
   cl::Buffer shadows_;
+  Kernel generate_;
 
  private:
+  void set_camera_arguments();
   std::uint32_t generate();
   void pass(std::uint32_t rays);
 
   unsigned shadow_rows_;
   bool transparent_;
-  Kernel generate_, connect_;
+  Kernel connect_;
 };
 
 // Makes the state of a host thread.

@@ -12,7 +12,6 @@ namespace gleaner::worker {
 namespace {
 
 constexpr double kMostCells = 1 << 21;
-constexpr double kSeedsPerCell = 3;
 
 struct Extent {
   std::array<double, 3> lower{1e300, 1e300, 1e300}, upper{-1e300, -1e300, -1e300};
@@ -31,7 +30,8 @@ double product(const std::array<std::uint64_t, 3>& n) {
 
 }  // namespace
 
-ClusterGrid make_cluster_grid(std::span<const float> rows, std::size_t stride, const std::vector<bool>& used) {
+ClusterGrid make_cluster_grid(std::span<const float> rows, std::size_t stride, const std::vector<bool>& used,
+                              double seeds_per_cell) {
   const std::size_t count = used.size();
   Extent extent;
   std::vector<std::uint32_t> members;
@@ -68,7 +68,7 @@ ClusterGrid make_cluster_grid(std::span<const float> rows, std::size_t stride, c
     return (c[2] * n[1] + c[1]) * n[0] + c[0];
   };
   // Seeds lie on surfaces: cells that hold any are as the square of 1 / edge. A few steps of that rule.
-  double size = diagonal / std::sqrt(static_cast<double>(members.size()) / kSeedsPerCell);
+  double size = diagonal / std::sqrt(static_cast<double>(members.size()) / seeds_per_cell);
   for (int step = 0; step < 4; ++step) {
     while (product(cells_of(extent, size)) > kMostCells) size *= 1.1;
     const auto n = cells_of(extent, size);
@@ -77,7 +77,7 @@ ClusterGrid make_cluster_grid(std::span<const float> rows, std::size_t stride, c
     std::sort(held.begin(), held.end());
     const double occupied = static_cast<double>(std::unique(held.begin(), held.end()) - held.begin());
     const double density = static_cast<double>(members.size()) / occupied;
-    size *= std::clamp(std::sqrt(kSeedsPerCell / density), 0.5, 2.0);
+    size *= std::clamp(std::sqrt(seeds_per_cell / density), 0.5, 2.0);
   }
   while (product(cells_of(extent, size)) > kMostCells) size *= 1.1;
   const auto n = cells_of(extent, size);

@@ -14,7 +14,8 @@ struct ClusterGrid {
 };
 
 // A grid over the rows of `stride` words (position, normal first) of which `used` says that they take part. The cells'
-// edge is chosen so that a cell that holds any holds about three, and larger where the cells would be too many.
-ClusterGrid make_cluster_grid(std::span<const float> rows, std::size_t stride, const std::vector<bool>& used);
+// edge is chosen so that a cell that holds any holds about so many, and larger where the cells would be too many.
+ClusterGrid make_cluster_grid(std::span<const float> rows, std::size_t stride, const std::vector<bool>& used,
+                              double seeds_per_cell = 3);
 
 }  // namespace gleaner::worker

@@ -2,260 +2,35 @@
 
 #include <algorithm>
 #include <array>
-#include <bit>
-#include <cmath>
 #include <cstddef>
 #include <cstring>
+#include <set>
+#include <utility>
 
 #include "kernels/path_layout.h"
 #include "kernels/scene_layout.h"
 #include "scene/model/emission.h"
 #include "scene/model/error.h"
-#include "worker/stages/light_clusters.h"
+#include "scene/model/instances.h"
+#include "worker/stages/scene_tables.h"
+#include "worker/wavefront/counters.h"
 
 namespace gleaner::worker {
 namespace {
 
-#define SAME_WORD(type, field, word) static_assert(offsetof(scene::type, field) == 4 * (word))
-static_assert(sizeof(scene::Texture) == 4 * TEXTURE_WORDS);
-SAME_WORD(Texture, first_texel, TEXTURE_FIRST_TEXEL);
-SAME_WORD(Texture, width, TEXTURE_WIDTH);
-SAME_WORD(Texture, height, TEXTURE_HEIGHT);
-SAME_WORD(Texture, wrap_u, TEXTURE_WRAP_U);
-SAME_WORD(Texture, wrap_v, TEXTURE_WRAP_V);
-SAME_WORD(Texture, flags, TEXTURE_FLAGS);
-SAME_WORD(Texture, uv_set, TEXTURE_UV_SET);
-SAME_WORD(Texture, transform, TEXTURE_TRANSFORM);
-#undef SAME_WORD
-
-// 256 sRGB bytes decoded, then i / 255 for data that is linear already.
-std::array<float, 512> decode_table() {
-  std::array<float, 512> table{};
-  for (int i = 0; i < 256; ++i) {
-    const double c = i / 255.0;
-    table[i] = static_cast<float>(c <= 0.04045 ? c / 12.92 : std::pow((c + 0.055) / 1.055, 2.4));
-    table[256 + i] = static_cast<float>(c);
-  }
-  return table;
-}
-
-// `media`: as media_by_rank() gives them, where the scene has media.
-std::vector<float> material_rows(const scene::Scene& scene, const std::vector<std::uint32_t>& media) {
-  std::vector<float> rows(scene.materials.size() * MATERIAL_WORDS, 0.0f);
-  for (std::size_t i = 0; i < scene.materials.size(); ++i) {
-    const scene::Material& m = scene.materials[i];
-    float* row = &rows[i * MATERIAL_WORDS];
-    const auto word = [row](unsigned at, std::uint32_t value) { std::memcpy(row + at, &value, sizeof value); };
-    std::copy(m.base_color, m.base_color + 3, row + MATERIAL_BASE_COLOR);
-    row[MATERIAL_ALPHA] = m.alpha;
-    row[MATERIAL_METALLIC] = m.metallic;
-    row[MATERIAL_ROUGHNESS] = m.roughness;
-    row[MATERIAL_SPECULAR] = m.specular;
-    row[MATERIAL_TRANSMISSION] = m.transmission;
-    std::copy(m.f0, m.f0 + 3, row + MATERIAL_F0);
-    row[MATERIAL_IOR] = m.ior;
-    word(MATERIAL_FLAGS, m.flags);
-    word(MATERIAL_BASE_COLOR_TEXTURE, m.base_color_texture);
-    word(MATERIAL_ALBEDO_TABLE, m.albedo_table);
-    word(MATERIAL_ALBEDO_ROWS, m.albedo_rows);
-    row[MATERIAL_ALPHA_CUTOFF] = m.alpha_cutoff;
-    std::copy(m.attenuation, m.attenuation + 3, row + MATERIAL_ATTENUATION);
-    row[MATERIAL_NORMAL_SCALE] = m.normal_scale;
-    word(MATERIAL_METALLIC_ROUGHNESS_TEXTURE, m.metallic_roughness_texture);
-    word(MATERIAL_NORMAL_TEXTURE, m.normal_texture);
-    word(MATERIAL_EMISSION_TEXTURE, m.emission_texture);
-    word(MATERIAL_TRANSMISSION_TEXTURE, m.transmission_texture);
-    word(MATERIAL_SPECULAR_TEXTURE, m.specular_texture);
-    word(MATERIAL_SPECULAR_COLOR_TEXTURE, m.specular_color_texture);
-    row[MATERIAL_CLEARCOAT] = m.clearcoat;
-    row[MATERIAL_CLEARCOAT_ROUGHNESS] = m.clearcoat_roughness;
-    row[MATERIAL_CLEARCOAT_NORMAL_SCALE] = m.clearcoat_normal_scale;
-    std::copy(m.sheen_color, m.sheen_color + 3, row + MATERIAL_SHEEN_COLOR);
-    row[MATERIAL_SHEEN_ROUGHNESS] = m.sheen_roughness;
-    row[MATERIAL_ANISOTROPY] = m.anisotropy;
-    row[MATERIAL_ANISOTROPY_ROTATION] = m.anisotropy_rotation;
-    row[MATERIAL_IRIDESCENCE] = m.iridescence;
-    row[MATERIAL_IRIDESCENCE_IOR] = m.iridescence_ior;
-    row[MATERIAL_IRIDESCENCE_MINIMUM] = m.iridescence_minimum;
-    row[MATERIAL_IRIDESCENCE_MAXIMUM] = m.iridescence_maximum;
-    word(MATERIAL_CLEARCOAT_TEXTURE, m.clearcoat_texture);
-    word(MATERIAL_CLEARCOAT_ROUGHNESS_TEXTURE, m.clearcoat_roughness_texture);
-    word(MATERIAL_CLEARCOAT_NORMAL_TEXTURE, m.clearcoat_normal_texture);
-    word(MATERIAL_SHEEN_COLOR_TEXTURE, m.sheen_color_texture);
-    word(MATERIAL_SHEEN_ROUGHNESS_TEXTURE, m.sheen_roughness_texture);
-    word(MATERIAL_ANISOTROPY_TEXTURE, m.anisotropy_texture);
-    word(MATERIAL_IRIDESCENCE_TEXTURE, m.iridescence_texture);
-    word(MATERIAL_IRIDESCENCE_THICKNESS_TEXTURE, m.iridescence_thickness_texture);
-    word(MATERIAL_CLEARCOAT_TABLE, m.clearcoat_table);
-    word(MATERIAL_SHEEN_TABLE, m.sheen_table);
-  }
-  for (std::uint32_t r = 0; r < media.size(); ++r) {
-    const std::uint32_t rank = r + 1;
-    std::memcpy(&rows[media[r] * MATERIAL_WORDS + MATERIAL_MEDIUM], &rank, sizeof rank);
-    std::memcpy(&rows[r * MATERIAL_WORDS + MATERIAL_OF_MEDIUM], &media[r], sizeof media[r]);
-  }
-  return rows;
-}
-
-unsigned words_of_triangle(const scene::SceneNeeds& needs) {
-  return needs.second_uvs ? TRIANGLE_WORDS_SECOND_UVS : TRIANGLE_WORDS_PLAIN;
-}
-
-void write_triangles(const scene::Scene& scene, const std::vector<std::uint32_t>& emitters, unsigned words,
-                     float* out) {
-  constexpr unsigned color_rg[] = {TRIANGLE_COLOR0, TRIANGLE_COLOR1, TRIANGLE_COLOR2_RG};
-  constexpr unsigned color_ba[] = {TRIANGLE_COLOR0 + 1, TRIANGLE_COLOR1 + 1, TRIANGLE_COLOR2_BA};
-  const bool second_uvs = words == TRIANGLE_WORDS_SECOND_UVS && !scene.second_uvs.empty();
-  for (std::size_t t = 0; t < scene.triangle_count(); ++t, out += words) {
-    std::memset(out, 0, 4 * words);
-    for (std::size_t k = 0; k < 3; ++k) {
-      const std::size_t vertex = scene.indices[3 * t + k];
-      std::memcpy(out + TRIANGLE_P0 + 3 * k, &scene.positions[3 * vertex], 12);
-      if (!scene.normals.empty()) std::memcpy(out + TRIANGLE_N0 + 3 * k, &scene.normals[3 * vertex], 12);
-      if (!scene.uvs.empty()) std::memcpy(out + TRIANGLE_UV0 + 2 * k, &scene.uvs[2 * vertex], 8);
-      if (second_uvs) std::memcpy(out + TRIANGLE_SECOND_UV0 + 2 * k, &scene.second_uvs[2 * vertex], 8);
-      if (!scene.colors.empty()) {
-        std::memcpy(out + color_rg[k], &scene.colors[4 * vertex], 4);
-        std::memcpy(out + color_ba[k], &scene.colors[4 * vertex + 2], 4);
-      }
-    }
-    std::memcpy(out + TRIANGLE_MATERIAL, &scene.triangle_material[t], 4);
-    std::memcpy(out + TRIANGLE_EMITTER, &emitters[t], 4);
-  }
-}
-
 // Ranks take 16 bits.
 constexpr std::size_t kMostMedia = 65535;
 
-std::array<cl_uint, 2> pack_media(const std::vector<std::uint32_t>& ranks) {
-  std::array<cl_uint, 4> rank{};
-  std::copy_n(ranks.begin(), std::min<std::size_t>(ranks.size(), 4), rank.begin());
-  return {rank[0] << 16 | rank[1], rank[2] << 16 | rank[3]};
-}
-
-// Behind the shares of the lights: what each stands in (kernels/scene_layout.h: EMISSION_HEADER). A lamp is where its
-// triangle's middle is. Lights beyond a budget of triangles to be looked at stand in nothing: their paths find out when
-// they leave the solid.
-void add_media_of_lights(const scene::MediumFinder& media, LightTables& lights) {
-  if (lights.emission.empty()) return;
-  const std::size_t rows = lights.emitters.size() / EMITTER_WORDS;
-  const std::size_t entries = lights.emission.size() - EMISSION_HEADER;
-  constexpr double kBudget = 2e8;
-  const bool affordable = static_cast<double>(rows) * static_cast<double>(media.triangles()) <= kBudget;
-  for (std::size_t i = 0; i < entries; ++i) {
-    std::array<cl_uint, 2> words{};
-    if (i < rows && affordable) {
-      const float* row = &lights.emitters[i * EMITTER_WORDS];
-      std::uint32_t triangle = 0, cluster = 0, kind = 0;
-      std::memcpy(&triangle, row + EMITTER_TRIANGLE, 4);
-      std::memcpy(&cluster, row + EMITTER_CLUSTER, 4);
-      cluster &= ~EMITTER_TWO_SIDED;
-      std::memcpy(&kind, &lights.clusters[cluster * CLUSTER_WORDS + CLUSTER_KIND], 4);
-      std::array<double, 3> at{};
-      for (std::size_t k = 0; k < 3; ++k)
-        at[k] = triangle == GLEANER_NONE
-                    ? double{row[EMITTER_POSITION + k]}
-                    : row[EMITTER_P0 + k] + (double{row[EMITTER_E1 + k]} + row[EMITTER_E2 + k]) / 3;
-      if (kind != CLUSTER_DIRECTIONAL) words = pack_media(media.at(at));
-    }
-    for (const cl_uint word : words) lights.emission.push_back(std::bit_cast<float>(word));
-  }
-}
-
-}  // namespace
-
-std::array<cl_uint, 2> DeviceScene::media_of(const scene::Camera& camera) const {
-  if (!media_) return {};
-  std::lock_guard lock(media_mutex_);
-  if (media_camera_ && std::memcmp(&*media_camera_, &camera, sizeof camera) == 0) return camera_media_;
-  const auto at = [&](double x, double y) {
-    std::array<double, 3> p;
-    for (int k = 0; k < 3; ++k)
-      p[k] = camera.origin[k] + x * camera.half_width * camera.right[k] + y * camera.half_height * camera.up[k];
-    return media_->at(p);
-  };
-  std::vector<std::uint32_t> ranks = at(0, 0);
-  // The rays of an orthographic camera begin all over its film: in a solid only where that holds all of it.
-  if (camera.type == GLEANER_CAMERA_ORTHOGRAPHIC)
-    for (const auto& [x, y] : {std::pair{-1, -1}, {-1, 1}, {1, -1}, {1, 1}}) {
-      const std::vector<std::uint32_t> others = at(x, y);
-      std::erase_if(ranks, [&](const std::uint32_t& r) { return std::ranges::find(others, r) == others.end(); });
-    }
-  media_camera_ = camera;
-  return camera_media_ = pack_media(ranks);
-}
-
-cl::Buffer DeviceScene::upload(const Device& device, cl::CommandQueue& queue, const void* data, std::size_t bytes) {
-  // Lanes with nothing to look up read row 0: no table is smaller than a row of the largest, which is of albedos.
-  constexpr std::size_t least = 1024;
-  static_assert(least >= 4 * (GLEANER_ALBEDO_NODES + 1));
-  cl::Buffer buffer = device.make_buffer(std::max(bytes, least), CL_MEM_READ_ONLY);
-  if (bytes < least) {
-    const std::array<std::byte, least> zero{};
-    queue.enqueueWriteBuffer(buffer, CL_TRUE, 0, least, zero.data());
-  }
-  if (bytes) queue.enqueueWriteBuffer(buffer, CL_TRUE, 0, bytes, data);
-  bytes_ += std::max(bytes, least);
-  return buffer;
-}
-
-DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scene> scene, const scene::Bvh* bvh) {
-  scene::SceneNeeds needs = scene::needs_of(*scene);
-  cl::CommandQueue queue = device.make_queue();
-  LightTables lights = make_light_tables(*scene);
-
-  triangle_words_ = words_of_triangle(needs);
-  const std::size_t triangle_bytes = std::max<std::size_t>(scene->triangle_count(), 1) * 4 * triangle_words_;
-  triangles_ = device.make_buffer(triangle_bytes, CL_MEM_READ_ONLY);
-  // Written in place: a copy of the largest table would double the scene's memory for a moment.
-  auto* rows = static_cast<float*>(queue.enqueueMapBuffer(triangles_, CL_TRUE, CL_MAP_WRITE, 0, triangle_bytes));
-  std::memset(rows, 0, 4 * triangle_words_);
-  write_triangles(*scene, lights.triangle_emitter, triangle_words_, rows);
-  queue.enqueueUnmapMemObject(triangles_, rows);
-  queue.finish();
-  bytes_ += triangle_bytes;
-
-  const auto bytes_of = [](const auto& v) { return v.size() * sizeof(v[0]); };
-  const std::vector<std::uint32_t> media = needs.media ? scene::media_by_rank(*scene) : std::vector<std::uint32_t>{};
-  if (media.size() > kMostMedia)
-    throw Error::bad_input(scene->name, "solids", "at most " + std::to_string(kMostMedia) + " transmitting materials",
-                           std::to_string(media.size()));
-  if (needs.media) {
-    media_.emplace(scene, media);
-    add_media_of_lights(*media_, lights);
-  }
-  const std::vector<float> materials = material_rows(*scene, media);
-  materials_ = upload(device, queue, materials.data(), bytes_of(materials));
-  textures_ = upload(device, queue, scene->textures.data(), bytes_of(scene->textures));
-  texels_ = upload(device, queue, scene->texels.data(), bytes_of(scene->texels));
-  const auto srgb = decode_table();
-  srgb_ = upload(device, queue, srgb.data(), sizeof srgb);
-  albedo_tables_ = upload(device, queue, scene->albedo_tables.data(), bytes_of(scene->albedo_tables));
-  emitters_ = upload(device, queue, lights.emitters.data(), bytes_of(lights.emitters));
-  clusters_ = upload(device, queue, lights.clusters.data(), bytes_of(lights.clusters));
-  environment_ = upload(device, queue, lights.environment.data(), bytes_of(lights.environment));
-
-  emission_ = upload(device, queue, lights.emission.data(), bytes_of(lights.emission));
-  shines_ = !lights.emission.empty();
-  for (const scene::Material& material : scene->materials)
-    if (material.albedo_table != GLEANER_NONE)
-      albedo_rows_[material.albedo_table] = std::max(albedo_rows_[material.albedo_table], material.albedo_rows);
-  triangle_count_ = scene->triangle_count();
-
-  if (device.info().trace == TraceKind::embree) {
-    tracer_ = make_embree_tracer(*scene, device.info().threads);
-  } else {
-    if (!bvh) throw Error::failed("the OpenCL tracer needs the scene's BVH");
-    tracer_ = make_opencl_tracer(device, *bvh, triangles_, triangle_words_);
-  }
-
+// Compiler options, one NEED_... a need. Lights of no power make no clusters: then the scene is as good as without
+// lights.
+std::string kernel_needs(const scene::Scene& scene, const scene::SceneNeeds& needs, bool lit) {
   bool emission_textures = false, alpha_emitters = false;
-  for (const auto& material : scene->materials) {
+  for (const auto& material : scene.materials) {
     emission_textures = emission_textures || (material.emission_texture != GLEANER_NONE && needs.emissive_triangles);
     const bool emits = material.emission[0] > 0 || material.emission[1] > 0 || material.emission[2] > 0;
     const bool may_fade = material.flags & (GLEANER_MATERIAL_ALPHA_MASK | GLEANER_MATERIAL_ALPHA_BLEND);
     alpha_emitters = alpha_emitters || (needs.alpha && emits && may_fade &&
-                                        (needs.vertex_colors || scene::is_see_through(*scene, material)));
+                                        (needs.vertex_colors || scene::is_see_through(scene, material)));
   }
   const std::pair<bool, const char*> words[] = {
       {needs.specular, "SPECULAR"},
@@ -285,17 +60,184 @@ DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scen
       {needs.two_sided_emitters, "TWO_SIDED_EMITTERS"},
       {alpha_emitters, "ALPHA_EMITTERS"},
       {needs.environment, "ENVIRONMENT"},
+      {needs.instances, "INSTANCES"},
+      {needs.diffuse_transmission, "DIFFUSE_TRANSMISSION"},
   };
-  options_ = "-D LANES=" + std::to_string(device.lanes());
-  // Lights of no power make no clusters: the scene is as good as without lights.
+  std::string options;
   for (auto [need, word] : words)
-    if (need && (lights.cluster_slots || (std::strcmp(word, "PUNCTUAL_LIGHTS") &&
-                                          std::strcmp(word, "EMISSIVE_TRIANGLES") && std::strcmp(word, "ENVIRONMENT"))))
-      options_ += std::string(" -D NEED_") + word;
+    if (need && (lit || (std::strcmp(word, "PUNCTUAL_LIGHTS") && std::strcmp(word, "EMISSIVE_TRIANGLES") &&
+                         std::strcmp(word, "ENVIRONMENT"))))
+      options += std::string(" -D NEED_") + word;
+  return options;
+}
+
+}  // namespace
+
+std::array<cl_uint, 2> DeviceScene::media_of(const scene::Camera& camera) const {
+  if (!media_) return {};
+  std::lock_guard lock(media_mutex_);
+  if (media_camera_ && std::memcmp(&*media_camera_, &camera, sizeof camera) == 0) return camera_media_;
+  const auto at = [&](double x, double y) {
+    std::array<double, 3> p;
+    for (int k = 0; k < 3; ++k)
+      p[k] = camera.origin[k] + x * camera.half_width * camera.right[k] + y * camera.half_height * camera.up[k];
+    return media_->at(p);
+  };
+  std::vector<std::uint32_t> ranks = at(0, 0);
+  // The rays of an orthographic camera begin all over its film: in a solid only where that holds all of it.
+  if (camera.type == GLEANER_CAMERA_ORTHOGRAPHIC)
+    for (const auto& [x, y] : {std::pair{-1, -1}, {-1, 1}, {1, -1}, {1, 1}}) {
+      const std::vector<std::uint32_t> others = at(x, y);
+      std::erase_if(ranks, [&](const std::uint32_t& r) { return std::ranges::find(others, r) == others.end(); });
+    }
+  media_camera_ = camera;
+  return camera_media_ = pack_media(ranks);
+}
+
+cl::Buffer DeviceScene::upload(cl::CommandQueue& queue, const void* data, std::size_t bytes) {
+  // Lanes with nothing to look up read row 0: no table is smaller than a row of the largest, which is of albedos.
+  constexpr std::size_t least = 1024;
+  static_assert(least >= 4 * (GLEANER_ALBEDO_NODES + 1));
+  cl::Buffer buffer = device_.make_buffer(std::max(bytes, least), CL_MEM_READ_ONLY);
+  if (bytes < least) {
+    const std::array<std::byte, least> zero{};
+    queue.enqueueWriteBuffer(buffer, CL_TRUE, 0, least, zero.data());
+  }
+  if (bytes) queue.enqueueWriteBuffer(buffer, CL_TRUE, 0, bytes, data);
+  bytes_ += std::max(bytes, least);
+  return buffer;
+}
+
+void DeviceScene::load(cl::CommandQueue& queue, Table& table, std::vector<float> rows) {
+  if (table.buffer() != nullptr && table.rows.size() == rows.size()) {
+    if (rows.empty() || std::memcmp(table.rows.data(), rows.data(), rows.size() * sizeof(float)) == 0) return;
+    queue.enqueueWriteBuffer(table.buffer, CL_TRUE, 0, rows.size() * sizeof(float), rows.data());
+  } else {
+    if (table.buffer() != nullptr) bytes_ -= table.buffer.getInfo<CL_MEM_SIZE>();
+    table.buffer = upload(queue, rows.data(), rows.size() * sizeof(float));
+  }
+  written_bytes_ += rows.size() * sizeof(float);
+  table.rows = std::move(rows);
+}
+
+DeviceScene::DeviceScene(const Device& device, std::shared_ptr<const scene::Scene> scene, const scene::Bvh* bvh)
+    : device_(device),
+      vertex_values_(scene->positions.size()),
+      corners_(scene->indices.size()),
+      meshes_(scene->meshes),
+      triangle_count_(scene->triangle_count()),
+      instance_count_(scene->instances.size()) {
+  cl::CommandQueue queue = device.make_queue();
+  const scene::SceneNeeds needs = scene::needs_of(*scene);
+  triangle_words_ = words_of_triangle(needs);
+  const std::size_t triangle_bytes = std::max<std::size_t>(triangle_count_, 1) * 4 * triangle_words_;
+  triangles_ = device.make_buffer(triangle_bytes, CL_MEM_READ_ONLY);
+  bytes_ += triangle_bytes;
+
+  const auto bytes_of = [](const auto& v) { return v.size() * sizeof(v[0]); };
+  textures_ = upload(queue, scene->textures.data(), bytes_of(scene->textures));
+  texels_ = upload(queue, scene->texels.data(), bytes_of(scene->texels));
+  const auto srgb = decode_table();
+  srgb_ = upload(queue, srgb.data(), sizeof srgb);
+  const EnvironmentTable environment = make_environment_table(scene->environment);
+  environment_ = upload(queue, environment.rows.data(), bytes_of(environment.rows));
+  environment_power_ = environment.power;
+  instanced_boxes_ = boxes_of_instanced(*scene);
+
+  const LightTables lights = load_tables(queue, scene, needs);
+  // Written in place: a copy of the largest table would double the scene's memory for a moment.
+  auto* rows = static_cast<float*>(queue.enqueueMapBuffer(triangles_, CL_TRUE, CL_MAP_WRITE, 0, triangle_bytes));
+  std::memset(rows, 0, 4 * triangle_words_);
+  write_triangles(*scene, 0, triangle_count_, lights.triangle_emitter, triangle_words_, rows);
+  queue.enqueueUnmapMemObject(triangles_, rows);
+  queue.finish();
+  triangle_emitter_ = lights.triangle_emitter;
+
+  if (device.info().trace == TraceKind::embree) {
+    tracer_ = make_embree_tracer(*scene, device.info().threads);
+  } else {
+    if (!bvh) throw Error::failed("the OpenCL tracer needs the scene's BVH");
+    tracer_ = make_opencl_tracer(device, *scene, *bvh, triangles_, triangle_words_);
+  }
+}
+
+// Everything but triangles, textures and what is traced. Of what is loaded already, only tables that differ are
+// written.
+LightTables DeviceScene::load_tables(cl::CommandQueue& queue, const std::shared_ptr<const scene::Scene>& scene,
+                                     const scene::SceneNeeds& needs) {
+  LightTables lights = make_light_tables(*scene, environment_power_);
+  const std::vector<std::uint32_t> media = needs.media ? scene::media_by_rank(*scene) : std::vector<std::uint32_t>{};
+  if (media.size() > kMostMedia)
+    throw Error::bad_input(scene->name, "solids", "at most " + std::to_string(kMostMedia) + " transmitting materials",
+                           std::to_string(media.size()));
+  media_.reset();
+  media_camera_.reset();
+  if (needs.media) {
+    media_.emplace(scene, media);
+    add_media_of_lights(*media_, lights);
+  }
+  load(queue, instances_, table_of_instances(scene->instances, instanced_boxes_));
+  load(queue, materials_, material_rows(*scene, media));
+  load(queue, albedo_tables_, scene->albedo_tables);
+  load(queue, emitters_, lights.emitters);
+  load(queue, clusters_, lights.clusters);
+  load(queue, emission_, lights.emission);
+  shines_ = !lights.emission.empty();
+  albedo_rows_.clear();
+  for (const scene::Material& material : scene->materials)
+    if (material.albedo_table != GLEANER_NONE)
+      albedo_rows_[material.albedo_table] = std::max(albedo_rows_[material.albedo_table], material.albedo_rows);
+  options_ = "-D LANES=" + std::to_string(device_.lanes()) + kernel_needs(*scene, needs, lights.cluster_slots > 0);
+  if (lights.cluster_slots) options_ += " -D CLUSTERS=" + std::to_string(lights.cluster_slots);
   transparent_shadows_ = (needs.alpha || needs.panes || needs.media) && lights.cluster_slots;
   path_rows_ = needs.media ? MEDIA_PATH_ROWS : transparent_shadows_ ? TRANSPARENT_PATH_ROWS : PLAIN_PATH_ROWS;
   shadow_rows_ = !transparent_shadows_ ? PLAIN_SHADOW_ROWS : needs.media ? MEDIA_SHADOW_ROWS : TRANSPARENT_SHADOW_ROWS;
-  if (lights.cluster_slots) options_ += " -D CLUSTERS=" + std::to_string(lights.cluster_slots);
+  return lights;
+}
+
+void DeviceScene::check_shown(const scene::Scene& shown, std::span<const std::uint32_t> deformed) const {
+  if (shown.positions.size() != vertex_values_ || shown.indices.size() != corners_ ||
+      shown.meshes.size() != meshes_.size() || shown.instances.size() != instance_count_)
+    throw Error::failed("a scene that moved has other vertices, triangles, meshes or instances than as it was loaded");
+  for (const std::uint32_t m : deformed)
+    if (m >= meshes_.size() || !meshes_[m].deforming)
+      throw Error::failed("mesh " + std::to_string(m) + " does not deform");
+}
+
+MotionReport DeviceScene::show(const std::shared_ptr<const scene::Scene>& shown,
+                               std::span<const std::uint32_t> deformed) {
+  check_shown(*shown, deformed);
+  const double start = seconds_now();
+  cl::CommandQueue queue = device_.make_queue();
+  written_bytes_ = 0;
+  const LightTables lights = load_tables(queue, shown, scene::needs_of(*shown));
+  std::set<std::uint32_t> rewritten(deformed.begin(), deformed.end());
+  for (std::uint32_t m = 0; m < meshes_.size(); ++m) {
+    const auto first = static_cast<std::ptrdiff_t>(meshes_[m].first_triangle);
+    const auto end = first + static_cast<std::ptrdiff_t>(meshes_[m].triangle_count);
+    // Lights of a mesh may have other rows than before, though it stands.
+    if (!std::equal(lights.triangle_emitter.begin() + first, lights.triangle_emitter.begin() + end,
+                    triangle_emitter_.begin() + first))
+      rewritten.insert(m);
+  }
+  const std::size_t row_bytes = 4 * std::size_t{triangle_words_};
+  for (const std::uint32_t m : rewritten) {
+    const scene::Mesh& mesh = meshes_[m];
+    if (mesh.triangle_count == 0) continue;
+    const std::size_t bytes = row_bytes * mesh.triangle_count;
+    auto* rows = static_cast<float*>(queue.enqueueMapBuffer(triangles_, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION,
+                                                            row_bytes * mesh.first_triangle, bytes));
+    write_triangles(*shown, mesh.first_triangle, mesh.triangle_count, lights.triangle_emitter, triangle_words_, rows);
+    queue.enqueueUnmapMemObject(triangles_, rows);
+    written_bytes_ += bytes;
+  }
+  queue.finish();
+  triangle_emitter_ = lights.triangle_emitter;
+  const double loaded = seconds_now();
+  MotionReport report = tracer_->follow({shown->positions, deformed, shown->instances});
+  report.table_seconds = loaded - start;
+  report.written_bytes = written_bytes_;
+  return report;
 }
 
 bool DeviceScene::has_albedo_row(std::uint32_t table, float row) const {
@@ -306,19 +248,20 @@ bool DeviceScene::has_albedo_row(std::uint32_t table, float row) const {
 
 void DeviceScene::set_arguments(Kernel& kernel) const {
   kernel.set("triangles", triangles_)
-      .set("materials", materials_)
+      .set("instances", instances_.buffer)
+      .set("materials", materials_.buffer)
       .set("textures", textures_)
       .set("texels", texels_)
       .set("srgb", srgb_)
-      .set("albedo_tables", albedo_tables_)
-      .set("emitters", emitters_)
-      .set("clusters", clusters_)
+      .set("albedo_tables", albedo_tables_.buffer)
+      .set("emitters", emitters_.buffer)
+      .set("clusters", clusters_.buffer)
       .set("environment", environment_);
 }
 
 unsigned DeviceScene::set_arguments(cl::Kernel& kernel, unsigned first) const {
-  for (const cl::Buffer* buffer :
-       {&triangles_, &materials_, &textures_, &texels_, &srgb_, &albedo_tables_, &emitters_, &clusters_, &environment_})
+  for (const cl::Buffer* buffer : {&triangles_, &instances_.buffer, &materials_.buffer, &textures_, &texels_, &srgb_,
+                                   &albedo_tables_.buffer, &emitters_.buffer, &clusters_.buffer, &environment_})
     kernel.setArg(first++, *buffer);
   return first;
 }

@@ -8,10 +8,12 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <vector>
 
 #include "scene/model/blob.h"
 #include "scene/model/media.h"
 #include "worker/device/kernel.h"
+#include "worker/stages/light_clusters.h"
 #include "worker/trace/tracer.h"
 
 namespace gleaner::worker {
@@ -21,10 +23,12 @@ class DeviceScene {
   // `bvh` is needed where the device traces in OpenCL. Throws Error::failed.
   DeviceScene(const Device& device, std::shared_ptr<const scene::Scene> scene, const scene::Bvh* bvh);
 
-  // Shows the scene as `shown` has it, which differs from the scene as loaded in the instances' transforms and in the
-  // positions and normals of the meshes `deformed` (marked Mesh::deforming) alone. Rewrites their rows and lets the
-  // tracer follow. The caller sees to it that no query and no kernel runs meanwhile.
-  MotionReport move(const scene::Scene& shown, std::span<const std::uint32_t> deformed);
+  // Shows the scene as `shown` has it, which differs from the scene as loaded in lights, materials, albedo tables,
+  // instances' transforms and the vertices of meshes marked Mesh::deforming alone; `deformed` are those of the meshes
+  // that differ from what was shown last. Writes what has changed and lets the tracer follow. What is then traced and
+  // read depends on the scene as loaded and on `shown`, but on nothing that was shown before. The caller sees to it
+  // that no query and no kernel runs meanwhile.
+  MotionReport show(const std::shared_ptr<const scene::Scene>& shown, std::span<const std::uint32_t> deformed);
 
   // Compiler options that select the variant: one NEED_... a need, and how many light clusters there are.
   const std::string& kernel_options() const { return options_; }
@@ -41,22 +45,43 @@ class DeviceScene {
   // The same of a kernel whose source is not the product's: from index `first` on; returns the next one.
   unsigned set_arguments(cl::Kernel& kernel, unsigned first) const;
   // What light paths choose their lights from (kernels/scene_layout.h); zeros where nothing shines.
-  const cl::Buffer& emission() const { return emission_; }
+  const cl::Buffer& emission() const { return emission_.buffer; }
   bool shines() const { return shines_; }
   std::uint64_t triangles() const { return triangle_count_; }
   const cl::Buffer& triangle_rows() const { return triangles_; }
+  // Rows of instances (kernels/scene_layout.h): one more than there are instances.
+  const cl::Buffer& instance_rows() const { return instances_.buffer; }
+  std::uint64_t instances() const { return instance_count_; }
   unsigned triangle_words() const { return triangle_words_; }  // of a row (kernels/scene_layout.h)
   // Whether an albedo table of the scene's materials begins at `table` and has this (fractional) row.
   bool has_albedo_row(std::uint32_t table, float row) const;
   std::size_t bytes() const { return bytes_; }
 
  private:
-  cl::Buffer upload(const Device& device, cl::CommandQueue& queue, const void* data, std::size_t bytes);
+  // A table that frames may change, and what it holds.
+  struct Table {
+    cl::Buffer buffer;
+    std::vector<float> rows;
+  };
+
+  cl::Buffer upload(cl::CommandQueue& queue, const void* data, std::size_t bytes);
+  void load(cl::CommandQueue& queue, Table& table, std::vector<float> rows);
+  LightTables load_tables(cl::CommandQueue& queue, const std::shared_ptr<const scene::Scene>& scene,
+                          const scene::SceneNeeds& needs);
+  void check_shown(const scene::Scene& shown, std::span<const std::uint32_t> deformed) const;
+
+  const Device& device_;
+  // Of the scene as it was loaded.
+  std::size_t vertex_values_, corners_;
+  std::vector<scene::Mesh> meshes_;
+  std::uint64_t triangle_count_ = 0, instance_count_ = 0;
 
   std::string options_;
   std::unique_ptr<Tracer> tracer_;
-  cl::Buffer triangles_, materials_, textures_, texels_, srgb_, albedo_tables_, emitters_, clusters_, environment_,
-      emission_;
+  cl::Buffer triangles_, textures_, texels_, srgb_, environment_;
+  Table instances_, materials_, albedo_tables_, emitters_, clusters_, emission_;
+  double environment_power_ = 0;
+  std::vector<std::uint32_t> triangle_emitter_;  // as the triangles' rows have it
   bool shines_ = false;
   bool transparent_shadows_ = false;
   unsigned triangle_words_ = 0, path_rows_ = 0, shadow_rows_ = 0;
@@ -65,9 +90,9 @@ class DeviceScene {
   mutable std::mutex media_mutex_;
   mutable std::optional<scene::Camera> media_camera_;
   mutable std::array<cl_uint, 2> camera_media_{};
-  std::uint64_t triangle_count_ = 0;
+  std::vector<scene::Bounds> instanced_boxes_;          // about each instanced mesh, in its own space
   std::map<std::uint32_t, std::uint32_t> albedo_rows_;  // by table
-  std::size_t bytes_ = 0;
+  std::size_t bytes_ = 0, written_bytes_ = 0;
 };
 
 }  // namespace gleaner::worker

@@ -8,8 +8,10 @@
 #include <string>
 
 #include "scene/model/blob.h"
+#include "scene/model/frame_state.h"
 #include "scene/model/scene.h"
 #include "worker/device/device_info.h"
+#include "worker/trace/motion.h"
 #include "worker/wavefront/stage_task.h"
 
 namespace gleaner::worker {
@@ -31,6 +33,15 @@ class Executor {
   // is false.
   void load_scene(const std::string& id, std::shared_ptr<const scene::Scene> scene,
                   std::shared_ptr<const scene::Bvh> bvh);
+
+  // A base that frames show in their states. It is kept as it came, beside others until a bound.
+  bool holds_base(const std::string& id) const;
+  void load_base(const std::string& id, std::shared_ptr<const scene::Scene> scene,
+                 std::shared_ptr<const scene::Bvh> bvh);
+  // The base as the state shows it becomes the scene `id`, kept as load_scene() does; another frame of the base may
+  // have to give its place to it. Throws Error::bad_input where the state does not fit, Error::failed where the base is
+  // not held. Tells what it took: nothing where the scene is held.
+  MotionReport load_frame(const std::string& id, const std::string& base, const scene::FrameState& state);
 
   // From now on kernels are timed, at some cost; what those that ran since the last call took, by name.
   void profile_kernels();

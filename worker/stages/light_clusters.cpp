@@ -138,9 +138,13 @@ Vec corner(const scene::Scene& scene, std::uint32_t triangle, int k) {
   return {p[0], p[1], p[2]};
 }
 
-void add_environment(const scene::Environment& environment, LightTables& tables, double& power) {
+}  // namespace
+
+EnvironmentTable make_environment_table(const scene::Environment& environment) {
+  EnvironmentTable table;
+  if (environment.empty()) return table;
   const std::uint32_t w = environment.width, h = environment.height;
-  auto& out = tables.environment;
+  auto& out = table.rows;
   out.resize(ENVIRONMENT_HEADER);
   set_word(out, 0, w);
   set_word(out, 1, h);
@@ -170,7 +174,7 @@ void add_environment(const scene::Environment& environment, LightTables& tables,
     }
     total += rows[y];
   }
-  power = total / 4 * 1;  // a facing surface under a uniform sky gets pi L = (4 pi L) / 4
+  table.power = total / 4;  // a facing surface under a uniform sky gets pi L = (4 pi L) / 4
   std::vector<float> columns(texel.size()), row_cdf(h);
   double row_sum = 0;
   for (std::uint32_t y = 0; y < h; ++y) {
@@ -186,11 +190,10 @@ void add_environment(const scene::Environment& environment, LightTables& tables,
   row_cdf[h - 1] = 1;
   out.insert(out.end(), columns.begin(), columns.end());
   out.insert(out.end(), row_cdf.begin(), row_cdf.end());
+  return table;
 }
 
-}  // namespace
-
-LightTables make_light_tables(const scene::Scene& scene) {
+LightTables make_light_tables(const scene::Scene& scene, double environment_power) {
   LightTables tables;
   tables.triangle_emitter.assign(scene.triangle_count(), GLEANER_NONE);
   std::vector<Emitter> emitters;
@@ -248,8 +251,6 @@ LightTables make_light_tables(const scene::Scene& scene) {
     *widest = bound(std::move(left), emitters);
     groups.push_back(bound(std::move(right), emitters));
   }
-  double environment_power = 0;
-  if (environment) add_environment(scene.environment, tables, environment_power);
   const std::size_t used = groups.size() + (environment ? 1 : 0);
   for (unsigned slots : {1u, 4u, 8u, 16u, 32u, 64u})
     if (used && used <= slots) {

@@ -4,16 +4,8 @@
 #include <cstring>
 #include <limits>
 
-#if __has_include(<embree4/rtcore.h>)
-#include <embree4/rtcore.h>
-#define GLEANER_EMBREE4
-#else
-#include <embree3/rtcore.h>
-#endif
-
 #include "kernels/rays.h"
-#include "scene/model/error.h"
-#include "worker/trace/tracer.h"
+#include "worker/trace/embree_levels.h"
 
 namespace gleaner::worker {
 namespace {
@@ -26,11 +18,12 @@ static_assert(offsetof(RTCRayHit16, ray.org_x) == 64 * ROW_ORIGIN &&
               offsetof(RTCRayHit16, ray.flags) == 64 * ROW_FLAGS && sizeof(RTCRay16) == 64 * RAY_ROWS &&
               offsetof(RTCRayHit16, hit.Ng_x) == 64 * ROW_NORMAL && offsetof(RTCRayHit16, hit.u) == 64 * ROW_U &&
               offsetof(RTCRayHit16, hit.v) == 64 * ROW_V && offsetof(RTCRayHit16, hit.primID) == 64 * ROW_PRIMITIVE &&
-              offsetof(RTCRayHit16, hit.geomID) == 64 * ROW_GEOMETRY && sizeof(RTCRayHit16) >= 64 * RAY_HIT_ROWS);
+              offsetof(RTCRayHit16, hit.geomID) == 64 * ROW_GEOMETRY &&
+              offsetof(RTCRayHit16, hit.instID) == 64 * ROW_INSTANCE && sizeof(RTCRayHit16) >= 64 * RAY_HIT_ROWS);
 
 class Query {
  public:
-  Query(RTCScene scene, bool coherent) : scene_(scene) {
+  explicit Query(bool coherent) : coherent_(coherent) {
 #ifdef GLEANER_EMBREE4
     rtcInitIntersectArguments(&closest_);
     rtcInitOccludedArguments(&any_);
@@ -40,23 +33,24 @@ class Query {
     context_.flags = coherent ? RTC_INTERSECT_CONTEXT_FLAG_COHERENT : RTC_INTERSECT_CONTEXT_FLAG_INCOHERENT;
 #endif
   }
-  void closest(const int* valid, RTCRayHit16* rays) {
+  bool coherent() const { return coherent_; }
+  void closest(RTCScene scene, const int* valid, RTCRayHit16* rays) {
 #ifdef GLEANER_EMBREE4
-    rtcIntersect16(valid, scene_, rays, &closest_);
+    rtcIntersect16(valid, scene, rays, &closest_);
 #else
-    rtcIntersect16(valid, scene_, &context_, rays);
+    rtcIntersect16(valid, scene, &context_, rays);
 #endif
   }
-  void any(const int* valid, RTCRay16* rays) {
+  void any(RTCScene scene, const int* valid, RTCRay16* rays) {
 #ifdef GLEANER_EMBREE4
-    rtcOccluded16(valid, scene_, rays, &any_);
+    rtcOccluded16(valid, scene, rays, &any_);
 #else
-    rtcOccluded16(valid, scene_, &context_, rays);
+    rtcOccluded16(valid, scene, &context_, rays);
 #endif
   }
 
  private:
-  RTCScene scene_;
+  bool coherent_;
 #ifdef GLEANER_EMBREE4
   RTCIntersectArguments closest_;
   RTCOccludedArguments any_;
@@ -81,50 +75,78 @@ Valid asking(const float* block, std::uint32_t count) {
   return valid;
 }
 
+// Of `valid`, the lanes whose rays may meet the box: most rays pass by what a top level holds, and asking Embree for
+// each of them takes longer than all sixteen take here. Rounding is on the safe side, and so are directions along an
+// axis.
+Valid may_meet(const RTCBounds& box, const Valid& valid, const RTCRay16* rays) {
+  constexpr float slack = 1e-4f, least = 1e-20f;
+  const float low[3] = {box.lower_x, box.lower_y, box.lower_z}, high[3] = {box.upper_x, box.upper_y, box.upper_z};
+  const float* origins[3] = {rays->org_x, rays->org_y, rays->org_z};
+  const float* directions[3] = {rays->dir_x, rays->dir_y, rays->dir_z};
+  float enters[16], leaves[16];
+  for (int k = 0; k < 16; ++k) {
+    enters[k] = rays->tnear[k];
+    leaves[k] = rays->tfar[k];
+  }
+  for (int axis = 0; axis < 3; ++axis)
+    for (int k = 0; k < 16; ++k) {
+      const float o = origins[axis][k], d = directions[axis][k];
+      const float room = slack * (std::fabs(o) + std::fabs(low[axis]) + std::fabs(high[axis]));
+      const bool along = std::fabs(d) < least;  // nothing is said of this axis
+      const float inverse = 1 / (along ? 1.0f : d);
+      const float a = (low[axis] - room - o) * inverse, b = (high[axis] + room - o) * inverse;
+      const float first = a < b ? a : b, last = a < b ? b : a;
+      enters[k] = !along && first > enters[k] ? first : enters[k];
+      leaves[k] = !along && last < leaves[k] ? last : leaves[k];
+    }
+  Valid met;
+  for (int k = 0; k < 16; ++k)
+    met.lanes[k] =
+        enters[k] - slack * std::fabs(enters[k]) > leaves[k] + slack * std::fabs(leaves[k]) ? 0 : valid.lanes[k];
+  return met;
+}
+
+// Incoherent rays too begin as a packet while most lanes go the same way, as they do among a few instances. The order
+// in which these are met then depends on a ray's neighbours, and where two of them touch, so does which one is hit. One
+// lane at a time is traced by itself.
+template <typename Call>
+void one_by_one(const Valid& valid, Call&& call) {
+  for (std::uint32_t k = 0; k < 16; ++k) {
+    if (!valid.lanes[k]) continue;
+    Valid one{};
+    one.lanes[k] = valid.lanes[k];
+    call(one);
+  }
+}
+
 class EmbreeTracer final : public Tracer {
  public:
-  EmbreeTracer(const scene::Scene& scene, unsigned threads) {
-    device_ = rtcNewDevice(("threads=" + std::to_string(threads)).c_str());
-    if (!device_) throw Error::failed("Embree: no device (error " + std::to_string(rtcGetDeviceError(nullptr)) + ")");
-    scene_ = rtcNewScene(device_);
-    // Robust: watertight at shared edges. Medium: the high-quality build is not deterministic.
-    rtcSetSceneFlags(scene_, RTC_SCENE_FLAG_ROBUST);
-    rtcSetSceneBuildQuality(scene_, RTC_BUILD_QUALITY_MEDIUM);
-    RTCGeometry geometry = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE);
-    if (!scene.indices.empty()) {
-      void* vertices =
-          rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12, scene.vertex_count());
-      void* indices =
-          rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12, scene.triangle_count());
-      if (vertices && indices) {
-        std::memcpy(vertices, scene.positions.data(), scene.positions.size() * sizeof(float));
-        std::memcpy(indices, scene.indices.data(), scene.indices.size() * sizeof(std::uint32_t));
-      }
-    }
-    rtcCommitGeometry(geometry);
-    rtcAttachGeometry(scene_, geometry);
-    rtcReleaseGeometry(geometry);
-    rtcCommitScene(scene_);
-    if (auto error = rtcGetDeviceError(device_); error != RTC_ERROR_NONE) {
-      release();
-      throw Error::failed("Embree: building the scene failed (error " + std::to_string(error) + ")");
-    }
-  }
-  ~EmbreeTracer() override { release(); }
+  EmbreeTracer(const scene::Scene& scene, unsigned threads) : levels_(scene, threads) {}
 
   void closest(cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) override {
-    walk(queue, rays, range, [](Query& query, const Valid& valid, float* block, RTCScene scene) {
-      auto* hit = reinterpret_cast<RTCRayHit16*>(block);
-      query.closest(valid.lanes, hit);
-      retrace_self_hits(hit, valid, scene);
+    walk(queue, rays, range, [this](Query& query, const Valid& valid, float* block) {
+      auto* hits = reinterpret_cast<RTCRayHit16*>(block);
+      find_closest(query, valid, hits);
+      retrace_self_hits(valid, hits);
     });
   }
 
   void any(cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) override {
-    walk(queue, rays, range, [](Query& query, const Valid& valid, float* block, RTCScene) {
-      query.any(valid.lanes, reinterpret_cast<RTCRay16*>(block));
+    walk(queue, rays, range, [this](Query& query, const Valid& asking, float* block) {
+      auto* asked = reinterpret_cast<RTCRay16*>(block);
+      if (levels_.world()) query.any(levels_.world(), asking.lanes, asked);
+      if (!levels_.top()) return;
+      Valid valid;
+      for (int k = 0; k < 16; ++k) valid.lanes[k] = asked->tfar[k] > 0 ? asking.lanes[k] : 0;
+      // Each ray for itself: asked as a packet, Embree 3.13.5 may loop for ever once a ray of another octant than the
+      // one it is at has ended in an instance.
+      Query single(false);
+      one_by_one(may_meet(levels_.top_bounds(), valid, asked),
+                 [&](const Valid& one) { single.any(levels_.top(), one.lanes, asked); });
     });
   }
+
+  MotionReport follow(const SceneMotion& motion) override { return levels_.follow(motion); }
 
  private:
   // On CPU devices mapping moves nothing: Embree reads and writes where the kernels do.
@@ -162,16 +184,61 @@ class EmbreeTracer final : public Tracer {
     const auto run = [&](Query query, std::uint32_t base, std::uint32_t count) {
       for (std::uint32_t i = 0; i < count; i += RAY_BLOCK) {
         float* block = mapped.floats() + stride * ((base + i) / RAY_BLOCK);
-        visit(query, asking(block, count - i), block, scene_);
+        visit(query, asking(block, count - i), block);
       }
     };
-    run(Query(scene_, false), 0, range.incoherent);
-    run(Query(scene_, true), range.coherent_base, range.coherent_count);
+    run(Query(false), 0, range.incoherent);
+    run(Query(true), range.coherent_base, range.coherent_count);
     _mm_setcsr(control);
   }
 
+  // Hits with the scene's numbers for triangle and instance.
+  void find_closest(Query& query, const Valid& valid, RTCRayHit16* rays) {
+    if (levels_.world()) {
+      query.closest(levels_.world(), valid.lanes, rays);
+      name_world_hits(valid, rays);
+    }
+    if (levels_.top()) {
+      const auto ask = [&](const Valid& asking) { query.closest(levels_.top(), asking.lanes, rays); };
+      if (query.coherent())
+        ask(valid);  // always the same neighbours
+      else
+        one_by_one(may_meet(levels_.top_bounds(), valid, &rays->ray), ask);
+      name_top_hits(valid, rays);
+    }
+  }
+
+  void name_world_hits(const Valid& valid, RTCRayHit16* rays) const {
+    if (!levels_.top()) return;  // a geometry of all triangles, and nobody asks for an instance
+    const std::vector<std::uint32_t>& firsts = levels_.world_firsts();
+    for (int k = 0; k < 16; ++k) {
+      if (!valid.lanes[k] || rays->hit.geomID[k] == RTC_INVALID_GEOMETRY_ID) continue;
+      rays->hit.primID[k] += firsts[rays->hit.geomID[k]];
+      rays->hit.geomID[k] = 0;
+      rays->hit.instID[0][k] = RTC_INVALID_GEOMETRY_ID;
+    }
+  }
+
+  // Embree names an instance where it hit one in the top level; what was hit in the world before has none.
+  void name_top_hits(const Valid& valid, RTCRayHit16* rays) const {
+    for (int k = 0; k < 16; ++k) {
+      if (!valid.lanes[k] || rays->hit.geomID[k] == RTC_INVALID_GEOMETRY_ID ||
+          rays->hit.instID[0][k] == RTC_INVALID_GEOMETRY_ID)
+        continue;
+      const EmbreeLevels::Row& row = levels_.rows()[rays->hit.instID[0][k]];
+      rays->hit.primID[k] += row.first_triangle;
+      rays->hit.instID[0][k] = row.instance;
+    }
+  }
+
+  // Whether a lane's hit is on the triangle that its ray left: of the same instance, where there are any.
+  bool is_self_hit(const RTCRayHit16* rays, int k) const {
+    return rays->hit.geomID[k] != RTC_INVALID_GEOMETRY_ID && rays->hit.primID[k] == rays->ray.id[k] &&
+           (!levels_.has_instances() || rays->hit.instID[0][k] == rays->ray.flags[k]);
+  }
+
   // A plane is never left through itself: where rounding says so all the same, the search goes on behind that hit.
-  static void retrace_self_hits(RTCRayHit16* rays, const Valid& valid, RTCScene scene) {
+  void retrace_self_hits(const Valid& valid, RTCRayHit16* rays) {
     // All lanes at once, so that the compiler makes vector code of it; a hit on the source is next to never.
     std::uint32_t self = 0;
     for (std::uint32_t k = 0; k < 16; ++k)
@@ -181,27 +248,19 @@ class EmbreeTracer final : public Tracer {
     while (self) {
       const int lane = __builtin_ctz(self);
       self &= self - 1;
-      Query query(scene, false);
-      for (int tries = 0; tries < 4 && rays->hit.geomID[lane] != RTC_INVALID_GEOMETRY_ID &&
-                          rays->hit.primID[lane] == rays->ray.id[lane];
-           ++tries) {
+      Query query(false);
+      for (int tries = 0; tries < 4 && is_self_hit(rays, lane); ++tries) {
         rays->ray.tnear[lane] = std::nextafter(rays->ray.tfar[lane], std::numeric_limits<float>::infinity());
         rays->ray.tfar[lane] = std::numeric_limits<float>::infinity();
         rays->hit.geomID[lane] = RTC_INVALID_GEOMETRY_ID;
         Valid one{};
         one.lanes[lane] = -1;
-        query.closest(one.lanes, rays);
+        find_closest(query, one, rays);
       }
     }
   }
 
-  void release() {
-    if (scene_) rtcReleaseScene(scene_);
-    if (device_) rtcReleaseDevice(device_);
-  }
-
-  RTCDevice device_ = nullptr;
-  RTCScene scene_ = nullptr;
+  EmbreeLevels levels_;
 };
 
 }  // namespace

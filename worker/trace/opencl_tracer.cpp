@@ -1,40 +1,68 @@
-#include <mutex>
+#include <algorithm>
+#include <chrono>
+#include <span>
+#include <string>
 
 #include "kernels/scene_layout.h"
 #include "scene/model/error.h"
 #include "scene/model/limits.h"
 #include "worker/device/kernel.h"
-#include "worker/trace/tracer.h"
+#include "worker/trace/opencl_top_level.h"
 
 namespace gleaner::worker {
 namespace {
 
-// Entries of a traversal stack: one a level below the root suffices; multiples of 16 keep the number of variants small.
-// It becomes memory of each work-item, so that a blob must not choose it freely.
-std::uint32_t stack_size(const scene::Bvh& bvh) {
-  if (bvh.max_depth > scene::kMaxBvhDepth)
-    throw Error::bad_input("BVH", "max_depth", "at most " + std::to_string(scene::kMaxBvhDepth),
-                           std::to_string(bvh.max_depth));
-  return (bvh.max_depth / 16 + 1) * 16;
+// Entries of a traversal stack: one a level below the roots suffices; multiples of 16 keep the number of variants
+// small. It becomes memory of each work-item, so that a blob must not choose it freely.
+std::uint32_t stack_size(std::uint32_t depth) {
+  constexpr std::uint32_t most = 2 * scene::kMaxBvhDepth;  // of a mesh's tree, below the top level
+  if (depth > most)
+    throw Error::bad_input("BVH", "max_depth", "at most " + std::to_string(most), std::to_string(depth));
+  return (depth / 16 + 1) * 16;
 }
 
 class OpenClTracer final : public Tracer {
  public:
-  OpenClTracer(const Device& device, const scene::Bvh& bvh, const cl::Buffer& triangles, unsigned triangle_words)
+  OpenClTracer(const Device& device, const scene::Scene& scene, const scene::Bvh& bvh, const cl::Buffer& triangles,
+               unsigned triangle_words)
       : device_(device),
+        levels_(scene, bvh),
         triangles_(triangles),
-        program_(device.build("kernels/bvh_trace.cl",
-                              "-D LANES=1 -D STACK_SIZE=" + std::to_string(stack_size(bvh)) +
-                                  (triangle_words == TRIANGLE_WORDS_SECOND_UVS ? " -D NEED_SECOND_UVS" : ""))),
-        nodes_(device.make_buffer(bvh.nodes.size() * sizeof(scene::BvhNode), CL_MEM_READ_ONLY)),
-        slots_(device.make_buffer(bvh.triangles.size() * sizeof(std::uint32_t), CL_MEM_READ_ONLY)),
+        options_(
+            std::string("-D LANES=1") + (triangle_words == TRIANGLE_WORDS_SECOND_UVS ? " -D NEED_SECOND_UVS" : "") +
+            (levels_.has_two_levels() ? " -D TWO_LEVELS" : "") + (levels_.has_instances() ? " -D NEED_INSTANCES" : "")),
+        nodes_(device.make_buffer(levels_.node_capacity() * sizeof(scene::BvhNode), CL_MEM_READ_ONLY)),
+        slots_(device.make_buffer(levels_.slot_capacity() * sizeof(std::uint32_t), CL_MEM_READ_ONLY)),
         overflow_(device.make_buffer(sizeof(std::uint32_t))) {
+    if (bvh.max_depth > scene::kMaxBvhDepth)
+      throw Error::bad_input("BVH", "max_depth", "at most " + std::to_string(scene::kMaxBvhDepth),
+                             std::to_string(bvh.max_depth));
     cl::CommandQueue queue = device.make_queue();
-    queue.enqueueWriteBuffer(nodes_, CL_TRUE, 0, bvh.nodes.size() * sizeof(scene::BvhNode), bvh.nodes.data());
-    if (!bvh.triangles.empty())
-      queue.enqueueWriteBuffer(slots_, CL_TRUE, 0, bvh.triangles.size() * sizeof(std::uint32_t), bvh.triangles.data());
+    write(queue, nodes_, 0, std::span(bvh.nodes));
+    write(queue, slots_, 0, std::span(bvh.triangles));
     const std::uint32_t zero = 0;
     queue.enqueueWriteBuffer(overflow_, CL_TRUE, 0, sizeof zero, &zero);
+    if (levels_.has_two_levels()) {
+      top_ = device.make_buffer(levels_.top().size() * sizeof(scene::BvhNode), CL_MEM_READ_ONLY);
+      entries_ = device.make_buffer(levels_.entries().size() * sizeof(std::uint32_t), CL_MEM_READ_ONLY);
+      inverses_ =
+          device.make_buffer(std::max<std::size_t>(levels_.inverses().size(), 16) * sizeof(float), CL_MEM_READ_ONLY);
+    } else {
+      // The kernels' variant reads none of them.
+      top_ = nodes_, entries_ = slots_, inverses_ = nodes_;
+    }
+    load_top(queue);
+  }
+
+  MotionReport follow(const SceneMotion& motion) override {
+    cl::CommandQueue queue = device_.make_queue();
+    MotionReport report = levels_.follow(
+        motion, [&](std::size_t first, std::span<const scene::BvhNode> nodes) { write(queue, nodes_, first, nodes); },
+        [&](std::size_t first, std::span<const std::uint32_t> slots) { write(queue, slots_, first, slots); });
+    const auto start = std::chrono::steady_clock::now();
+    load_top(queue);
+    report.top_level_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    return report;
   }
 
   void closest(cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) override {
@@ -45,12 +73,34 @@ class OpenClTracer final : public Tracer {
   }
 
  private:
+  template <typename T>
+  static void write(cl::CommandQueue& queue, cl::Buffer& to, std::size_t first, std::span<const T> values) {
+    if (!values.empty())
+      queue.enqueueWriteBuffer(to, CL_TRUE, first * sizeof(T), values.size() * sizeof(T), values.data());
+  }
+
+  // The top level may become deeper than the kernels' stack was made for.
+  void load_top(cl::CommandQueue& queue) {
+    if (levels_.has_two_levels()) {
+      write(queue, top_, 0, std::span(levels_.top()));
+      write(queue, entries_, 0, std::span(levels_.entries()));
+      write(queue, inverses_, 0, std::span(levels_.inverses()));
+    }
+    const std::uint32_t wanted = stack_size(levels_.depth());
+    if (wanted <= stack_) return;
+    program_ = device_.build("kernels/bvh_trace.cl", options_ + " -D STACK_SIZE=" + std::to_string(wanted));
+    stack_ = wanted;
+  }
+
   void run(const char* name, cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) {
     if (range.end() == 0) return;
     Kernel kernel(device_, program_, name);
     kernel.set("nodes", nodes_)
         .set("slots", slots_)
         .set("triangles", triangles_)
+        .set("top", top_)
+        .set("entries", entries_)
+        .set("inverses", inverses_)
         .set("rays", rays)
         .set("rows", range.rows)
         .set("count", range.end())
@@ -70,16 +120,19 @@ class OpenClTracer final : public Tracer {
   }
 
   const Device& device_;
+  OpenClTopLevel levels_;
   cl::Buffer triangles_;
+  std::string options_;
   Program program_;
-  cl::Buffer nodes_, slots_, overflow_;
+  std::uint32_t stack_ = 0;
+  cl::Buffer nodes_, slots_, overflow_, top_, entries_, inverses_;
 };
 
 }  // namespace
 
-std::unique_ptr<Tracer> make_opencl_tracer(const Device& device, const scene::Bvh& bvh, const cl::Buffer& triangles,
-                                           unsigned triangle_words) {
-  return std::make_unique<OpenClTracer>(device, bvh, triangles, triangle_words);
+std::unique_ptr<Tracer> make_opencl_tracer(const Device& device, const scene::Scene& scene, const scene::Bvh& bvh,
+                                           const cl::Buffer& triangles, unsigned triangle_words) {
+  return std::make_unique<OpenClTracer>(device, scene, bvh, triangles, triangle_words);
 }
 
 }  // namespace gleaner::worker

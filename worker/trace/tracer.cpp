@@ -19,6 +19,16 @@ std::string tracer_description(TraceKind kind) {
   return kind == TraceKind::opencl ? "OpenCL BVH2" : "none";
 }
 
-MotionReport Tracer::follow(const SceneMotion&) { throw Error::failed("this tracer follows no motion yet"); }
+void check_motion(const SceneMotion& motion, std::span<const scene::Instance> instances, std::size_t position_values) {
+  if (!motion.instances.empty() && motion.instances.size() != instances.size())
+    throw Error::failed("a motion of " + std::to_string(motion.instances.size()) + " instances, of a scene that has " +
+                        std::to_string(instances.size()));
+  for (std::size_t i = 0; i < motion.instances.size(); ++i)
+    if (motion.instances[i].mesh != instances[i].mesh)
+      throw Error::failed("instance " + std::to_string(i) + " is of another mesh than when the scene was loaded");
+  if (!motion.deformed.empty() && motion.positions.size() != position_values)
+    throw Error::failed("a motion of " + std::to_string(motion.positions.size()) +
+                        " coordinates, of a scene that has " + std::to_string(position_values));
+}
 
 }  // namespace gleaner::worker

@@ -9,6 +9,7 @@
 
 #include "scene/model/blob.h"
 #include "worker/device/device.h"
+#include "worker/trace/motion.h"
 
 namespace gleaner::worker {
 
@@ -30,21 +31,13 @@ struct SceneMotion {
   std::span<const scene::Instance> instances;  // all of the scene's, in its order, of the same meshes; empty: unmoved
 };
 
-// What following a motion took.
-struct MotionReport {
-  struct Mesh {
-    std::uint32_t mesh = 0;
-    bool rebuilt = false;  // else refitted
-    double growth = 1;     // SAH cost of the refitted tree over that of the tree as it was built for the scene at rest
-    double seconds = 0;
-  };
-  std::vector<Mesh> meshes;
-  double top_level_seconds = 0;
-};
-
 // A mesh is refitted as long as its tree's SAH cost grows to no more than this, and else rebuilt. Refitting always
 // starts at the tree of the mesh at rest, so that the answers do not depend on what was shown before.
 inline constexpr double kMostSahGrowth = 1.5;
+
+// Throws Error::failed where a motion is not of a scene with these instances, but for their transforms, and so many
+// coordinates.
+void check_motion(const SceneMotion& motion, std::span<const scene::Instance> instances, std::size_t position_values);
 
 class Tracer {
  public:
@@ -55,12 +48,12 @@ class Tracer {
   virtual void any(cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) = 0;
   // Follows what moved: deformed meshes are refitted or rebuilt, then the top level is built anew. Nothing else is
   // touched. The caller sees to it that no query runs meanwhile.
-  virtual MotionReport follow(const SceneMotion& motion);
+  virtual MotionReport follow(const SceneMotion& motion) = 0;
 };
 
 std::unique_ptr<Tracer> make_embree_tracer(const scene::Scene& scene, unsigned threads);
 // `triangles`: the table of kernels/scene_layout.h.
-std::unique_ptr<Tracer> make_opencl_tracer(const Device& device, const scene::Bvh& bvh, const cl::Buffer& triangles,
-                                           unsigned triangle_words);
+std::unique_ptr<Tracer> make_opencl_tracer(const Device& device, const scene::Scene& scene, const scene::Bvh& bvh,
+                                           const cl::Buffer& triangles, unsigned triangle_words);
 
 }  // namespace gleaner::worker

@@ -10,6 +10,7 @@
 #include <thread>
 #include <vector>
 
+#include "scene/model/error.h"
 #include "worker/device/kernel.h"
 #include "worker/wavefront/counters.h"
 #include "worker/wavefront/ray_queries.h"
@@ -101,6 +102,7 @@ void run_host_threads(WorkQueue& work, BatchResult& result, Make make) {
     }
     all[k]->counters.all = seconds_now() - start;
   });
+  if (work.given_up()) throw Error::failed("nobody wants the batch any more");
   for (const auto& thread : all) thread->counters.add_to(result.counters, work.threads());
 }
 

@@ -1,8 +1,10 @@
 #pragma once
 // What a batch is asked to do, and what it answers.
 
+#include <atomic>
 #include <cstdint>
 #include <map>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -16,6 +18,9 @@ struct StageTask {
   std::vector<std::byte> parameters;
   std::map<std::string, TaskInput> inputs;  // by the names the stage knows them by
   std::string scene;                        // id under which load_scene() was told of the scene
+  // Turns true where nobody wants the batch any more: run() then throws soon, between two waves of its host threads.
+  // Null: it never does.
+  std::shared_ptr<const std::atomic<bool>> given_up{};
 };
 
 // What a batch cost. Seconds are wall time of the device's own clockwork, not summed over threads.

@@ -58,6 +58,17 @@ Values slerp(const Values& from, Values to, double part) {
   return result;
 }
 
+// Of the mesh under a node; 0: there are none.
+std::size_t morph_targets(const Document& document, const Element& node) {
+  const auto mesh = node.find("mesh");
+  if (!mesh) return 0;
+  const Element primitives = document.item("meshes", *mesh).at("primitives");
+  std::size_t most = 0;
+  for (std::size_t p = 0; p < primitives.size(); ++p)
+    if (const auto targets = primitives[p].find("targets")) most = std::max(most, targets->size());
+  return most;
+}
+
 // What a channel of a node animates, and how many numbers that has (0: what the output says).
 std::size_t components_of(const Element& path) {
   const std::string& word = path.text();
@@ -127,6 +138,10 @@ Sampler::Sampler(const Document& document, const Element& sampler, std::size_t c
     output.fail(std::to_string(keys) + " values of " +
                     (components_ ? std::to_string(components_) : std::string("one or more")) + " numbers",
                 std::to_string(values_.size()) + " numbers");
+  for (std::size_t key = 0; rotation_ && key < times_.size(); ++key)
+    if (std::ranges::all_of(value(key, interpolation_ == Interpolation::cubic_spline ? 1 : 0),
+                            [](double x) { return x == 0; }))
+      output.fail("a quaternion", "four zeros at key " + std::to_string(key));
   // What was stored as integers is not of unit length.
   if (rotation_ && interpolation_ != Interpolation::cubic_spline)
     for (std::size_t key = 0; key < times_.size(); ++key) {
@@ -175,6 +190,33 @@ Values Sampler::at(double seconds) const {
   }
   if (rotation_) make_unit(result);
   return result;
+}
+
+// Between keys values lie between those of the keys; splines, between the four control points of the same curve in
+// Bezier's form.
+bool Sampler::stays_off_zero(double least) const {
+  const bool spline = interpolation_ == Interpolation::cubic_spline;
+  for (std::size_t key = 0; key < times_.size(); ++key) {
+    std::vector<Values> points = {value(key, spline ? 1 : 0)};
+    if (key + 1 < times_.size() && interpolation_ != Interpolation::step) {
+      points.push_back(value(key + 1, spline ? 1 : 0));
+      if (spline) {
+        const double third = (times_[key + 1] - times_[key]) / 3;
+        const Values leaving = value(key, 2), arriving = value(key + 1, 0);
+        for (const double side : {1.0, -1.0}) {
+          Values control = side > 0 ? points[0] : points[1];
+          for (std::size_t k = 0; k < components_; ++k)
+            control[k] += side * third * (side > 0 ? leaving[k] : arriving[k]);
+          points.push_back(control);
+        }
+      }
+    }
+    for (std::size_t k = 0; k < components_; ++k)
+      if (!std::ranges::all_of(points, [&](const Values& p) { return p[k] > least; }) &&
+          !std::ranges::all_of(points, [&](const Values& p) { return p[k] < -least; }))
+        return false;
+  }
+  return true;
 }
 
 Animations::Animations(const Document& document, const std::string& wanted, Warnings& warnings) {
@@ -234,20 +276,44 @@ void Animations::add(const Document& document, const Element& animation, const E
     const Element moved = document.item("nodes", *node);
     if (moved.find("matrix") && path.text() != "weights")
       moved.at("matrix").fail("translation, rotation and scale of a node that is animated");
+    if (path.text() == "weights") components = morph_targets(document, moved);
     pointer = Pointer("/nodes/" + std::to_string(node->index(document.size("nodes"))) + "/" + path.text());
   }
   const Element samplers = animation.at("samplers");
   const Element sampler = samplers[channel.at("sampler").index(samplers.size())];
-  Channel made{pointer, scalar, Sampler(document, sampler, components, names_rotation(pointer))};
+  Channel made{pointer, pointer.to_string(), scalar, Sampler(document, sampler, components, names_rotation(pointer))};
   // A default that the file leaves out is a number where one number animates it.
   if (path.text() == "pointer" && components == 0) made.scalar = made.sampler.components() == 1;
-  const auto same = std::ranges::find(channels_, pointer, &Channel::target);
-  if (same == channels_.end()) {
+  const auto [place, is_new] = channel_of_.try_emplace(made.text, channels_.size());
+  if (is_new) {
     channels_.push_back(std::move(made));
     return;
   }
   warnings.add(channel.name(), "animates what another channel animates as well; the later one is played");
-  *same = std::move(made);
+  channels_[place->second] = std::move(made);
+}
+
+bool Animations::animates(const std::string& pointer) const {
+  const auto within = channel_of_.lower_bound(pointer + "/");
+  return channel_of_.contains(pointer) || (within != channel_of_.end() && within->first.starts_with(pointer + "/"));
+}
+
+bool Animations::may_vanish(const std::string& pointer, double least) const {
+  const auto channel = channel_of_.find(pointer);
+  return channel != channel_of_.end() && !channels_[channel->second].sampler.stays_off_zero(least);
+}
+
+bool Animations::needs_own_scenes() const {
+  return std::ranges::any_of(channels_, [](const Channel& channel) {
+    const std::string& text = channel.text;
+    if (text.starts_with("/materials/")) return text.find("Texture") != std::string::npos;
+    if (text.starts_with("/meshes/")) return text.find("/weights") == std::string::npos;
+    if (!text.starts_with("/nodes/")) return false;
+    const std::size_t path = text.find('/', std::string("/nodes/").size());
+    for (const char* known : {"/translation", "/rotation", "/scale", "/weights"})
+      if (path != std::string::npos && std::string_view(text).substr(path).starts_with(known)) return false;
+    return true;
+  });
 }
 
 void Animations::pose(double seconds, Document& document) const {

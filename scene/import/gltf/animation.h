@@ -2,6 +2,7 @@
 // Animations of a glTF file (section 3.11, KHR_animation_pointer), played by putting the values of a time into the
 // document: whatever reads it afterwards reads that pose.
 
+#include <map>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
@@ -23,6 +24,8 @@ class Sampler {
   // Holds the first and the last value outside of the keys. Rotations are unit quaternions.
   std::vector<double> at(double seconds) const;
   std::size_t components() const { return components_; }
+  // Whether no component comes as near to 0 as `least` at any time. May say no where none does.
+  bool stays_off_zero(double least) const;
 
  private:
   enum class Interpolation { step, linear, cubic_spline };
@@ -45,12 +48,22 @@ class Animations {
   // All of the file's, by name and length.
   const std::vector<AnimationInfo>& list() const { return list_; }
 
+  // Whether any channel of those that were read moves something that is rendered.
+  bool moves() const { return !channels_.empty(); }
+  // Whether a channel animates the value that the JSON pointer leads to, or one within it.
+  bool animates(const std::string& pointer) const;
+  // Whether a value that is animated may come as near to 0 as `least`, in a component.
+  bool may_vanish(const std::string& pointer, double least) const;
+  // Whether they animate what changes a scene's topology or its textures: no pose of one base shows that.
+  bool needs_own_scenes() const;
+
   // Puts their values at that time into the document.
   void pose(double seconds, Document& document) const;
 
  private:
   struct Channel {
     nlohmann::json::json_pointer target;
+    std::string text;  // of the target
     bool scalar = false;
     Sampler sampler;
   };
@@ -59,6 +72,7 @@ class Animations {
 
   std::vector<AnimationInfo> list_;
   std::vector<Channel> channels_;
+  std::map<std::string, std::size_t> channel_of_;  // by the target's text
 };
 
 }  // namespace gleaner::scene::gltf

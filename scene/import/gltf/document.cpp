@@ -11,6 +11,7 @@
 
 #include "scene/import/files.h"
 #include "scene/import/gltf/compression.h"
+#include "scene/import/gltf/mend.h"
 #include "scene/import/text.h"
 #include "scene/model/error.h"
 
@@ -31,14 +32,26 @@ T load(const std::byte* from) {
 
 // What this importer reads.
 const std::set<std::string>& known_extensions() {
-  static const std::set<std::string> names = {
-      "EXT_mesh_gpu_instancing",    "EXT_meshopt_compression",    "EXT_texture_webp",
-      "KHR_draco_mesh_compression", "KHR_lights_punctual",        "KHR_materials_anisotropy",
-      "KHR_animation_pointer",      "KHR_materials_clearcoat",    "KHR_materials_emissive_strength",
-      "KHR_materials_ior",          "KHR_materials_iridescence",  "KHR_materials_sheen",
-      "KHR_materials_specular",     "KHR_materials_transmission", "KHR_materials_unlit",
-      "KHR_materials_variants",     "KHR_materials_volume",       "KHR_mesh_quantization",
-      "KHR_texture_transform"};
+  static const std::set<std::string> names = {"EXT_mesh_gpu_instancing",
+                                              "EXT_meshopt_compression",
+                                              "EXT_texture_webp",
+                                              "KHR_draco_mesh_compression",
+                                              "KHR_lights_punctual",
+                                              "KHR_materials_anisotropy",
+                                              "KHR_animation_pointer",
+                                              "KHR_materials_clearcoat",
+                                              "KHR_materials_diffuse_transmission",
+                                              "KHR_materials_emissive_strength",
+                                              "KHR_materials_ior",
+                                              "KHR_materials_iridescence",
+                                              "KHR_materials_sheen",
+                                              "KHR_materials_specular",
+                                              "KHR_materials_transmission",
+                                              "KHR_materials_unlit",
+                                              "KHR_materials_variants",
+                                              "KHR_materials_volume",
+                                              "KHR_mesh_quantization",
+                                              "KHR_texture_transform"};
   return names;
 }
 
@@ -46,7 +59,6 @@ const std::set<std::string>& known_extensions() {
 std::string what_is_left_out(const std::string& extension) {
   static const std::map<std::string, std::string> words = {
       {"KHR_materials_dispersion", "all colours are refracted alike"},
-      {"KHR_materials_diffuse_transmission", "light that shines through"},
       {"KHR_materials_pbrSpecularGlossiness", "the metallic-roughness values are taken, or their defaults"},
       {"KHR_texture_basisu", "the texture's other image is taken, or none"},
       {"EXT_texture_avif", "the texture's other image is taken, or none"},
@@ -97,6 +109,7 @@ Version version_of(const Element& element) {
 
 Document::Document(const std::string& path, Warnings& warnings) : file_(path), warnings_(warnings) {
   const std::span<const std::byte> binary_chunk = read_container();
+  mend(json_, warnings_);
   check_version();
   check_extensions();
   warn_of_extensions();
@@ -108,8 +121,14 @@ std::span<const std::byte> Document::read_container() {
   container_ = read_file(file_, file_size, file_, "");
   std::span<const std::byte> bytes = container_;
   const bool has_magic = bytes.size() >= 4 && std::memcmp(bytes.data(), "glTF", 4) == 0;
-  if (!has_magic && (file_.ends_with(".glb") || file_.ends_with(".GLB")))
+  const auto is_text = [&] {
+    const auto first = std::find_if(bytes.begin(), bytes.end(), [](std::byte b) { return b > std::byte(' '); });
+    return first != bytes.end() && (*first == std::byte('{') || *first == std::byte(0xef));
+  };
+  const bool is_called_binary = file_.ends_with(".glb") || file_.ends_with(".GLB");
+  if (!has_magic && is_called_binary && !is_text())
     throw Error::bad_input(file_, "header", "the magic \"glTF\"", "other bytes");
+  if (!has_magic && is_called_binary) warnings_.add("header", "the file is JSON: it is read as .gltf");
   if (!has_magic) {
     parse(bytes);
     container_.clear();

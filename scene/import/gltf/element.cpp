@@ -36,6 +36,12 @@ std::optional<std::uint64_t> whole_number(const json& value) {
 
 }  // namespace
 
+std::string member_name(const std::string& name, const std::string& key) {
+  return name.empty() ? key : name + "." + key;
+}
+
+std::string item_name(const std::string& name, std::size_t index) { return name + "[" + std::to_string(index) + "]"; }
+
 void Element::fail(const std::string& expected) const { fail(expected, describe(*value_)); }
 
 void Element::fail(const std::string& expected, const std::string& found) const {
@@ -46,7 +52,7 @@ std::optional<Element> Element::find(const char* key) const {
   if (!value_->is_object()) fail("an object");
   const auto place = value_->find(key);
   if (place == value_->end()) return std::nullopt;
-  return Element(*place, name_.empty() ? key : name_ + "." + key, *file_);
+  return Element(*place, member_name(name_, key), *file_);
 }
 
 std::optional<Element> Element::extension(const char* name) const {
@@ -56,7 +62,7 @@ std::optional<Element> Element::extension(const char* name) const {
 
 Element Element::at(const char* key) const {
   if (std::optional<Element> element = find(key)) return *element;
-  throw Error::bad_input(*file_, name_.empty() ? key : name_ + "." + key, "a value", "none");
+  throw Error::bad_input(*file_, member_name(name_, key), "a value", "none");
 }
 
 std::size_t Element::size() const {
@@ -64,9 +70,7 @@ std::size_t Element::size() const {
   return value_->size();
 }
 
-Element Element::operator[](std::size_t index) const {
-  return {value_->at(index), name_ + "[" + std::to_string(index) + "]", *file_};
-}
+Element Element::operator[](std::size_t index) const { return {value_->at(index), item_name(name_, index), *file_}; }
 
 double Element::number(double lower, double upper) const {
   if (!value_->is_number()) fail("a number");

@@ -14,6 +14,10 @@ namespace gleaner::scene::gltf {
 
 inline constexpr double kAnyNumber = std::numeric_limits<float>::max();
 
+// Names of a member of the element `name` ("": the document itself), and of an item of an array.
+std::string member_name(const std::string& name, const std::string& key);
+std::string item_name(const std::string& name, std::size_t index);
+
 // Cheap enough to pass by value; refers to the document.
 class Element {
  public:

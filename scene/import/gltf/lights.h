@@ -14,6 +14,9 @@ class Lights {
   // Decides what candela and lux mean here, and says so where lights are divided.
   Lights(const Document& document, LightUnits units, Scene& scene, Warnings& warnings);
 
+  // What they were taken for: radiometric or photometric.
+  LightUnits units() const { return watts_per_unit_ == 1 ? LightUnits::radiometric : LightUnits::photometric; }
+
   // Those of all nodes, relative to the scene's origin.
   void add(Nodes& nodes);
 

@@ -48,8 +48,19 @@ std::array<double, 6> UvSource::matrix() const {
 }
 
 void Materials::read(std::uint64_t most_texels) {
-  for (std::size_t i = 0; i < document_.size("materials"); ++i) add(document_.item("materials", i));
+  read_without_images();
   textures_.decode_into(scene_, document_.file(), most_texels, warnings_);
+}
+
+void Materials::read_without_images() {
+  for (std::size_t i = 0; i < document_.size("materials"); ++i) add(document_.item("materials", i));
+  in_file_ = uvs_.size();
+}
+
+bool Materials::lays_on_textures_as(const Materials& other) const {
+  return in_file_ == other.in_file_ &&
+         std::equal(uvs_.begin(), uvs_.begin() + std::ptrdiff_t(in_file_), other.uvs_.begin()) &&
+         slots_ == other.slots_ && textures_ == other.textures_;
 }
 
 std::uint32_t Materials::material_of(const Element& primitive, std::optional<std::size_t> variant) {
@@ -99,12 +110,13 @@ void Materials::add(const Element& element) {
   add_specular(element, m);
   add_transmission(element, m);
   if (const auto volume = element.extension("KHR_materials_volume")) add_volume(*volume, m);
+  add_diffuse_transmission(element, m);
   add_layers(element, m);
   const bool is_unlit = element.extension("KHR_materials_unlit").has_value();
   if (is_unlit) {
     // It emits its base colour whatever else the file says.
     m.flags |= GLEANER_MATERIAL_UNLIT;
-    m.metallic = m.specular = m.transmission = m.clearcoat = m.anisotropy = m.iridescence = 0;
+    m.metallic = m.specular = m.transmission = m.diffuse_transmission = m.clearcoat = m.anisotropy = m.iridescence = 0;
     std::fill(m.sheen_color, m.sheen_color + 3, 0.0f);
     m.flags &= ~GLEANER_MATERIAL_DOUBLE_SIDED;
     std::fill(m.emission, m.emission + 3, 0.0f);
@@ -183,6 +195,21 @@ void Materials::add_volume(const Element& volume, Material& m) {
   // Nothing comes through a colour of 0 at any distance; 1e12 per metre is as good as infinity, and finite.
   for (int c = 0; c < 3; ++c)
     m.attenuation[c] = left[c] >= 1 ? 0.0f : static_cast<float>(std::min(-std::log(double(left[c])) / metres, 1e12));
+}
+
+// After transmission and volume.
+void Materials::add_diffuse_transmission(const Element& element, Material& m) {
+  const auto shining = element.extension("KHR_materials_diffuse_transmission");
+  if (!shining) return;
+  m.diffuse_transmission = static_cast<float>(shining->factor("diffuseTransmissionFactor", 0));
+  shining->colour("diffuseTransmissionColorFactor", m.diffuse_transmission_color);
+  if (m.diffuse_transmission == 0) return;
+  texture(*shining, "diffuseTransmissionTexture", false, &Material::diffuse_transmission_texture);
+  texture(*shining, "diffuseTransmissionColorTexture", true, &Material::diffuse_transmission_color_texture);
+  const auto volume = element.extension("KHR_materials_volume");
+  const auto thickness = volume ? volume->find("thicknessFactor") : std::nullopt;
+  if (m.transmission == 0 && thickness && thickness->number(0) > 0)
+    warnings_.add(volume->name(), "light that shines through is not scattered within: the surface is a thin sheet");
 }
 
 // Textures of what is switched off are not read.
@@ -303,8 +330,10 @@ void Materials::lay_on(Material& m) {
       for (std::size_t k = 0; k < 6; ++k) t.use.transform[k] = static_cast<float>(matrix[k]);
     }
     m.*t.slot = textures_.add(t.use);
+    slots_.emplace_back(t.slot, m.*t.slot);
   }
   uvs_.push_back(uvs);
+  slots_.emplace_back(nullptr, GLEANER_NONE);  // the material's end
 }
 
 std::size_t Materials::image(const Element& element) {

@@ -21,6 +21,7 @@ struct UvSource {
   double offset[2] = {0, 0}, rotation = 0, scale[2] = {1, 1};
 
   auto key() const { return std::tuple(set, offset[0], offset[1], rotation, scale[0], scale[1]); }
+  bool operator==(const UvSource& other) const { return key() == other.key(); }
   bool is_plain() const { return offset[0] == 0 && offset[1] == 0 && rotation == 0 && scale[0] == 1 && scale[1] == 1; }
   // Rows of the 2 x 3 matrix that is applied to the set's coordinates.
   std::array<double, 6> matrix() const;
@@ -30,6 +31,7 @@ struct UvSource {
 // that read it agree.
 struct MaterialUvs {
   std::array<std::optional<UvSource>, 2> channels;
+  bool operator==(const MaterialUvs&) const = default;
 };
 
 class Materials {
@@ -39,6 +41,9 @@ class Materials {
 
   // All materials of the file, in order; then the images.
   void read(std::uint64_t most_texels);
+  void read_without_images();
+  // Whether images, their coordinates and the slots that show them are those of `other`.
+  bool lays_on_textures_as(const Materials& other) const;
 
   // The scene's number of the material that `primitive` names, directly or by a variant (its number in the file).
   std::uint32_t material_of(const Element& primitive, std::optional<std::size_t> variant);
@@ -58,6 +63,7 @@ class Materials {
   void add_specular(const Element& element, Material& m);
   void add_transmission(const Element& element, Material& m);
   void add_volume(const Element& volume, Material& m);
+  void add_diffuse_transmission(const Element& element, Material& m);
   void add_layers(const Element& element, Material& m);
   void add_film(const Element& film, Material& m);
   void add_alpha(const Element& element, Material& m);
@@ -73,7 +79,9 @@ class Materials {
   Warnings& warnings_;
   TextureTable textures_;
   std::vector<MaterialUvs> uvs_;
-  std::vector<PendingTexture> pending_;  // of the material that is being read
+  std::size_t in_file_ = 0;
+  std::vector<std::pair<gl_uint Material::*, gl_uint>> slots_;  // textures of all materials, in their order
+  std::vector<PendingTexture> pending_;                         // of the material that is being read
   std::map<std::string, std::size_t> image_by_element_;
   std::vector<std::vector<std::byte>> embedded_;
   std::optional<std::uint32_t> default_material_;

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "scene/model/instances.h"
 #include "scene/model/limits.h"
 
 namespace gleaner::scene::gltf {
@@ -46,6 +47,18 @@ std::vector<std::uint32_t> kept_vertices(const Primitive& primitive) {
   return kept;
 }
 
+scene::Instance instance_at(const Matrix& placement, const Point3& origin, std::uint32_t mesh) {
+  scene::Instance instance{};
+  instance.mesh = mesh;
+  place_instance(placement_of(placement, origin).data(), instance.transform);
+  return instance;
+}
+
+// Whether it may place an instance, wherever that stands.
+bool places_instance(const Matrix& placement) {
+  return !refused_transform(instance_at(placement, column(placement, 3), 0).transform);
+}
+
 std::uint16_t to_16_bits(float x) { return static_cast<std::uint16_t>(std::lround(std::clamp(x, 0.0f, 1.0f) * 65535)); }
 
 }  // namespace
@@ -56,13 +69,14 @@ Element Meshes::mesh_of(const Instance& instance) const {
 
 Box Meshes::place() {
   for (const std::size_t index : nodes_.in_scene()) place_node(index);
+  if (may_instance_) choose_instanced();
   for (const Instance& instance : instances_) total_ = counted(instance, total_);
   Box all;
   for (const Instance& instance : instances_) {
     const Element primitives = mesh_of(instance).at("primitives");
     for (std::size_t p = 0; p < primitives.size(); ++p) {
       if (size_of(document_, primitives[p]).triangles == 0) continue;
-      const Primitive primitive(document_, primitives[p], weights_of(instance.node, mesh_of(instance)), draco_meshes_,
+      const Primitive primitive(document_, primitives[p], morph_weights(document_, instance.node), draco_meshes_,
                                 warnings_);
       count_uses(primitives[p]);
       all.enclose(box_of(primitive, instance));
@@ -76,43 +90,93 @@ void Meshes::place_node(std::size_t index) {
   const auto reference = node.find("mesh");
   if (!reference) return;
   const Element mesh = document_.item("meshes", *reference);
-  Instance instance{index, {}, false};
-  const auto skin = node.find("skin");
-  if (skin) {
-    instance.skinned = true;
-    instance.placements = joint_matrices(document_.item("skins", *skin));
-  } else if (const auto instancing = node.extension("EXT_mesh_gpu_instancing")) {
-    instance.placements = repeated(*instancing, nodes_.to_world(index), mesh);
+  Instance instance{index, {kIdentity}, {}, {}, {}, false};
+  if (const auto skin = node.find("skin")) {
+    instance.skin = skin_of(*skin);
+    for (std::size_t j = 0; j < instance.skin->joints.size(); ++j)
+      instance.placements.push_back(product(nodes_.to_world(instance.skin->joints[j]), instance.skin->binds[j]));
   } else {
-    instance.placements = {nodes_.to_world(index)};
+    if (const auto instancing = node.extension("EXT_mesh_gpu_instancing")) instance.locals = repeated(*instancing);
+    for (const Matrix& local : instance.locals) instance.placements.push_back(product(nodes_.to_world(index), local));
   }
+  for (const Matrix& placement : instance.placements)
+    if (!is_finite(placement)) node.fail("finite transforms", "another");
   instances_.push_back(std::move(instance));
 }
 
-// EXT_mesh_gpu_instancing: each instance's transform comes before the node's.
-std::vector<Matrix> Meshes::repeated(const Element& instancing, const Matrix& to_world, const Element& mesh) const {
+// A mesh may stand under many nodes; those that show it in one shape at all times may share it.
+void Meshes::choose_instanced() {
+  std::map<std::string, std::vector<Instance*>> by_mesh;
+  for (Instance& instance : instances_)
+    if (!instance.skin && !nodes_.node(instance.node).find("weights") && rigging_.keeps_shape(instance.node))
+      by_mesh[mesh_of(instance).name()].push_back(&instance);
+  std::size_t total = 0;
+  for (const auto& [name, nodes] : by_mesh) {
+    const bool shared = pays(nodes);
+    const bool moving = std::ranges::any_of(nodes, [&](const Instance* node) { return rigging_.moves(node->node); });
+    if (!(shared || moving) || !may_be_instanced(mesh_of(*nodes.front()))) continue;
+    bool is_stored = false;
+    for (Instance* node : nodes) {
+      const bool moves = rigging_.moves(node->node);
+      // What moves follows its node as instances alone, or as copies alone.
+      if (moves ? !std::ranges::all_of(node->placements, places_instance) : !shared) continue;
+      std::vector<Matrix> copies;
+      for (const Matrix& m : node->placements) (places_instance(m) ? node->instances : copies).push_back(m);
+      node->placements = std::move(copies);
+      node->stores_mesh = !is_stored && !node->instances.empty();
+      is_stored = is_stored || node->stores_mesh;
+      total += node->instances.size();
+      if (total > kMaxInstances)
+        nodes_.node(node->node).fail("at most " + std::to_string(kMaxInstances) + " instances in all", "more");
+    }
+  }
+}
+
+bool Meshes::may_be_instanced(const Element& mesh) {
+  const Element primitives = mesh.at("primitives");
+  std::size_t triangles = 0;
+  for (std::size_t p = 0; p < primitives.size(); ++p) {
+    const std::size_t count = size_of(document_, primitives[p]).triangles;
+    triangles += count;
+    if (count == 0) continue;
+    const std::uint32_t material = materials_.material_of(primitives[p], variant_);
+    if (!rigging_.may_be_instanced(scene_.materials[material], material)) return false;
+  }
+  return triangles > 0;
+}
+
+// `nodes`: of one mesh.
+bool Meshes::pays(const std::vector<Instance*>& nodes) const {
+  const Element primitives = mesh_of(*nodes.front()).at("primitives");
+  std::size_t triangles = 0, places = 0;
+  for (const Instance* node : nodes)
+    places += static_cast<std::size_t>(std::ranges::count_if(node->placements, places_instance));
+  for (std::size_t p = 0; p < primitives.size(); ++p) triangles += size_of(document_, primitives[p]).triangles;
+  return places >= 2 && triangles >= kLeastInstancedTriangles && (places - 1) * triangles >= kLeastSparedTriangles;
+}
+
+// EXT_mesh_gpu_instancing: each instance's transform, which comes before the node's.
+std::vector<Matrix> Meshes::repeated(const Element& instancing) const {
   const Element attributes = instancing.at("attributes");
+  // All attributes say how many instances there are, also those of whoever wrote the file (_ID).
+  std::size_t count = 0;
+  for (const auto& [key, value] : attributes.json().items()) {
+    const Element reference = attributes.at(key.c_str());
+    const std::size_t here = document_.item("accessors", reference).at("count").count(1, 0xffffffffu);
+    if (here > kMaxInstances)
+      reference.fail("at most " + std::to_string(kMaxInstances) + " instances", std::to_string(here));
+    if (count != 0 && here != count)
+      attributes.fail("as many elements in each: " + std::to_string(count), std::to_string(here));
+    count = here;
+  }
+  if (count == 0) return {kIdentity};
   const auto view = [&](const char* key, const char* type) -> std::optional<FloatView> {
     const auto reference = attributes.find(key);
     if (!reference) return std::nullopt;
-    const std::size_t count = document_.item("accessors", *reference).at("count").count(1, 0xffffffffu);
-    std::size_t triangles = 1;
-    const Element primitives = mesh.at("primitives");
-    for (std::size_t p = 0; p < primitives.size(); ++p) triangles += size_of(document_, primitives[p]).triangles;
-    if (count > kMaxTriangles / triangles)
-      reference->fail("at most " + std::to_string(kMaxTriangles) + " triangles in all",
-                      std::to_string(count) + " instances of " + std::to_string(triangles - 1));
     return FloatView(accessor_of(document_, *reference, {type}));
   };
   const auto translation = view("TRANSLATION", "VEC3"), rotation = view("ROTATION", "VEC4"),
              scale = view("SCALE", "VEC3");
-  std::size_t count = 0;
-  for (const auto* each : {&translation, &rotation, &scale})
-    if (*each && count != 0 && (*each)->size() != count)
-      attributes.fail("as many elements in each: " + std::to_string(count), std::to_string((*each)->size()));
-    else if (*each)
-      count = (*each)->size();
-  if (count == 0) return {to_world};
   std::vector<Matrix> placements;
   for (std::size_t i = 0; i < count; ++i) {
     float values[3][4] = {{0, 0, 0, 0}, {0, 0, 0, 1}, {1, 1, 1, 0}};
@@ -122,40 +186,39 @@ std::vector<Matrix> Meshes::repeated(const Element& instancing, const Matrix& to
     const std::array<double, 3> t{values[0][0], values[0][1], values[0][2]},
         s{values[2][0], values[2][1], values[2][2]};
     const std::array<double, 4> r{values[1][0], values[1][1], values[1][2], values[1][3]};
-    const Matrix placement = product(to_world, composed(t.data(), r.data(), s.data()));
-    if (!is_finite(placement)) attributes.fail("finite transforms", "another of instance " + std::to_string(i));
-    placements.push_back(placement);
+    placements.push_back(composed(t.data(), r.data(), s.data()));
+    if (!is_finite(placements.back())) attributes.fail("finite transforms", "another of instance " + std::to_string(i));
   }
   return placements;
 }
 
-// A joint's world transform after its inverse bind matrix; the skinned node's own transform does not count (glTF 2.0,
-// 3.7.3.3).
-std::vector<Matrix> Meshes::joint_matrices(const Element& skin) {
-  const Element joints = skin.at("joints");
+// A joint's inverse bind matrix comes before its world transform; the skinned node's own transform does not count (glTF
+// 2.0, 3.7.3.3).
+Skin Meshes::skin_of(const Element& reference) const {
+  const Element element = document_.item("skins", reference), joints = element.at("joints");
+  Skin skin{reference.index(document_.size("skins")), {}, {}};
   std::optional<FloatView> inverse;
-  if (const auto reference = skin.find("inverseBindMatrices")) {
-    inverse.emplace(accessor_of(document_, *reference, {"MAT4"}));
+  if (const auto given = element.find("inverseBindMatrices")) {
+    inverse.emplace(accessor_of(document_, *given, {"MAT4"}));
     if (inverse->size() < joints.size())
-      reference->fail("a matrix for each of " + std::to_string(joints.size()) + " joints",
-                      std::to_string(inverse->size()));
+      given->fail("a matrix for each of " + std::to_string(joints.size()) + " joints", std::to_string(inverse->size()));
   }
-  std::vector<Matrix> matrices;
+  if (joints.size() == 0) joints.fail("at least one joint", "none");
   for (std::size_t j = 0; j < joints.size(); ++j) {
-    Matrix m = nodes_.to_world(joints[j].index(document_.size("nodes")));
+    skin.joints.push_back(joints[j].index(document_.size("nodes")));
+    Matrix bind = kIdentity;
     if (inverse) {
       float values[16];
       inverse->load(j, values);
-      Matrix bind;
       std::copy(values, values + 16, bind.begin());
       bind[3] = bind[7] = bind[11] = 0;  // exporters' rounding; a bind matrix is affine
       bind[15] = 1;
-      m = product(m, bind);
     }
-    if (!is_finite(m)) joints[j].fail("a finite transform", "another");
-    matrices.push_back(m);
+    if (!is_finite(bind))
+      element.at("inverseBindMatrices").fail("finite matrices", "another of joint " + std::to_string(j));
+    skin.binds.push_back(bind);
   }
-  return matrices;
+  return skin;
 }
 
 void Meshes::count_uses(const Element& primitive) {
@@ -171,19 +234,9 @@ void Meshes::release(const Element& primitive, bool corners) {
   });
 }
 
-// Of the morph targets at rest: the node's go before the mesh's.
-std::vector<double> Meshes::weights_of(std::size_t node, const Element& mesh) const {
-  std::optional<Element> weights = nodes_.node(node).find("weights");
-  if (!weights) weights = mesh.find("weights");
-  std::vector<double> values;
-  for (std::size_t i = 0; weights && i < weights->size(); ++i)
-    values.push_back((*weights)[i].number(-kAnyNumber, kAnyNumber));
-  return values;
-}
-
 Box Meshes::box_of(const Primitive& primitive, const Instance& instance) {
   Box box;
-  if (instance.skinned) {
+  if (instance.skin) {
     for (std::size_t v = 0; v < primitive.vertices(); ++v)
       box.add(transformed(skinned(primitive, instance, v), primitive.position(v)));
     return box;
@@ -198,18 +251,19 @@ Box Meshes::box_of(const Primitive& primitive, const Instance& instance) {
     warn_of_coarse_floats(local, name, "the file's coordinates", warnings_);
   }
   if (local.empty()) return box;
-  for (const Matrix& placement : instance.placements)
-    for (int corner = 0; corner < 8; ++corner) {
-      const auto side = [&](int c) { return corner >> c & 1 ? local.upper[c] : local.lower[c]; };
-      box.add(transformed(placement, {side(0), side(1), side(2)}));
-    }
+  for (const std::vector<Matrix>* placements : {&instance.placements, &instance.instances})
+    for (const Matrix& placement : *placements)
+      for (int corner = 0; corner < 8; ++corner) {
+        const auto side = [&](int c) { return corner >> c & 1 ? local.upper[c] : local.lower[c]; };
+        box.add(transformed(placement, {side(0), side(1), side(2)}));
+      }
   return box;
 }
 
 // Adds an instance's size to `total`, or fails where that is too much.
 PrimitiveSize Meshes::counted(const Instance& instance, PrimitiveSize total) const {
   const Element primitives = mesh_of(instance).at("primitives");
-  const std::size_t times = instance.skinned ? 1 : instance.placements.size();
+  const std::size_t times = instance.skin ? 1 : instance.placements.size() + (instance.stores_mesh ? 1 : 0);
   for (std::size_t p = 0; p < primitives.size(); ++p) {
     const PrimitiveSize size = size_of(document_, primitives[p]);
     total.triangles += times * size.triangles;
@@ -222,19 +276,38 @@ PrimitiveSize Meshes::counted(const Instance& instance, PrimitiveSize total) con
   return total;
 }
 
-void Meshes::add(std::optional<std::size_t> variant) {
+void Meshes::add() {
   scene_.positions.reserve(3 * total_.vertices);
   scene_.normals.reserve(3 * total_.vertices);
   if (materials_.needs_channel(0)) scene_.uvs.reserve(2 * total_.vertices);
   if (materials_.needs_channel(1)) scene_.second_uvs.reserve(2 * total_.vertices);
   scene_.indices.reserve(3 * total_.triangles);
   scene_.triangle_material.reserve(total_.triangles);
-  for (const Instance& instance : instances_) add_instance(instance, variant);
+  for (const Instance& instance : instances_) add_instance(instance);
   const bool all_white = std::all_of(scene_.colors.begin(), scene_.colors.end(), [](auto c) { return c == 65535; });
   if (all_white) std::vector<std::uint16_t>().swap(scene_.colors);
 }
 
-void Meshes::add_instance(const Instance& instance, std::optional<std::size_t> variant) {
+void Meshes::add_instance(const Instance& instance) {
+  const bool has_copies = instance.skin || !instance.placements.empty();
+  if (instance.stores_mesh) {
+    add_mesh(instance, true, !has_copies);
+    stored_meshes_[mesh_of(instance).name()] = static_cast<std::uint32_t>(scene_.meshes.size() - 1);
+  }
+  if (has_copies) add_mesh(instance, false, true);
+  if (instance.instances.empty()) return;
+  const std::uint32_t mesh = stored_meshes_.at(mesh_of(instance).name());
+  rigging_.add_instances(instance, static_cast<std::uint32_t>(scene_.instances.size()));
+  for (const Matrix& placement : instance.instances)
+    scene_.instances.push_back(instance_at(placement, scene_.origin, mesh));
+  if (instance.stores_mesh || has_copies) return;
+  const Element primitives = mesh_of(instance).at("primitives");
+  for (std::size_t p = 0; p < primitives.size(); ++p)
+    for (const bool corners : {false, true})
+      if (size_of(document_, primitives[p]).triangles > 0) release(primitives[p], corners);
+}
+
+void Meshes::add_mesh(const Instance& instance, bool in_own_space, bool is_last) {
   const Element mesh = mesh_of(instance), primitives = mesh.at("primitives");
   const std::size_t first = scene_.triangle_count();
   for (std::size_t p = 0; p < primitives.size(); ++p) {
@@ -249,36 +322,49 @@ void Meshes::add_instance(const Instance& instance, std::optional<std::size_t> v
       continue;
     }
     if (size_of(document_, element).triangles == 0) continue;
-    const Primitive primitive(document_, element, weights_of(instance.node, mesh), draco_meshes_, warnings_);
-    if (instance.skinned && !primitive.has_joints())
+    const Primitive primitive(document_, element, morph_weights(document_, instance.node), draco_meshes_, warnings_);
+    if (instance.skin && !primitive.has_joints())
       warnings_.add(element.name(), "under a skin but without JOINTS_0: it stands where its node does");
-    if (!instance.skinned && primitive.has_joints())
+    if (!instance.skin && primitive.has_joints())
       warnings_.add(element.name(), "JOINTS_0 without a skin: it stands where its node does");
-    const std::uint32_t material = materials_.material_of(element, variant);
-    if (instance.skinned && primitive.has_joints())
-      add_primitive(primitive, material, instance, kIdentity, true);
-    else if (instance.skinned)
-      add_primitive(primitive, material, {instance.node, {}, false}, nodes_.to_world(instance.node), true);
+    const std::uint32_t material = materials_.material_of(element, variant_);
+    if (instance.skin && primitive.has_joints())
+      add_primitive(primitive, material, instance, 0, scene_.origin, true);
+    else if (instance.skin)
+      add_primitive(primitive, material, {instance.node, {kIdentity}, {}, {nodes_.to_world(instance.node)}, {}, false},
+                    0, scene_.origin, true);
+    else if (in_own_space)
+      add_primitive(primitive, material, {instance.node, {kIdentity}, {}, {kIdentity}, instance.instances, true}, 0, {},
+                    is_last);
     else
-      for (const Matrix& placement : instance.placements)
-        add_primitive(primitive, material, instance, placement, &placement == &instance.placements.back());
+      for (std::size_t i = 0; i < instance.placements.size(); ++i)
+        add_primitive(primitive, material, instance, i, scene_.origin, i + 1 == instance.placements.size());
   }
-  if (const std::size_t count = scene_.triangle_count() - first)
-    scene_.meshes.push_back(
-        {name_of(nodes_.node(instance.node), mesh, mesh.name()), std::uint32_t(first), std::uint32_t(count)});
+  const std::size_t count = scene_.triangle_count() - first;
+  if (count == 0) return;
+  const Element node = nodes_.node(instance.node);
+  Mesh added{in_own_space ? name_of(mesh, node, mesh.name()) : name_of(node, mesh, mesh.name()), std::uint32_t(first),
+             std::uint32_t(count)};
+  added.instanced = in_own_space;
+  scene_.meshes.push_back(std::move(added));
 }
 
 void Meshes::add_primitive(const Primitive& primitive, std::uint32_t material, const Instance& instance,
-                           const Matrix& placement, bool is_last) {
+                           std::size_t local, const Point3& origin, bool is_last) {
   const std::vector<std::uint32_t> kept = kept_vertices(primitive);
   const std::size_t count = kept.empty() ? primitive.vertices() : kept.size();
   const auto first = static_cast<std::uint32_t>(scene_.vertex_count());
-  const bool mirrored =
-      is_mirror(instance.skinned ? skinned(primitive, instance, primitive.triangle(0)[0]) : placement);
-  add_vertices(primitive, kept, count, instance, placement);
+  const auto first_triangle = static_cast<std::uint32_t>(scene_.triangle_count());
+  const Matrix placement =
+      instance.skin ? skinned(primitive, instance, primitive.triangle(0)[0]) : instance.placements[local];
+  const bool mirrored = is_mirror(placement);
+  add_vertices(primitive, kept, count, instance, placement, origin);
   add_colors(primitive, kept, count);
   if (materials_.needs_channel(0)) add_uvs(primitive, kept, count, material, 0, scene_.uvs);
   if (materials_.needs_channel(1)) add_uvs(primitive, kept, count, material, 1, scene_.second_uvs);
+  if (rigging_.is_posed(instance, primitive))
+    rigging_.add(instance, {primitive, kept, local, first, static_cast<std::uint32_t>(count), first_triangle,
+                            static_cast<std::uint32_t>(primitive.triangles()), mirrored});
   if (is_last) release(primitive.element(), false);
   add_triangles(primitive, kept, first, mirrored);
   if (is_last) release(primitive.element(), true);
@@ -321,9 +407,9 @@ Matrix Meshes::skinned(const Primitive& primitive, const Instance& instance, std
 }
 
 void Meshes::add_vertices(const Primitive& primitive, const std::vector<std::uint32_t>& kept, std::size_t count,
-                          const Instance& instance, const Matrix& placement) {
+                          const Instance& instance, const Matrix& placement, const Point3& origin) {
   const Element attributes = primitive.element().at("attributes");
-  const bool moved_by_skin = instance.skinned;
+  const bool moved_by_skin = instance.skin.has_value();
   Matrix m = placement;
   NormalTransform turn(m);
   bool has_zero = false;
@@ -335,7 +421,7 @@ void Meshes::add_vertices(const Primitive& primitive, const std::vector<std::uin
     }
     Vector p = transformed(m, primitive.position(v));
     for (int c = 0; c < 3; ++c) {
-      p[c] -= scene_.origin[c];
+      p[c] -= origin[c];
       if (!(std::abs(p[c]) <= kMaxCoordinate))
         attributes.at("POSITION")
             .fail("finite coordinates within 1e9 m of the scene's centre",

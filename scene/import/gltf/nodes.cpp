@@ -121,6 +121,10 @@ void Nodes::walk() {
   }
 }
 
+std::optional<std::size_t> Nodes::parent(std::size_t index) const {
+  return parent_[index] == kNone ? std::nullopt : std::optional(parent_[index]);
+}
+
 const Matrix& Nodes::to_world(std::size_t index) {
   // Up to the first ancestor whose matrix is known, then down again.
   std::vector<std::size_t> path;

@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "scene/import/gltf/document.h"
@@ -20,6 +21,7 @@ class Nodes {
   const std::vector<std::size_t>& in_scene() const { return in_scene_; }
   Element node(std::size_t index) const { return document_.item("nodes", index); }
   const Matrix& to_world(std::size_t index);
+  std::optional<std::size_t> parent(std::size_t index) const;
 
  private:
   Matrix local(std::size_t index) const;

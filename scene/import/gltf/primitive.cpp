@@ -168,8 +168,31 @@ Vector vector_at(const FloatView& view, std::size_t v) {
 
 }  // namespace
 
+Vector Primitive::rest_position(std::size_t v) const { return vector_at(position_, v); }
+Vector Primitive::rest_normal(std::size_t v) const { return vector_at(*normal_, v); }
+
+std::size_t Primitive::targets() const {
+  const auto targets = element_.find("targets");
+  return targets ? targets->size() : 0;
+}
+
+std::optional<FloatView> Primitive::deltas(std::size_t target, const char* key) const {
+  const Element given = element_.at("targets")[target];
+  if (!given.is_object()) given.fail("an object");
+  return attribute(given, key, {"VEC3"});
+}
+
+bool Primitive::morphs_looks() const {
+  for (std::size_t t = 0; t < targets(); ++t) {
+    const Element given = element_.at("targets")[t];
+    for (const auto& [name, unused] : given.json().items())
+      if (name == "COLOR_0" || set_of(name)) return true;
+  }
+  return false;
+}
+
 Vector Primitive::position(std::size_t v) const {
-  Vector p = vector_at(position_, v);
+  Vector p = rest_position(v);
   for (const Target& target : targets_) {
     if (!target.position) continue;
     const Vector delta = vector_at(*target.position, v);
@@ -179,7 +202,7 @@ Vector Primitive::position(std::size_t v) const {
 }
 
 Vector Primitive::normal(std::size_t v) const {
-  Vector n = vector_at(*normal_, v);
+  Vector n = rest_normal(v);
   for (const Target& target : targets_) {
     if (!target.normal) continue;
     const Vector delta = vector_at(*target.normal, v);

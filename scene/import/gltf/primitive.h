@@ -49,16 +49,32 @@ class Primitive {
   std::optional<FloatView> uvs(std::size_t set) const;
   void morph_uv(std::size_t set, std::size_t v, float (&uv)[2]) const;
 
+  // The same without morph targets.
+  Vector rest_position(std::size_t v) const;
+  Vector rest_normal(std::size_t v) const;
+  std::size_t targets() const;
+  // Differences of a morph target ("POSITION", "NORMAL"), whatever its weight; nothing where it has none.
+  std::optional<FloatView> deltas(std::size_t target, const char* key) const;
+  // Whether a morph target changes colours or texture coordinates.
+  bool morphs_looks() const;
+
   bool has_joints() const { return !influences_.empty(); }
-  // Calls with(joint, weight) for what moves a vertex.
+  std::size_t influences() const { return 4 * influences_.size(); }  // of a vertex
+  // Calls with(joint, weight) for all of them, those of weight 0 as well.
   template <typename With>
-  void each_joint(std::size_t v, const With& with) const {
+  void each_influence(std::size_t v, const With& with) const {
     for (const Influence& influence : influences_) {
       float weight[4];
       influence.weights.load(v, weight);
-      for (std::size_t k = 0; k < 4; ++k)
-        if (weight[k] != 0) with(influence.joints.at(v, k), double(weight[k]));
+      for (std::size_t k = 0; k < 4; ++k) with(influence.joints.at(v, k), weight[k]);
     }
+  }
+  // Calls with(joint, weight) for what moves a vertex.
+  template <typename With>
+  void each_joint(std::size_t v, const With& with) const {
+    each_influence(v, [&](std::uint32_t joint, float weight) {
+      if (weight != 0) with(joint, double(weight));
+    });
   }
 
  private:

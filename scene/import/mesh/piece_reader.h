@@ -44,19 +44,27 @@ class PieceReader {
     return value;
   }
 
-  // The next line without its end (LF, or CR and LF); at most a piece long.
+  // Passes over a byte order mark, which a text editor may have put before the first word.
+  void skip_mark() {
+    if (left_ < 3) return;
+    if (end_ - begin_ < 3) fill("header", 3);
+    if (std::string_view(buffer_.data() + begin_, 3) == "\xef\xbb\xbf") take(3, "header");
+  }
+
+  // The next line without its end; at most a piece long. The first line decides whether lines end with LF or with CR
+  // alone: what follows the last line may be binary and begin with any byte.
   std::string_view take_line(const char* what) {
     std::size_t length = 0;
     for (;;) {
-      const char* from = buffer_.data() + begin_;
-      if (const void* end = std::memchr(from + length, '\n', end_ - begin_ - length)) {
-        length = static_cast<std::size_t>(static_cast<const char*>(end) - from);
+      if (const auto end = end_of_line(length)) {
+        length = *end;
         break;
       }
       length = end_ - begin_;
       if (length == left_) break;
+      if (length > 0 && line_end_ == 0) --length;  // a CR may be the last byte
       if (length >= kPiece / 2) throw Error::bad_input(path_, what, "shorter lines", "one of a megabyte");
-      fill(what, length + 1);
+      fill(what, std::min<std::size_t>(length + 2, left_));
     }
     const bool has_end = length < left_;
     const char* place = take(length + has_end, what);
@@ -84,8 +92,32 @@ class PieceReader {
     return {take(length, what), length};
   }
 
+  // Whether nothing but blanks is left of the line, or of the file; passes over the blanks.
+  bool ends_line(const char* what) {
+    for (; left_ > 0; ++begin_, --left_) {
+      if (begin_ == end_) fill(what, 1);
+      const char c = buffer_[begin_];
+      if (c == '\n' || c == '\r') return true;
+      if (c != ' ' && c != '\t') return false;
+    }
+    return true;
+  }
+
  private:
   static constexpr std::size_t kPiece = std::size_t(1) << 21;
+
+  // Where the line ends that begins what is buffered, if it ends there; its first `seen` bytes hold no end.
+  std::optional<std::size_t> end_of_line(std::size_t seen) {
+    const std::string_view buffered(buffer_.data() + begin_, end_ - begin_);
+    if (line_end_ == 0) {
+      const std::size_t end = buffered.find_first_of("\r\n", seen);
+      const bool is_decided = end != buffered.npos && (end + 1 < buffered.size() || buffered.size() == left_);
+      if (!is_decided) return std::nullopt;
+      line_end_ = buffered[end] == '\r' && buffered.substr(end + 1, 1) != "\n" ? '\r' : '\n';
+    }
+    const std::size_t end = buffered.find(line_end_, seen);
+    return end == buffered.npos ? std::nullopt : std::optional(end);
+  }
 
   // Makes at least `count` bytes available, of which there are that many.
   void fill(const char* what, std::size_t count) {
@@ -104,6 +136,7 @@ class PieceReader {
   std::ifstream stream_;
   std::vector<char> buffer_;
   std::size_t begin_ = 0, end_ = 0;  // of what is buffered
+  char line_end_ = 0;                // CR or LF; 0 before the first line
 };
 
 }  // namespace gleaner::scene

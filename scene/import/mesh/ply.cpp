@@ -151,6 +151,7 @@ class PlyReader {
   }
 
   void read_header() {
+    in_.skip_mark();
     if (in_.take_line("header") != "ply") fail("header", "the word ply", "other bytes");
     for (;;) {
       if (in_.left() == 0) fail("header", "end_header", "the file's end");
@@ -166,8 +167,8 @@ class PlyReader {
         read_property(words, line);
       else if (words[0] == "comment" && words.size() >= 3 && words[1] == "TextureFile")
         texture_ = line.substr(line.find(words[2], line.find(words[1]) + words[1].size()));
-      else if (words[0] != "comment" && words[0] != "obj_info")
-        fail("header", "format, element, property or comment", in_quotes(words[0]));
+      else if (words[0] != "comment" && words[0] != "obj_info")  // some write comments without the word
+        warnings_.add("header: " + in_quotes(line), "no statement of PLY: passed over");
       if (kinds_.size() > 1000) fail("header", "at most 1000 elements", "more");
     }
     if (!has_format_) fail("header", "a format", "none");
@@ -292,13 +293,13 @@ class PlyReader {
       }
       for (const Target t : {kX, kY, kZ}) {
         if (!std::isfinite(values[t]))
-          fail("vertex " + std::to_string(i), "finite coordinates", std::to_string(values[t]));
+          warnings_.add("vertex " + std::to_string(i), "without a place: no face may use it");
         points_.push_back(values[t]);
       }
       if (has_normals) add_normal(values[kNormalX], values[kNormalY], values[kNormalZ]);
       if (has_colors)
         for (const Target t : {kRed, kGreen, kBlue})
-          colors_.push_back(static_cast<float>(std::isfinite(values[t]) ? std::clamp(values[t], 0.0, 1.0) : 1));
+          colors_.push_back(static_cast<float>(std::isfinite(values[t]) ? std::clamp(values[t], 0.0, 255.0) : 1));
       // As in OBJ, v counts from the image's bottom row.
       if (has_uvs)
         for (const double c : {values[kU], 1 - values[kV]})
@@ -317,7 +318,16 @@ class PlyReader {
     const double count = static_cast<double>(points_.size() / 3);
     if (!(index >= 0 && index < count && index == std::floor(index)))
       fail(where, "a vertex below " + std::to_string(points_.size() / 3), std::to_string(index));
-    return static_cast<std::uint32_t>(index);
+    const auto vertex = static_cast<std::uint32_t>(index);
+    check_place(vertex);
+    return vertex;
+  }
+
+  // Range scanners write points that they did not see as NaN; no face has a corner there.
+  void check_place(std::uint32_t vertex) const {
+    for (std::size_t c = 3 * std::size_t(vertex); c < 3 * std::size_t(vertex) + 3; ++c)
+      if (!std::isfinite(points_[c]))
+        fail("vertex " + std::to_string(vertex), "finite coordinates", std::to_string(points_[c]));
   }
 
   void add_triangle(std::uint32_t a, std::uint32_t b, std::uint32_t c) {
@@ -334,6 +344,7 @@ class PlyReader {
       skip(kind);
       return;
     }
+    if (points_.empty() && kind.count > 0) fail("element face", "element vertex before it", "none");
     if (kind.properties.size() > 1) warnings_.add("element face", "properties beside its corners are not read");
     scene_.indices.reserve(3 * std::min<std::uint64_t>(kind.count, kMaxTriangles));
     std::vector<std::uint32_t> corners;
@@ -387,6 +398,7 @@ class PlyReader {
           if (!(value < static_cast<double>(points_.size() / 3)))
             fail("tristrips", "a vertex below " + std::to_string(points_.size() / 3), std::to_string(value));
           strip.push_back(static_cast<std::uint32_t>(value));
+          check_place(strip.back());
           const std::size_t n = strip.size();
           if (n < 3) continue;
           const bool odd = n % 2 == 0;
@@ -395,10 +407,17 @@ class PlyReader {
       }
   }
 
+  bool has_place(std::size_t first) const {
+    return std::isfinite(points_[first]) && std::isfinite(points_[first + 1]) && std::isfinite(points_[first + 2]);
+  }
+
   void finish() {
     if (scene_.indices.empty() && !points_.empty()) warnings_.add("points without faces are not drawn");
     Box box;
-    for (std::size_t i = 0; i + 2 < points_.size(); i += 3) box.add({points_[i], points_[i + 1], points_[i + 2]});
+    for (std::size_t i = 0; i + 2 < points_.size(); i += 3)
+      if (has_place(i)) box.add({points_[i], points_[i + 1], points_[i + 2]});
+    for (std::size_t i = 0; i + 2 < points_.size(); i += 3)
+      if (!has_place(i)) std::copy_n(box.lower.begin(), 3, &points_[i]);
     scene_.origin = origin_for(box);
     const auto vertex = std::find_if(kinds_.begin(), kinds_.end(), [](const auto& k) { return k.name == "vertex"; });
     if (vertex != kinds_.end() && std::any_of(vertex->properties.begin(), vertex->properties.end(),

@@ -31,21 +31,32 @@ class StlReader {
   }
 
  private:
-  // Binary files may begin with "solid" as well: their length decides.
+  // Binary files may begin with "solid" as well: their length decides, or a zero byte, of which the number of triangles
+  // always has one and text none.
   bool is_binary(std::uint64_t bytes) const {
     std::ifstream stream(path_, std::ios::binary);
-    char head[kHeaderBytes] = {};
+    char head[512] = {};
     stream.read(head, sizeof head);
-    const auto count = static_cast<std::size_t>(stream.gcount());
-    std::uint32_t triangles = 0;
-    if (count == sizeof head) std::memcpy(&triangles, head + 80, sizeof triangles);
-    if (count == sizeof head && bytes == kHeaderBytes + kTriangleBytes * std::uint64_t(triangles)) return true;
-    return std::string_view(head, count).substr(0, 5) != "solid";
+    std::string_view text(head, static_cast<std::size_t>(stream.gcount()));
+    if (text.size() >= kHeaderBytes) {
+      std::uint32_t triangles = 0;
+      std::memcpy(&triangles, head + 80, sizeof triangles);
+      if (bytes == kHeaderBytes + kTriangleBytes * std::uint64_t(triangles)) return true;
+    }
+    if (text.find('\0') != text.npos) return true;
+    if (text.starts_with("\xef\xbb\xbf")) text.remove_prefix(3);
+    text.remove_prefix(std::min(text.find_first_not_of(" \t\r\n"), text.size()));
+    return lower_case(text.substr(0, 5)) != "solid";
   }
 
   void read_binary() {
     in_.take(80, "header");
-    const auto count = in_.take_value<std::uint32_t>("header");
+    auto count = in_.take_value<std::uint32_t>("header");
+    // Programs that write as they go may never come back to fill in the number.
+    if (count == 0 && in_.left() > 0 && in_.left() % kTriangleBytes == 0) {
+      count = static_cast<std::uint32_t>(std::min<std::uint64_t>(in_.left() / kTriangleBytes, 0xffffffffu));
+      warnings_.add("header", "0 triangles: the file's size says " + std::to_string(count));
+    }
     if (count > kMaxTriangles)
       throw Error::bad_input(path_, "header", "at most " + std::to_string(kMaxTriangles) + " triangles",
                              std::to_string(count));
@@ -57,11 +68,15 @@ class StlReader {
     if (needed < in_.left())
       warnings_.add("header", std::to_string(in_.left() - needed) + " bytes after its end are not read");
     positions_.reserve(9 * std::size_t(count));
+    bool has_attributes = false;
     for (std::uint32_t t = 0; t < count; ++t) {
       float values[12];
-      std::memcpy(values, in_.take(kTriangleBytes, "triangles"), sizeof values);
+      const char* triangle = in_.take(kTriangleBytes, "triangles");
+      std::memcpy(values, triangle, sizeof values);
+      has_attributes |= triangle[kTriangleBytes - 2] != 0 || triangle[kTriangleBytes - 1] != 0;
       for (int k = 3; k < 12; ++k) add(values[k], "triangles");
     }
+    if (has_attributes) warnings_.add("triangles", "attributes (colours, in some programs) are not read");
     scene_.meshes.push_back({"mesh 0", 0, count});
   }
 
@@ -74,47 +89,63 @@ class StlReader {
     return value;
   }
 
+  // Word by word: line ends are of many kinds, or missing.
   void read_ascii() {
-    std::string name;
-    const auto close = [&] {
-      const std::size_t triangles = positions_.size() / 9;
-      const std::size_t first =
-          scene_.meshes.empty() ? 0 : scene_.meshes.back().first_triangle + scene_.meshes.back().triangle_count;
-      if (triangles > first)
-        scene_.meshes.push_back({name.empty() ? "mesh " + std::to_string(scene_.meshes.size()) : name,
-                                 std::uint32_t(first), std::uint32_t(triangles - first)});
-    };
+    in_.skip_mark();
+    std::string name, keyword;
+    const auto next = [&] { return keyword = lower_case(in_.take_word("text")); };
+    bool is_open = false;
     std::size_t corners = 0;
-    while (in_.left() > 0) {
-      const std::string_view line = in_.take_line("text");
-      std::size_t at = line.find_first_not_of(" \t");
-      if (at == std::string_view::npos) continue;
-      std::string_view rest = line.substr(at);
-      const auto word = [&] {
-        rest.remove_prefix(std::min(rest.find_first_not_of(" \t"), rest.size()));
-        const std::size_t length = std::min(rest.find_first_of(" \t"), rest.size());
-        const std::string_view taken = rest.substr(0, length);
-        rest.remove_prefix(length);
-        return taken;
-      };
-      const std::string_view keyword = word();
+    for (next(); !keyword.empty();) {
+      if (keyword == "solid" || keyword == "endsolid") {
+        close_solid(name);
+        is_open = keyword == "solid";
+        name = take_name(keyword);
+        continue;  // with the word after it
+      }
       if (keyword == "vertex") {
-        for (int c = 0; c < 3; ++c) add(number(word()), "vertex");
+        for (int c = 0; c < 3; ++c) add(number(in_.take_word("vertex")), "vertex");
         ++corners;
+      } else if (keyword == "facet") {
+        for (int word = 0; word < 4; ++word) next();  // normal x y z
       } else if (keyword == "endfacet" || keyword == "endloop") {
         if (corners % 3 != 0)
           throw Error::bad_input(path_, "facet " + std::to_string(positions_.size() / 9), "3 vertices",
                                  std::to_string(corners % 3));
-      } else if (keyword == "solid") {
-        close();
-        rest.remove_prefix(std::min(rest.find_first_not_of(" \t"), rest.size()));
-        name = std::string(rest);
-      } else if (keyword != "facet" && keyword != "outer" && keyword != "endsolid") {
+      } else if (keyword == "end") {  // "end loop", "end facet", "end solid"
+        keyword = "end" + next();
+        if (keyword != "end") continue;
+        throw Error::bad_input(path_, "text", "the words of an STL file", in_quotes(keyword));
+      } else if (keyword != "outer" && keyword != "loop") {
         throw Error::bad_input(path_, "text", "the words of an STL file", in_quotes(keyword));
       }
+      next();
     }
     if (positions_.size() % 9 != 0) throw Error::bad_input(path_, "end", "a whole facet", "a part of one");
-    close();
+    close_solid(name);
+    if (is_open) warnings_.add("end", "no endsolid: the file may have been cut");
+  }
+
+  // The rest of the line, or the words up to the next facet or solid; `keyword` becomes the word after it.
+  std::string take_name(std::string& keyword) {
+    std::string name;
+    while (!in_.ends_line("name")) {
+      const std::string word(in_.take_word("name"));
+      keyword = lower_case(word);
+      if (keyword == "facet" || keyword == "solid" || keyword == "endsolid") return name;
+      name += (name.empty() ? "" : " ") + word;
+    }
+    keyword = lower_case(in_.take_word("text"));
+    return name;
+  }
+
+  void close_solid(const std::string& name) {
+    const std::size_t triangles = positions_.size() / 9;
+    const std::size_t first =
+        scene_.meshes.empty() ? 0 : scene_.meshes.back().first_triangle + scene_.meshes.back().triangle_count;
+    if (triangles > first)
+      scene_.meshes.push_back({name.empty() ? "mesh " + std::to_string(scene_.meshes.size()) : name,
+                               std::uint32_t(first), std::uint32_t(triangles - first)});
   }
 
   void add(double value, const char* where) {

@@ -1,7 +1,7 @@
 #include "scene/import/obj/lines.h"
 
 #include <algorithm>
-#include <cctype>
+#include <array>
 #include <charconv>
 #include <cmath>
 #include <cstdio>
@@ -29,32 +29,31 @@ std::string_view without_comment(std::string_view line) {
   if (!std::memchr(line.data(), '#', line.size())) return line;
   std::string_view rest = line;
   if (takes_a_name(take_word(rest))) return line;
-  return line.substr(0, line.find('#'));
+  std::size_t at = line.find('#');
+  // "1.#IND" and its like are how some C libraries write what is no number.
+  while (at != line.npos && at > 0 && line[at - 1] == '.') at = line.find('#', at + 1);
+  return line.substr(0, at);
 }
+
+// Whether a line begins a statement of OBJ or MTL.
+bool begins_statement(std::string_view line) {
+  const std::string word = lower_case(take_word(line));
+  for (const char* each : {"",   "v",  "vn", "vt", "vp", "f",  "l",  "p",     "s",  "ka", "kd",
+                           "ks", "ke", "ns", "ni", "d",  "tr", "tf", "illum", "pr", "pm"})
+    if (word == each) return true;
+  return takes_a_name(word) || word.starts_with('#');
+}
+
+// What a byte means for the division into lines.
+enum Byte : unsigned char { kOrdinary, kSpecial, kEnd };
+constexpr std::array<unsigned char, 256> kBytes = [] {
+  std::array<unsigned char, 256> bytes{};
+  for (const unsigned char c : {'#', '\\', '\0'}) bytes[c] = kSpecial;
+  for (const unsigned char c : {'\n', '\r'}) bytes[c] = kEnd;
+  return bytes;
+}();
 
 }  // namespace
-
-std::string_view trimmed(std::string_view text) {
-  while (!text.empty() && is_space(text.front())) text.remove_prefix(1);
-  while (!text.empty() && is_space(text.back())) text.remove_suffix(1);
-  return text;
-}
-
-std::string_view take_word(std::string_view& text) {
-  std::size_t begin = 0;
-  while (begin < text.size() && is_space(text[begin])) ++begin;
-  std::size_t end = begin;
-  while (end < text.size() && !is_space(text[end])) ++end;
-  const std::string_view word = text.substr(begin, end - begin);
-  text.remove_prefix(end);
-  return word;
-}
-
-std::string lower_case(std::string_view text) {
-  std::string lower(text);
-  std::transform(lower.begin(), lower.end(), lower.begin(), [](unsigned char c) { return std::tolower(c); });
-  return lower;
-}
 
 Lines::Lines(const std::filesystem::path& path, const std::string& shown, const std::string& element) : file_(shown) {
   file_bytes(path, shown, element);
@@ -85,8 +84,14 @@ bool Lines::fill() {
 
 std::optional<std::string_view> Lines::physical_line() {
   std::size_t at = begin_;
+  is_plain_ = true;
   for (;;) {
-    while (at < end_ && buffer_[at] != '\n' && buffer_[at] != '\r') ++at;
+    // In locals: what is written to a member may be a byte of the buffer, as far as the compiler knows.
+    const char* const bytes = buffer_.data();
+    const std::size_t end = end_;
+    unsigned char seen = kOrdinary, byte = kOrdinary;
+    while (at < end && (byte = kBytes[static_cast<unsigned char>(bytes[at])]) != kEnd) seen |= byte, ++at;
+    is_plain_ &= seen == kOrdinary;
     // What follows a CR decides whether it ends the line alone.
     if (at < end_ && (buffer_[at] == '\n' || at + 1 < end_ || at_end_)) break;
     const std::size_t length = at - begin_;
@@ -104,26 +109,45 @@ std::optional<std::string_view> Lines::physical_line() {
   return line;
 }
 
+std::optional<std::string_view> Lines::held_or_next_line() {
+  if (!held_) return physical_line();
+  is_plain_ = false;
+  given_ = std::move(*held_);
+  held_.reset();
+  return given_;
+}
+
 std::optional<std::string_view> Lines::next() {
-  while (std::optional<std::string_view> line = physical_line()) {
-    std::string_view text = *line;
-    // A comment goes on to its line's end, whatever stands there.
-    if (trimmed(text).starts_with('#')) continue;
-    if (text.ends_with('\\')) {
-      joined_.clear();
-      while (text.ends_with('\\')) {
-        joined_.append(text.substr(0, text.size() - 1)).push_back(' ');
-        line = physical_line();
-        text = line.value_or(std::string_view());
-      }
-      joined_.append(text);
-      text = joined_;
-    }
-    text = trimmed(without_comment(text));
-    if (text.find('\0') != std::string_view::npos) fail("the text", "no zero bytes", "one");
-    if (!text.empty()) return text;
+  while (std::optional<std::string_view> line = held_or_next_line()) {
+    line = is_plain_ ? trimmed(*line) : next_special(*line);
+    if (line && !line->empty()) return line;
   }
   return std::nullopt;
+}
+
+// The statement that begins with `text`, a line with comments or continuations; nothing where all of it is a comment.
+std::optional<std::string_view> Lines::next_special(std::string_view text) {
+  // A comment goes on to its line's end, whatever stands there.
+  if (trimmed(text).starts_with('#')) return std::nullopt;
+  if (trimmed(text).ends_with('\\')) {
+    std::string_view rest = text;
+    const bool is_name = takes_a_name(take_word(rest));
+    joined_.assign(text);
+    for (text = trimmed(joined_); text.ends_with('\\'); text = trimmed(joined_)) {
+      const std::optional<std::string_view> line = physical_line();
+      // A name may end with a backslash; the next statement is then no part of it.
+      if (is_name && line && begins_statement(*line)) {
+        held_ = std::string(*line);
+        break;
+      }
+      joined_.assign(text.substr(0, text.size() - 1)).push_back(' ');
+      joined_.append(line.value_or(std::string_view()));
+    }
+    text = joined_;
+  }
+  text = trimmed(without_comment(text));
+  if (text.find('\0') != std::string_view::npos) fail("the text", "no zero bytes", "one");
+  return text;
 }
 
 void Lines::fail(const std::string& what, const std::string& expected, const std::string& found) const {
@@ -131,19 +155,33 @@ void Lines::fail(const std::string& what, const std::string& expected, const std
 }
 
 double Lines::number(std::string_view word, const char* what) const {
+  const std::optional<double> value = finite_number(word);
+  if (!value) fail(what, "a finite number", in_quotes(word));
+  return *value;
+}
+
+std::optional<double> finite_number(std::string_view word) {
   double value = 0;
-  std::string_view digits = word;
-  if (digits.starts_with('+')) digits.remove_prefix(1);
-  const auto [end, code] = std::from_chars(digits.data(), digits.data() + digits.size(), value);
-  // What is too small for a double is as good as 0.
-  const bool is_tiny = code == std::errc::result_out_of_range && digits.find("e-") != std::string_view::npos;
-  if ((code != std::errc() && !is_tiny) || end != digits.data() + digits.size() || !std::isfinite(value))
-    fail(what, "a finite number", in_quotes(word));
-  return is_tiny ? 0 : value;
+  if (word.starts_with('+')) word.remove_prefix(1);
+  const auto [end, code] = std::from_chars(word.data(), word.data() + word.size(), value);
+  if (end != word.data() + word.size()) return std::nullopt;
+  if (code == std::errc() && std::isfinite(value)) return value;
+  if (code == std::errc::result_out_of_range && (word.find("e-") != word.npos || word.find("E-") != word.npos))
+    return 0;
+  return std::nullopt;
+}
+
+bool is_not_finite(std::string_view word) {
+  if (word.starts_with('+') || word.starts_with('-')) word.remove_prefix(1);
+  const std::string lower = lower_case(word);
+  return lower.starts_with("nan") || lower.starts_with("inf") || lower.starts_with("1.#");
 }
 
 double Lines::within(std::string_view word, const char* what, double lower, double upper) const {
   const double value = number(word, what);
+  // What rounding left beside the range.
+  constexpr double rounding = 1e-5;
+  if (value > upper && value <= upper * (1 + rounding)) return upper;
   if (!(value >= lower && value <= upper)) {
     char range[64];
     std::snprintf(range, sizeof range, upper < 1e30 ? "a number from %g to %g" : "a number of at least %g", lower,

@@ -16,10 +16,28 @@ namespace gleaner::scene::obj {
 
 inline bool is_space(char c) { return c == ' ' || c == '\t' || c == '\v' || c == '\f'; }
 
-std::string_view trimmed(std::string_view text);
+inline std::string_view trimmed(std::string_view text) {
+  while (!text.empty() && is_space(text.front())) text.remove_prefix(1);
+  while (!text.empty() && is_space(text.back())) text.remove_suffix(1);
+  return text;
+}
+
 // Takes the next word off the front of `text`; empty at its end.
-std::string_view take_word(std::string_view& text);
-std::string lower_case(std::string_view text);
+inline std::string_view take_word(std::string_view& text) {
+  std::size_t begin = 0;
+  while (begin < text.size() && is_space(text[begin])) ++begin;
+  std::size_t end = begin;
+  while (end < text.size() && !is_space(text[end])) ++end;
+  const std::string_view word = text.substr(begin, end - begin);
+  text.remove_prefix(end);
+  return word;
+}
+
+// Whether a word is how programs write NaN or an infinity.
+bool is_not_finite(std::string_view word);
+
+// The word as a finite number; nothing where it is none. What is too small for a double is 0.
+std::optional<double> finite_number(std::string_view word);
 
 // Lines end with LF, CR or both; a byte order mark is no part of the first. Continuation lines are joined. Comments are
 // cut off, but not from statements whose rest is a name: '#' may be part of one. Makes errors that name the line.
@@ -41,6 +59,8 @@ class Lines {
 
  private:
   std::optional<std::string_view> physical_line();
+  std::optional<std::string_view> held_or_next_line();
+  std::optional<std::string_view> next_special(std::string_view line);
   bool fill();
 
   std::string file_;
@@ -48,7 +68,10 @@ class Lines {
   std::vector<char> buffer_;
   std::size_t begin_ = 0, end_ = 0;  // of what is buffered and not yet read
   bool at_end_ = false;
+  bool is_plain_ = true;  // the line that was read last has neither '#' nor a backslash nor a zero byte
   std::string joined_;
+  std::optional<std::string> held_;  // a line that was read and not taken
+  std::string given_;                // the held line that was given out
   std::size_t number_ = 0;
 };
 

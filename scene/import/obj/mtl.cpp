@@ -28,7 +28,7 @@ class MtlReader {
       written_ = std::string(take_word(rest));
       const std::string keyword = lower_case(written_);
       if (keyword == "newmtl") {
-        material = &(library_[std::string(trimmed(rest))] = {});
+        material = &(library_[name_in_utf8(trimmed(rest))] = {});
         continue;
       }
       if (!material) lines_.fail(keyword, "newmtl before it", "none");
@@ -90,7 +90,11 @@ class MtlReader {
         {"map_kn", &MtlMaterial::map_normal},   {"map_norm", &MtlMaterial::map_normal}};
     const auto known = maps.find(keyword);
     if (known == maps.end()) return false;
-    m.*known->second = texture_map(written_, rest);
+    if (trimmed(rest).empty())
+      warnings_.add(lines_.file() + ": " + lines_.here() + ": " + written_,
+                    "no file's name: the material does without it");
+    else
+      m.*known->second = texture_map(written_, rest);
     return true;
   }
 
@@ -123,12 +127,26 @@ class MtlReader {
     }
   }
 
+  // "wood.png -bm 0.5" becomes "-bm 0.5 wood.png".
+  static std::string options_first(std::string_view rest) {
+    std::size_t cut = std::string_view::npos;
+    for (const char* option : {" -bm ", " -s ", " -o ", " -clamp ", " -imfchan ", " -blendu ", " -blendv ", " -mm "})
+      cut = std::min(cut, rest.find(option, rest.find('.')));
+    const std::string_view name = trimmed(rest.substr(0, cut));
+    const bool has_extension = name.size() > 4 && name.substr(name.size() - 5).find('.') != std::string_view::npos;
+    if (cut == std::string_view::npos || name.starts_with('-') || !has_extension) return std::string(rest);
+    return std::string(trimmed(rest.substr(cut))) + " " + std::string(name);
+  }
+
   TextureMap texture_map(const std::string& keyword, std::string_view rest) {
     // Options that are not read, with their numbers of values.
     static const std::map<std::string_view, int> values_of = {{"-blendu", 1}, {"-blendv", 1},  {"-boost", 1},
                                                               {"-cc", 1},     {"-imfchan", 1}, {"-mm", 2},
                                                               {"-texres", 1}, {"-type", 1}};
     TextureMap map;
+    // Some write the options behind the name.
+    const std::string reordered = options_first(rest);
+    rest = reordered;
     for (;;) {
       std::string_view after = rest;
       const std::string_view option = take_word(after);

@@ -26,18 +26,23 @@ namespace fs = std::filesystem;
 
 constexpr double kMostCoordinate = 1e15;  // of what a file says; the scene's own limit holds about its centre
 
-// What the last written digit of a number stands for.
-double step_of(std::string_view word) {
-  const std::size_t e = std::min(word.find_first_of("eE"), word.size()), point = word.substr(0, e).find('.');
-  int exponent = point == std::string_view::npos ? 0 : -static_cast<int>(e - point - 1);
-  if (e < word.size()) {
-    int written = 0;
-    std::string_view digits = word.substr(e + 1);
-    if (digits.starts_with('+')) digits.remove_prefix(1);
-    std::from_chars(digits.data(), digits.data() + digits.size(), written);
-    exponent += written;
+// The power of ten that the last written digit of a number stands for.
+int last_digit_of(std::string_view word) {
+  int exponent = 0, decimals = 0;
+  bool is_fraction = false;
+  for (std::size_t i = 0; i < word.size(); ++i) {
+    if (word[i] == '.') {
+      is_fraction = true;
+    } else if (word[i] == 'e' || word[i] == 'E') {
+      std::string_view digits = word.substr(i + 1);
+      if (digits.starts_with('+')) digits.remove_prefix(1);
+      std::from_chars(digits.data(), digits.data() + digits.size(), exponent);
+      break;
+    } else {
+      decimals += is_fraction;
+    }
   }
-  return exponent < -15 ? 1e-15 : std::pow(10.0, std::min(exponent, 15));
+  return std::clamp(exponent, -1000, 1000) - decimals;
 }
 
 class ObjReader {
@@ -73,15 +78,15 @@ class ObjReader {
     } else if (keyword == "vn") {
       add_normal(lines, line);
     } else if (keyword == "vt") {
-      texture_vertices_.push_back(static_cast<float>(lines.within(take_word(line), "vt", -1e30, 1e30)));
+      texture_vertices_.push_back(static_cast<float>(texture_coordinate(lines, take_word(line))));
       const std::string_view v = take_word(line);
       // OBJ counts v from the image's bottom row, textures here from the top.
-      texture_vertices_.push_back(static_cast<float>(1 - (v.empty() ? 0 : lines.within(v, "vt", -1e30, 1e30))));
+      texture_vertices_.push_back(static_cast<float>(1 - (v.empty() ? 0 : texture_coordinate(lines, v))));
     } else if (keyword == "g" || keyword == "o") {
       close_mesh();
       mesh_name_ = std::string(trimmed(line));
     } else if (keyword == "usemtl") {
-      use_material(lines, std::string(trimmed(line)));
+      use_material(lines, name_in_utf8(trimmed(line)));
     } else if (keyword == "mtllib") {
       add_library(lines, line);
     } else if (keyword == "l" || keyword == "p") {
@@ -95,8 +100,16 @@ class ObjReader {
   void add_vertex(const Lines& lines, std::string_view line) {
     for (int c = 0; c < 3; ++c) {
       const std::string_view word = take_word(line);
-      vertices_.push_back(lines.within(word, "v", -kMostCoordinate, kMostCoordinate));
-      finest_step_ = std::min(finest_step_, step_of(word));
+      const std::optional<double> value = finite_number(word);
+      if (!value && is_not_finite(word)) {
+        warnings_.add(lines.here() + ": v", "without a place: no face may use it");
+        vertices_.push_back(NAN);
+        has_lost_vertices_ = true;
+        continue;
+      }
+      const bool is_near = value && std::abs(*value) <= kMostCoordinate;
+      vertices_.push_back(is_near ? *value : lines.within(word, "v", -kMostCoordinate, kMostCoordinate));
+      finest_digit_ = std::min(finest_digit_, last_digit_of(word));
     }
     if (vertices_.size() / 3 > kMaxVertices)
       lines.fail("v", "at most " + std::to_string(kMaxVertices) + " vertices", "more");
@@ -109,9 +122,24 @@ class ObjReader {
     for (int c = 0; c < 3; ++c) colors_.push_back(static_cast<float>(lines.within(words[c], "v", -1e30, 1e30)));
   }
 
+  double texture_coordinate(const Lines& lines, std::string_view word) {
+    const std::optional<double> value = finite_number(word);
+    if (value && std::abs(*value) <= 1e30) return *value;
+    if (!is_not_finite(word)) return lines.within(word, "vt", -1e30, 1e30);
+    warnings_.add(lines.here() + ": vt", "not a finite number: 0 is taken");
+    return 0;
+  }
+
   void add_normal(const Lines& lines, std::string_view line) {
     double n[3];
-    for (double& c : n) c = lines.number(take_word(line), "vn");
+    for (double& c : n) {
+      const std::string_view word = take_word(line);
+      const std::optional<double> value = finite_number(word);
+      c = value.value_or(HUGE_VAL);
+      if (value) continue;
+      if (!is_not_finite(word)) lines.fail("vn", "a finite number", in_quotes(word));
+      warnings_.add(lines.here() + ": vn", "not a finite number: triangles take their own normals");
+    }
     const double length = std::hypot(n[0], n[1], n[2]);
     // A normal of length 0 is none: the triangle's own is taken.
     for (const double c : n)
@@ -130,18 +158,27 @@ class ObjReader {
     lines.fail("f", "an index among the " + std::to_string(count) + " " + what + " so far", in_quotes(word));
   }
 
+  void check_place(const Lines& lines, std::size_t vertex, std::string_view word) const {
+    const double* p = &vertices_[3 * vertex];
+    if (!std::isfinite(p[0] + p[1] + p[2]))
+      lines.fail("f", "vertices of finite coordinates", in_quotes(word) + ", which has none");
+  }
+
+  // v, v/vt, v//vn or v/vt/vn.
   Corner corner(const Lines& lines, std::string_view word) const {
     Corner c;
     const std::size_t counts[] = {vertices_.size() / 3, texture_vertices_.size() / 2, normals_.size() / 3};
     constexpr const char* names[] = {"vertices", "texture vertices", "normals"};
     std::int32_t* const parts[] = {&c.v, &c.vt, &c.vn};
     for (int k = 0; k < 3; ++k) {
-      const std::size_t slash = std::min(word.find('/'), word.size());
+      std::size_t slash = 0;
+      while (slash < word.size() && word[slash] != '/') ++slash;
       const std::string_view part = word.substr(0, slash);
       if (k > 0 && counts[k] == 0 && !part.empty())
         warnings_.add(lines.here() + ": f", std::string("names ") + names[k] + ", of which the file has none");
       else if (k == 0 || !part.empty())
         *parts[k] = resolve(lines, part, counts[k], names[k]);
+      if (k == 0 && has_lost_vertices_) check_place(lines, static_cast<std::size_t>(c.v), part);
       if (slash == word.size()) return c;
       word.remove_prefix(slash + 1);
     }
@@ -211,11 +248,12 @@ class ObjReader {
       const double* p = &vertices_[3 * static_cast<std::size_t>(use.corner.v)];
       box.add({p[0], p[1], p[2]});
     }
-    scene_.origin = origin_for(box);
-    if (box.magnitude() > kFarAway * box.extent() && finest_step_ * kFewSteps > box.extent() && box.extent() > 0) {
+    scene_.origin = options_.origin.value_or(origin_for(box));
+    const double finest_step = std::pow(10.0, std::clamp(finest_digit_, -15, 15));
+    if (box.magnitude() > kFarAway * box.extent() && finest_step * kFewSteps > box.extent() && box.extent() > 0) {
       char text[160];
       std::snprintf(text, sizeof text, "coordinates far from the origin are written to %.2g m, %.2g %% of the size",
-                    finest_step_, 100 * finest_step_ / box.extent());
+                    finest_step, 100 * finest_step / box.extent());
       warnings_.add(text);
     }
     scene_.positions.reserve(3 * uses_.size());
@@ -275,17 +313,47 @@ class ObjReader {
     const std::string whole(trimmed(names));
     if (whole.empty()) lines.fail("mtllib", "a file's name", "nothing");
     std::error_code code;
-    if (fs::exists(fs::path(path_).parent_path() / slashed(whole), code)) {
-      read_library(lines, whole);
+    const auto is_there = [&](const std::string& name) {
+      return fs::exists(fs::path(path_).parent_path() / slashed(name), code);
+    };
+    const bool is_quoted = whole.size() > 2 && whole.front() == '"' && whole.back() == '"';
+    const std::string bare = is_quoted ? whole.substr(1, whole.size() - 2) : whole;
+    if (is_there(bare) || is_quoted || is_of_another_machine(bare)) {
+      read_library(lines, bare);
       return;
     }
-    for (std::string_view name = take_word(names); !name.empty(); name = take_word(names))
-      read_library(lines, std::string(name));
+    // Of several names each may have spaces: the longest that is there is taken.
+    std::vector<std::string> words;
+    for (std::string_view name = take_word(names); !name.empty(); name = take_word(names)) words.emplace_back(name);
+    for (std::size_t first = 0, count = 1; first < words.size(); first += count) {
+      std::string name;
+      for (count = words.size() - first; count > 0; --count) {
+        name = words[first];
+        for (std::size_t i = 1; i < count; ++i) name += " " + words[first + i];
+        if (count == 1 || is_there(name)) break;
+      }
+      read_library(lines, name);
+    }
+  }
+
+  static bool is_of_another_machine(const std::string& name) {
+    return name.size() > 2 && name[1] == ':' && (name[2] == '\\' || name[2] == '/');
+  }
+
+  // An absolute path is another machine's; a library of that name may have come along beside the scene.
+  std::string near_scene(const Lines& lines, const std::string& name) {
+    const std::string relative = slashed(name);
+    if (!is_of_another_machine(name) && !fs::path(relative).is_absolute()) return relative;
+    const std::string file = fs::path(relative).filename().string();
+    std::error_code code;
+    if (file.empty() || !fs::exists(fs::path(path_).parent_path() / file, code)) return relative;
+    warnings_.add(lines.here() + ": mtllib", "an absolute path: the file of that name in the scene's folder is taken");
+    return file;
   }
 
   void read_library(const Lines& lines, const std::string& name) {
     const std::string element = lines.here() + ": mtllib " + name;
-    const std::string relative = slashed(name);
+    const std::string relative = near_scene(lines, name);
     const fs::path path = resolve_reference(relative, path_, element, &warnings_);
     if (!libraries_.insert(path).second) return;
     std::error_code code;
@@ -294,6 +362,14 @@ class ObjReader {
       return;
     }
     has_library_ = true;
+    if (fs::is_directory(path, code)) {
+      warnings_.add(element, "a folder: its materials are grey");
+      return;
+    }
+    if (fs::is_regular_file(path, code) && fs::file_size(path, code) == 0) {
+      warnings_.add(element, "an empty file");
+      return;
+    }
     read_mtl(path, relative, path_, element, library_, warnings_);
   }
 
@@ -303,6 +379,11 @@ class ObjReader {
     if (known == library_.end()) {
       const std::size_t comment = name.find(" #");
       if (comment != std::string::npos) known = library_.find(std::string(trimmed(name.substr(0, comment))));
+    }
+    // Or the comment stands in the library alone. Names are sorted: "name #..." is not before "name #".
+    if (known == library_.end() && !name.empty()) {
+      known = library_.lower_bound(name + " #");
+      if (known != library_.end() && !known->first.starts_with(name + " #")) known = library_.end();
     }
     if (known != library_.end()) return known->second;
     if (!name.empty() && has_library_)
@@ -333,13 +414,14 @@ class ObjReader {
   Warnings& warnings_;
   Scene scene_;
   std::vector<double> vertices_;
+  bool has_lost_vertices_ = false;                          // some are NaN
   std::vector<float> texture_vertices_, normals_, colors_;  // colours: 3 a vertex, -1 where it has none; may end early
   std::vector<Corner> polygon_;
   std::vector<std::array<double, 3>> points_;                          // of polygon_
   std::vector<std::uint32_t> first_use_of_;                            // of each v: its first use, or kNone
   std::vector<Use> uses_;                                              // the scene's vertices
   std::map<std::array<std::int32_t, 3>, std::uint32_t> further_uses_;  // of v with many
-  double finest_step_ = 1e300;  // of the last digit of a coordinate, over the file
+  int finest_digit_ = 1000;  // the power of ten that a coordinate's last digit stands for, the least over the file
   std::string mesh_name_;
   std::optional<std::uint32_t> material_;
   std::map<std::string, std::uint32_t> material_by_name_;

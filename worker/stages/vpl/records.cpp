@@ -39,6 +39,9 @@ InputRows::Check check_point_rows(const InputRows& input, const DeviceScene& sce
     if (triangle == GLEANER_NONE) return;
     if (triangle >= scene.triangles())
       input.fail(row, "triangle", "below " + std::to_string(scene.triangles()), std::to_string(triangle));
+    const auto instance = row_word<std::uint32_t>(point, POINT_INSTANCE);
+    if (scene.instances() > 0 && instance != GLEANER_NONE && instance >= scene.instances())
+      input.fail(row, "instance", "below " + std::to_string(scene.instances()), std::to_string(instance));
     check_albedo_table(input, scene, row, row_word<std::uint32_t>(point, POINT_TABLE),
                        row_word<float>(point, POINT_ROW));
     for (unsigned k = 0; k < 3; ++k) {

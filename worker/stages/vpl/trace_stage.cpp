@@ -2,9 +2,9 @@
 
 #include "kernels/path_layout.h"
 #include "kernels/vpl_records.h"
+#include "worker/stages/split_stage.h"
 #include "worker/stages/vpl/stages.h"
 #include "worker/stages/vpl/waves.h"
-#include "worker/wavefront/host_threads.h"
 #include "worker/wavefront/path_wave.h"
 
 namespace gleaner::worker {
@@ -90,13 +90,10 @@ BatchResult run_vpl_trace_stage(const StageRun& run) {
     return result;
   }
   result.records.resize(run.count * VPL_PATH_SLOTS * VPL_WORDS * 4);
-  cl::CommandQueue queue = run.device.make_queue();
-  const cl::Buffer parameters = run.parameter_buffer(queue);
-  const Program program = run.build("trace.cl");
-  WorkQueue work(run.count, host_threads(run.device));
-  run_host_threads(work, result, [&](unsigned index) {
-    return std::make_unique<LightPathThread>(run, program, parameters, work, index);
-  });
+  run_split(run, "trace.cl", result,
+            [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
+              return std::make_unique<LightPathThread>(run, program, parameters, work, index);
+            });
   compact(result, run.count);
   result.counters.seconds = seconds_now() - start;
   return result;

@@ -36,6 +36,8 @@ VisibilityQueries::VisibilityQueries(const StageRun& run, cl::CommandQueue& queu
       answers_(run.device, run.build_plain("visibility.cl"), queue, queries, std::move(rays)) {
   make_rays_.set("triangles", run.scene.triangle_rows())
       .set("triangle_words", run.scene.triangle_words())
+      .set("instances", run.scene.instance_rows())
+      .set("instanced", static_cast<cl_uint>(run.scene.instances() > 0))
       .set("lights", lights)
       .set("width", width)
       .set("slices", slices)

@@ -1,0 +1,424 @@
+#include "coordinator/plan/links_plan.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <limits>
+#include <nlohmann/json.hpp>
+#include <numbers>
+#include <span>
+
+#include "coordinator/plan/graph.h"
+#include "coordinator/plan/path_sampler.h"
+#include "kernels/links_records.h"
+#include "kernels/vpl_records.h"
+#include "scene/model/error.h"
+
+namespace gleaner::coordinator {
+namespace {
+
+using namespace kernels;
+using Artifact = Graph::Artifact;
+
+// Stages of links wait for each other, the paths for nothing: paths fill what the others leave free.
+constexpr int kFirst = 1;
+constexpr Extent kOwnItems = Extent::own_items;
+// Points at which an element's albedo is read.
+constexpr std::uint32_t kAlbedoSamples = 16;
+// Bounces go on until all that are left would add less than this share of the light.
+constexpr double kLeastShare = 1e-3;
+constexpr std::uint32_t kMostBounces = 64, kUsualBounces = 8;
+constexpr std::uint32_t kMostShadeSamples = 16;
+// Rays that show where irradiance bends; the test lights' longest wave is about the scene's size.
+constexpr std::uint32_t kProbeDirections = 64;
+// Rays that tell which vertices lie inside of something.
+constexpr std::uint32_t kInsideDirections = 16;
+constexpr float kWavesOfScene = 6.0f;
+
+struct LinksSettings {
+  std::uint32_t vertices, directions, light_samples, bounces;
+  double smooth_angle;  // degrees
+  bool refine, compress, exact;
+};
+
+LinksSettings read_settings(const FrameSettings& settings) {
+  const auto whole = [&](const char* name, std::uint32_t usual) {
+    return whole_setting(settings, name).value_or(usual);
+  };
+  return {.vertices = whole("links.vertices", GLEANER_NONE),
+          .directions = whole("links.directions", 256),
+          .light_samples = whole("links.light_samples", 16),
+          .bounces = whole("links.bounces", 0),
+          .smooth_angle = real_setting(settings, "links.smooth_angle").value_or(0),
+          .refine = flag_setting(settings, "links.refine").value_or(true),
+          .compress = flag_setting(settings, "links.compress").value_or(true),
+          .exact = flag_setting(settings, "links.exact_weights").value_or(false)};
+}
+
+void check(const FrameSettings& settings) {
+  const LinksSettings links = read_settings(settings);
+  const auto side = static_cast<std::uint32_t>(std::lround(std::sqrt(links.directions)));
+  if (side * side != links.directions || side % 4 != 0)
+    throw Error::usage(
+        "--set links.directions: expected the square of a multiple of 4 (16, 64, 144, 256, ...), found " +
+        std::to_string(links.directions));
+  if (links.light_samples % 16 != 0)
+    throw Error::usage("--set links.light_samples: expected a multiple of 16, found " +
+                       std::to_string(links.light_samples));
+}
+
+std::uint32_t half_of(std::uint32_t vertices) {
+  return vertices == GLEANER_NONE ? LINKS_USUAL_HALF : std::max(1u, vertices / 2);
+}
+
+StageOutput retained(std::size_t record_bytes) {
+  return {.record_bytes = static_cast<std::uint32_t>(record_bytes), .placement = Placement::retain};
+}
+StageOutput retained_words(std::uint64_t most) {
+  StageOutput output = retained(4);
+  output.counted = true;
+  output.most_records = static_cast<std::uint32_t>(std::min<std::uint64_t>(most, 0xffffffffu));
+  return output;
+}
+StageOutput reusable(StageOutput output) {
+  output.reusable = true;
+  return output;
+}
+
+// An element is a side of a vertex: their number has 32 bits.
+LinksMeshFacts checked_facts(const Artifact& mesh) {
+  const auto facts = mesh.facts<LinksMeshFacts>();
+  mesh.check_facts(facts.vertices <= 0x7fffffffu, std::to_string(facts.vertices) + " vertices");
+  return facts;
+}
+
+class LinksPlan final : public GraphPlan {
+ public:
+  LinksPlan(const FrameSettings& settings, const SceneSummary& scene)
+      : GraphPlan(settings, scene),
+        settings_(settings),
+        links_(read_settings(settings)),
+        paths_(graph_, film_, settings) {
+    if (scene.needs.instances)
+      throw Error::usage(
+          "--method links: expected a scene of copies, found one with instances, whose vertices are one for all "
+          "places");
+    skips_ = path_skips(scene.needs);
+    triangles_ = static_cast<double>(scene.triangles);
+    double diagonal = 0;
+    for (std::size_t k = 0; k < 3; ++k)
+      diagonal = std::hypot(diagonal, double{scene.bounds.upper[k]} - scene.bounds.lower[k]);
+    wave_ = diagonal > 0 ? static_cast<float>(kWavesOfScene / diagonal) : 0.0f;
+    // Each vertex of a scattering on a light's way is a bounce, but for the one that the camera sees.
+    most_bounces_ = links_.bounces ? links_.bounces : kMostBounces;
+    if (settings_.depth) most_bounces_ = std::min(most_bounces_, settings_.depth - 1);
+  }
+
+  bool conclude(const std::vector<CutStage>& cut) override {
+    // Less than the links' light and the paths' first samples is no picture.
+    return (!indirect() || film_.passes() > 0) && paths_.conclude(cut, skips_);
+  }
+  double predicted_work() const override {
+    return paths_.predicted_work() + work_to_come(own_work(), paths_.asked_work());
+  }
+  std::vector<std::string> warnings() const override { return paths_.warnings(); }
+  std::string parameters_json() const override;
+  std::vector<std::string> outline() const override;
+
+ private:
+  std::uint64_t pixels() const { return std::uint64_t{settings_.width} * settings_.height; }
+  bool indirect() const { return most_bounces_ > 0; }
+
+  double own_work() const;
+
+  void begin() override;
+  Artifact ask_mesh(const std::string& name, std::uint32_t vertices, std::vector<Graph::Input> inputs);
+  void probe(const Artifact& coarse);
+  Artifact ask_probe(const std::string& name, const Artifact& mesh, std::uint32_t directions);
+  void link(const LinksMeshFacts& facts);
+  void gather(std::uint32_t bounce);
+  bool is_enough(std::uint32_t bounce, const LinksFluxFacts& facts);
+  void shade(const Artifact& gathered);
+  LinksParameters element_parameters() const;
+  StageSpec elements(const std::string& name, const char* kind, unsigned scene_parts, const StageOutput& output,
+                     double work) const;
+
+  FrameSettings settings_;
+  LinksSettings links_;
+  PathSampler paths_;
+  std::uint32_t most_bounces_ = 0, bounces_ = 0, elements_ = 0;
+  std::uint64_t link_words_ = 0;
+  double triangles_ = 0;  // of the scene
+  bool linked_ = false;   // the mesh is known
+  float wave_ = 0;        // 1/m
+  LinksMeshFacts mesh_facts_{};
+  Artifact mesh_, probe_, albedo_, made_, light_, sent_;
+  double grown_ = 0, left_ = 0;  // by the last bounce, W; the share that bounces to come would add
+};
+
+void LinksPlan::begin() {
+  if (!indirect()) {
+    paths_.begin({});
+    return;
+  }
+  paths_.begin({.classes = PATH_CLASS_RADIOSITY, .limit = std::numeric_limits<float>::infinity()});
+  if (!links_.refine || links_.vertices == 0) {
+    mesh_ = ask_mesh("links.mesh", links_.vertices, {});
+    graph_.when({mesh_}, [this] { link(checked_facts(mesh_)); });
+    return;
+  }
+  // Half of the vertices lie evenly, and show where the others are needed.
+  const Artifact coarse = ask_mesh("links.coarse_mesh", half_of(links_.vertices), {});
+  graph_.when({coarse}, [this, coarse] { probe(coarse); });
+}
+
+// All that the links take. Before the mesh is known it is expected to have the vertices that were asked for, or as many
+// as closed surfaces of the scene's triangles.
+double LinksPlan::own_work() const {
+  if (!indirect()) return 0;
+  const double wanted =
+      links_.vertices == GLEANER_NONE ? std::max<double>(LINKS_USUAL_VERTICES, 2 * triangles_) : links_.vertices;
+  const double elements = linked_ ? elements_ : 2 * std::max(wanted, triangles_ / 2);
+  const double bounces = std::min(most_bounces_, kUsualBounces);
+  const double probes = kInsideDirections + (links_.refine ? kProbeDirections / 2.0 : 0);
+  return elements * (probes + links_.directions + links_.light_samples + 1 + bounces) + static_cast<double>(pixels());
+}
+
+Artifact LinksPlan::ask_mesh(const std::string& name, std::uint32_t vertices, std::vector<Graph::Input> inputs) {
+  StageSpec mesh{.name = name,
+                 .kind = "links_mesh",
+                 .items = 1,
+                 .solo = true,
+                 .scene_parts = kSurfaces,
+                 .priority = kFirst,
+                 .output = reusable(retained_words(0xffffffffu))};
+  return graph_.add(std::move(mesh), LinksMeshParameters{vertices, {}}, std::move(inputs));
+}
+
+void LinksPlan::probe(const Artifact& coarse) {
+  const LinksMeshFacts facts = checked_facts(coarse);
+  if (facts.divided == 0) {
+    // Nothing is measured where no triangle is divided.
+    mesh_ = coarse;
+    link(facts);
+    return;
+  }
+  elements_ = 2 * facts.vertices;
+  const Artifact probed = ask_probe("links.coarse_probe", coarse, kProbeDirections);
+  mesh_ = ask_mesh("links.mesh", links_.vertices, {{"coarse", coarse}, {"probe", probed}});
+  graph_.when({mesh_}, [this] { link(checked_facts(mesh_)); });
+}
+
+Graph::Artifact LinksPlan::ask_probe(const std::string& name, const Artifact& mesh, std::uint32_t directions) {
+  LinksParameters p = element_parameters();
+  p.directions = directions;
+  p.wave = wave_;
+  return graph_.add(elements(name, "links_probe", kSurfaces, reusable(retained(PROBE_WORDS * 4)), directions), p,
+                    {{"mesh", mesh}});
+}
+
+LinksParameters LinksPlan::element_parameters() const {
+  LinksParameters p{};
+  p.elements = elements_;
+  p.directions = 16;  // read by links_make alone
+  p.samples = 16;
+  p.seed_low = low(settings_.seed);
+  p.seed_high = high(settings_.seed);
+  return p;
+}
+
+// `work`: of an element, in rays.
+StageSpec LinksPlan::elements(const std::string& name, const char* kind, unsigned scene_parts,
+                              const StageOutput& output, double work) const {
+  return {.name = name,
+          .kind = kind,
+          .items = elements_,
+          .tile = 2,
+          .scene_parts = scene_parts,
+          .priority = kFirst,
+          .work = work * elements_,
+          .output = output};
+}
+
+void LinksPlan::link(const LinksMeshFacts& facts) {
+  mesh_facts_ = facts;
+  linked_ = true;
+  elements_ = 2 * facts.vertices;
+  if (elements_ == 0) {
+    skips_.push_back({"links", "the scene has no surface", 1});
+    film_.add_pass({});
+    return;
+  }
+  probe_ = ask_probe("links.probe", mesh_, kInsideDirections);
+  LinksParameters p = element_parameters();
+  p.samples = kAlbedoSamples;
+  albedo_ = graph_.add(elements("links.albedo", "links_albedo", kSurfaces, reusable(retained(ALBEDO_WORDS * 4)), 1), p,
+                       {{"mesh", mesh_}});
+  p = element_parameters();
+  p.directions = links_.directions;
+  p.compress = links_.compress;
+  p.exact = links_.exact;
+  made_ = graph_.add(elements("links.make", "links_make", kSurfaces,
+                              reusable(retained_words(std::uint64_t{6} * links_.directions)), links_.directions),
+                     p, {{"mesh", mesh_}, {"probe", probe_}});
+  p = element_parameters();
+  p.samples = links_.light_samples;
+  light_ = graph_.add(elements("links.light", "links_light", kWholeScene, reusable(retained(RADIOSITY_WORDS * 4)),
+                               links_.light_samples),
+                      p, {{"mesh", mesh_}, {"albedo", albedo_}});
+  sent_ = light_;
+  graph_.when({made_}, [this, made = made_] { link_words_ = made.record_count(); });
+  gather(1);
+}
+
+void LinksPlan::gather(std::uint32_t bounce) {
+  const Artifact before = sent_;
+  sent_ = graph_.add(
+      elements(numbered("links.gather", bounce), "links_gather", kNoScene, reusable(retained(RADIOSITY_WORDS * 4)), 1),
+      LinksGatherParameters{elements_, links_.exact ? 1u : 0u, {}},
+      {{"links", made_, kOwnItems},
+       {"light", light_, kOwnItems},
+       {"albedo", albedo_, kOwnItems},
+       {"radiosity", before}});
+  if (links_.bounces && bounce < most_bounces_) {
+    gather(bounce + 1);
+    return;
+  }
+  if (bounce == most_bounces_) {
+    bounces_ = bounce;
+    shade(sent_);
+    return;
+  }
+  StageSpec flux{.name = numbered("links.flux", bounce),
+                 .kind = "links_flux",
+                 .items = 1,
+                 .solo = true,
+                 .scene_parts = kNoScene,
+                 .priority = kFirst,
+                 .output = reusable(retained_words(1))};
+  const Artifact measured = graph_.add(std::move(flux), LinksFluxParameters{elements_, {}},
+                                       {{"mesh", mesh_}, {"radiosity", sent_}, {"before", before}});
+  graph_.when({measured}, [this, bounce, measured] {
+    if (is_enough(bounce, measured.facts<LinksFluxFacts>())) {
+      bounces_ = bounce;
+      shade(sent_);
+    } else {
+      gather(bounce + 1);
+    }
+  });
+}
+
+// Bounces shrink by a ratio that soon is steady: what is left of them is a geometric series.
+bool LinksPlan::is_enough(std::uint32_t bounce, const LinksFluxFacts& facts) {
+  if (!(facts.flux > 0)) return true;
+  const double ratio = bounce > 1 && grown_ > 0 ? std::clamp(facts.grown / grown_, 0.0, 0.99) : 0.5;
+  grown_ = facts.grown;
+  left_ = facts.grown / facts.flux * ratio / (1 - ratio);
+  return bounce > 1 && left_ < kLeastShare;
+}
+
+// What pixels see is smoothed; what flows over the links is not.
+void LinksPlan::shade(const Artifact& gathered) {
+  const bool smooths = links_.smooth_angle > 0;
+  LinksSmoothParameters smooth{};
+  smooth.elements = elements_;
+  smooth.least_cosine = smooths ? static_cast<float>(std::cos(links_.smooth_angle * std::numbers::pi / 180)) : 2.0f;
+  StageSpec smoothing = elements("links.smooth", "links_smooth", kNoScene, retained(RADIOSITY_WORDS * 4), 0);
+  smoothing.solo = true;
+  const Artifact irradiance =
+      graph_.add(std::move(smoothing), smooth, {{"mesh", mesh_}, {"probe", probe_}, {"irradiance", gathered}});
+  VplPointParameters p{};
+  p.camera = settings_.camera;
+  p.width = settings_.width;
+  p.height = settings_.height;
+  p.samples = std::min(std::bit_floor(settings_.spp), kMostShadeSamples);
+  p.seed_low = low(settings_.seed);
+  p.seed_high = high(settings_.seed);
+  p.items_low = static_cast<std::uint32_t>(pixels());
+  p.depth = settings_.depth;
+  p.stride = 1;
+  p.clamp = std::numeric_limits<float>::infinity();
+  StageSpec spec{.name = "links.shade",
+                 .kind = "links_shade",
+                 .items = pixels(),
+                 .tile = 16,
+                 .priority = kFirst,
+                 .output = {.record_bytes = 12, .floats = true}};
+  const Artifact shaded = graph_.add(std::move(spec), p, {{"mesh", mesh_}, {"irradiance", irradiance}});
+  mesh_ = probe_ = albedo_ = made_ = light_ = sent_ = {};
+  preview_pass(shaded);
+  add_pass(shaded);
+  own_stages_asked_ = true;
+}
+
+std::string LinksPlan::parameters_json() const {
+  nlohmann::json json = paths_.parameters();
+  json["links"] = {{"vertices", mesh_facts_.vertices},
+                   {"triangles_divided", mesh_facts_.divided},
+                   {"directions", links_.directions},
+                   {"light_samples", links_.light_samples},
+                   {"bounces", bounces_},
+                   {"left_after_bounces", left_},
+                   {"rays", std::uint64_t{elements_} * links_.directions},
+                   {"bytes", link_words_ * 4}};
+  return json.dump();
+}
+
+std::vector<std::string> LinksPlan::outline() const {
+  std::vector<std::string> lines;
+  if (indirect()) {
+    const std::string wanted = links_.vertices == GLEANER_NONE ? std::string("enough")
+                               : links_.vertices               ? "about " + std::to_string(links_.vertices)
+                                                               : std::string("the triangles' own");
+    if (links_.refine && links_.vertices)
+      lines.push_back("links.coarse_mesh and links.coarse_probe: where irradiance bends, solo and split");
+    lines.push_back("links.mesh: " + wanted + " vertices, solo");
+    lines.push_back("links.probe: which of them lie inside of something, split");
+    lines.push_back("links.albedo: what each side of them reflects, split");
+    lines.push_back("links.make: " + std::to_string(links_.directions) + " directions of each side, split");
+    lines.push_back("links.light: " + std::to_string(links_.light_samples) + " light samples of each side, split");
+    lines.push_back("links.gather.1 and on: a bounce each, split: " +
+                    (links_.bounces ? std::to_string(most_bounces_)
+                                    : "until the next would hardly be seen, at most " + std::to_string(most_bounces_)));
+    lines.push_back("links.smooth: " +
+                    (links_.smooth_angle > 0 ? "within edges of " + std::to_string(links_.smooth_angle) + " degrees"
+                                             : std::string("vertices that hang on edges")) +
+                    ", solo");
+    lines.push_back("links.shade: " + std::to_string(pixels()) + " pixels, split");
+  }
+  for (const std::string& line : paths_.outline()) lines.push_back(line);
+  return lines;
+}
+
+}  // namespace
+
+Method links_method() {
+  using enum SettingType;
+  return {
+      .name = "links",
+      .help =
+          "Radiance links between vertices, explained in docs/explanation/links.md: links are made once, and light "
+          "flows through them, bounce by bounce.",
+      .make = make_plan_of<LinksPlan>,
+      // Beside the paths: the pass, its square, the preview and the records, all RGB.
+      .bytes_a_pixel = kPathBytesAPixel + 4 * 3 * sizeof(float),
+      .check = check,
+      .takes_instances = false,
+      .settings = {
+          {"links.vertices", whole, 0, 1u << 24, "4000, or twice the triangles where that is more",
+           "triangles are divided until there are about so many vertices; 0: the scene's own vertices"},
+          {"links.refine", flag, 0, 1, "1", "0: triangles are divided evenly, not where the light bends most"},
+          {"links.smooth_angle", real, 0, 180, "0",
+           "irradiance is smoothed over neighbours whose normals differ by less than so many degrees; 0: it is not"},
+          {"links.directions", whole, 16, LINKS_MOST_DIRECTIONS, "256",
+           "rays of each side of a vertex: the square of a multiple of 4"},
+          {"links.light_samples", whole, 16, LINKS_MOST_SAMPLES, "16",
+           "shadow rays of each side of a vertex, a multiple of 16"},
+          {"links.bounces", whole, 0, 1024, "0",
+           "bounces of indirect light; 0: until what is left would add less than a thousandth"},
+          {"links.compress", flag, 0, 1, "1", "0: links of the same ends are kept apart"},
+          {"links.exact_weights", flag, 0, 1, "0", "1: weights are floats instead of 16 bits"},
+      }};
+}
+
+}  // namespace gleaner::coordinator

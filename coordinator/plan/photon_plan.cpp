@@ -1,0 +1,507 @@
+#include "coordinator/plan/photon_plan.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <nlohmann/json.hpp>
+
+#include "coordinator/plan/graph.h"
+#include "coordinator/plan/path_sampler.h"
+#include "coordinator/plan/pixel_cache.h"
+#include "kernels/photon_records.h"
+
+namespace gleaner::coordinator {
+namespace {
+
+using namespace kernels;
+using Artifact = Graph::Artifact;
+
+// Photons of a density estimate: of the map that paths gather from, and of caustics in the first pass. Measured on
+// the Cornell boxes.
+constexpr std::uint32_t kGatherNeighbours = 16, kCausticNeighbours = 64;
+// The widest estimate, over the diagonal of the scene's bounds.
+constexpr double kMostRadius = 0.05;
+// Knaus & Zwicker 2011: of the variance of caustics' density, what a pass adds falls, and its bias shrinks, by this.
+constexpr double kShrinkage = 2.0 / 3;
+// The guide's photons are those of a pass that is none.
+constexpr std::uint32_t kGlobalPass = 0, kGuidePass = 1, kFirstPass = 2;
+// Rays of a shading cluster's sample, and turns of k-means.
+constexpr std::uint32_t kUsualRays = 1024, kIterations = 6;
+// Photons of the estimates at a cut's nodes, rounds of its refinement, and the ratio of section 3.3.
+constexpr std::uint32_t kUsualCut = 0, kCutNeighbours = 24, kCutRounds = 4;
+constexpr float kCutRatio = 1.2f;
+// Maps wait for each other, paths that read none for nothing: these fill what the others leave free.
+constexpr int kFirst = 1;
+
+struct PhotonSettings {
+  std::uint32_t count, caustics, passes, samples, clusters, rays, cut;
+  double radius;  // m; 0: by the nearest photons
+};
+
+PhotonSettings read_settings(const FrameSettings& settings) {
+  const auto whole = [&](const char* name, std::uint32_t usual) {
+    return whole_setting(settings, name).value_or(usual);
+  };
+  PhotonSettings p{};
+  p.count = whole("photon.count", 200'000);
+  p.caustics = whole("photon.caustics", 200'000);
+  p.passes = whole("photon.passes", std::clamp<std::uint32_t>(settings.spp / 8, 1, 64));
+  p.clusters = whole("photon.clusters", 0);
+  p.cut = whole("photon.cut", kUsualCut);
+  p.rays = whole("photon.gather_rays", kUsualRays);
+  p.radius = real_setting(settings, "photon.radius").value_or(0);
+  // As many places of caustics in a pixel as samples, but a few of each pass.
+  p.samples = std::bit_floor(std::clamp<std::uint32_t>(settings.spp / std::max(1u, p.passes), 1, 16));
+  return p;
+}
+
+double diagonal_of(const scene::Bounds& bounds) {
+  double sum = 0;
+  for (int k = 0; k < 3; ++k) sum += std::pow(double{bounds.upper[k]} - bounds.lower[k], 2);
+  return std::max(std::sqrt(sum), 1e-6);
+}
+
+// Whether any surface has a sharp part (kernels/transport/parts.h).
+bool has_sharp_parts(const scene::SceneNeeds& n) {
+  return n.specular || n.glossy || n.metallic || n.transmissive || n.clearcoat || n.sheen || n.iridescence;
+}
+
+PhotonMapFacts checked_facts(const Graph::Artifact& map) {
+  const auto facts = map.facts<PhotonMapFacts>();
+  map.check_facts(facts.radius >= 0 && std::isfinite(facts.radius) &&
+                      std::ranges::all_of(facts.power, [](double w) { return w >= 0 && std::isfinite(w); }),
+                  "a radius of " + std::to_string(facts.radius) + " m");
+  return facts;
+}
+
+class PhotonPlan final : public GraphPlan {
+ public:
+  PhotonPlan(const FrameSettings& settings, const SceneSummary& scene);
+
+  bool conclude(const std::vector<CutStage>& cut) override;
+  double predicted_work() const override {
+    return paths_.predicted_work() + work_to_come(own_work(), paths_.asked_work());
+  }
+  std::vector<std::string> warnings() const override { return paths_.warnings(); }
+  std::string parameters_json() const override;
+  std::vector<std::string> outline() const override;
+
+ private:
+  struct Pass {
+    Artifact map;
+    PhotonMapFacts facts;
+  };
+
+  std::uint64_t pixels() const { return std::uint64_t{settings_.width} * settings_.height; }
+  bool indirect() const { return settings_.depth != 1; }
+  bool gathers() const { return indirect() && photon_.count > 0; }
+  bool has_caustics() const { return indirect() && photon_.caustics > 0 && sharp_; }
+  bool has_clusters() const {
+    return gathers() && photon_.clusters > 0 && photon_.rays > 0 && PixelCache::holds(settings_);
+  }
+  std::uint32_t classes() const {
+    return (gathers() ? PATH_CLASS_DIFFUSE | PATH_CLASS_MIXED : 0) | (has_caustics() ? PATH_CLASS_CAUSTIC : 0) |
+           (has_clusters() ? PATH_CLASS_LAYER : 0);
+  }
+  // Pictures that the film takes the mean of.
+  std::size_t passes() const { return has_caustics() ? passes_.size() : has_clusters() ? 1 : 0; }
+  PhotonEstimate estimate(std::uint32_t neighbours) const;
+  // Of the map, m, once it is known.
+  double spacing() const { return photon_.radius > 0 ? photon_.radius : std::min(gathered_.radius, most_radius_); }
+  float limit() const;
+  // Maps are traced and built, those of caustics read by every pixel; clusters' samples send rays.
+  double own_work() const {
+    return (gathers() ? 2.0 * photon_.count : 0.0) +
+           static_cast<double>(passes_.size()) *
+               (2.0 * photon_.caustics + static_cast<double>(pixels()) * photon_.samples) +
+           (has_clusters() ? cache_.work() + static_cast<double>(photon_.clusters) * strata_.count() : 0.0);
+  }
+
+  void begin() override;
+  Artifact ask_map(const std::string& suffix, std::uint32_t pass, std::uint32_t paths, std::uint32_t classes);
+  Artifact ask_cut(const Artifact& map);
+  std::uint32_t cut_depth() const;
+  std::vector<Graph::Input> light_of(const Artifact& map) const;
+  void gather(const Artifact& map);
+  void ask_clusters(const Artifact& map);
+  void gather_clusters(const Artifact& map, const Artifact& points, const Artifact& places);
+  void show_clusters(std::vector<float> picture);
+  void ask_caustics(std::uint32_t pass);
+  void shade_caustics(std::uint32_t pass);
+
+  FrameSettings settings_;
+  PhotonSettings photon_;
+  bool sharp_;
+  double most_radius_;
+  PathSampler paths_;
+  PhotonMapFacts gathered_;
+  Artifact cut_;  // none: there is no cut
+  PhotonCutFacts cut_facts_;
+  PixelCache cache_;
+  Strata strata_;
+  PhotonClusterFacts clusters_;
+  std::shared_ptr<Beside> beside_;  // the passes: the clusters' light
+  bool clusters_asked_ = false, caustics_asked_ = false;
+  Artifact guide_;
+  std::vector<Pass> passes_;
+};
+
+PhotonPlan::PhotonPlan(const FrameSettings& settings, const SceneSummary& scene)
+    : GraphPlan(settings, scene),
+      settings_(settings),
+      photon_(read_settings(settings)),
+      sharp_(has_sharp_parts(scene.needs)),
+      most_radius_(photon_.radius > 0 ? photon_.radius : kMostRadius * diagonal_of(scene.bounds)),
+      paths_(graph_, film_, settings),
+      cache_(settings),
+      strata_(strata_of(std::max(1u, photon_.rays))) {
+  skips_ = path_skips(scene.needs);
+  if (has_caustics()) {
+    passes_.resize(photon_.passes);
+    // Photons find these by themselves.
+    std::erase_if(skips_, [](const Skip& skip) { return skip.what.starts_with("punctual lights "); });
+  }
+  if (!indirect()) skips_.push_back({"photons", "a depth of 1 is direct light alone", 1});
+  if (indirect() && !photon_.count)
+    skips_.push_back({"the photon map", "photon.count is 0: paths find all light but caustics", 1});
+  if (gathers() && !has_clusters())
+    skips_.push_back({"shading clusters",
+                      PixelCache::holds(settings_)
+                          ? "photon.clusters or photon.gather_rays is 0: each sample gathers by itself"
+                          : "the film is too large: each sample gathers by itself",
+                      1});
+  if (indirect() && !photon_.caustics)
+    skips_.push_back({"caustic photons", "photon.caustics is 0: paths find the caustics", 1});
+  if (indirect() && photon_.caustics && !sharp_)
+    skips_.push_back({"caustic photons", "no surface has a mirror, glass or a lobe", 1});
+}
+
+PhotonEstimate PhotonPlan::estimate(std::uint32_t neighbours) const {
+  return {.neighbours = photon_.radius > 0 ? 0 : neighbours, .most_radius = static_cast<float>(most_radius_)};
+}
+
+void PhotonPlan::begin() {
+  if (has_clusters()) beside_ = std::make_shared<Beside>(graph_.event());
+  if (has_caustics()) {
+    guide_ = ask_map("guide", kGuidePass, photon_.caustics, PHOTON_CLASS_BIT(PHOTON_CAUSTIC));
+    ask_caustics(0);
+  }
+  if (gathers()) {
+    const Artifact map = ask_map("global", kGlobalPass, photon_.count, PHOTON_ALL_CLASSES);
+    if (photon_.cut) cut_ = ask_cut(map);
+    graph_.when({cut_ ? cut_ : map}, [this, map] {
+      gathered_ = checked_facts(map);
+      if (cut_) cut_facts_ = cut_.facts<PhotonCutFacts>();
+      gather(map);
+    });
+    if (has_clusters()) ask_clusters(map);
+  } else {
+    paths_.begin({.classes = classes(), .limit = std::numeric_limits<float>::infinity()});
+  }
+}
+
+// Light paths, and the map of the photons that they leave.
+Artifact PhotonPlan::ask_map(const std::string& suffix, std::uint32_t pass, std::uint32_t paths,
+                             std::uint32_t classes) {
+  PhotonTraceParameters p{};
+  p.items_low = paths;
+  // Beside its own scatterings light takes one at the first surface, and what is gathered one more.
+  const std::uint32_t spent = classes == PHOTON_CLASS_BIT(PHOTON_CAUSTIC) ? 1 : 2;
+  p.most_depth = settings_.depth ? settings_.depth - spent : GLEANER_NONE;
+  p.classes = classes;
+  p.pass = pass;
+  p.seed_low = low(settings_.seed);
+  p.seed_high = high(settings_.seed);
+  constexpr std::uint32_t row_bytes = PHOTON_WORDS * 4;
+  // Another camera sees the same photons.
+  const Artifact traced = graph_.add({.name = "photon.trace." + suffix,
+                                      .kind = "photon_trace",
+                                      .items = paths,
+                                      .tile = 16,
+                                      .priority = kFirst,
+                                      .work = static_cast<double>(paths),
+                                      .output = {.record_bytes = row_bytes,
+                                                 .counted = true,
+                                                 .most_records = PHOTON_PATH_SLOTS,
+                                                 .placement = Placement::retain,
+                                                 .reusable = true}},
+                                     p);
+  // A node for each 8 photons at most, in whole blocks.
+  const std::uint64_t most = 2 * std::uint64_t{paths} * PHOTON_PATH_SLOTS + 64;
+  return graph_.add({.name = "photon.map." + suffix,
+                     .kind = "photon_map",
+                     .items = 1,
+                     .solo = true,
+                     .priority = kFirst,
+                     .work = static_cast<double>(paths),
+                     .output = {.record_bytes = row_bytes,
+                                .counted = true,
+                                .most_records = low(std::min<std::uint64_t>(most, 0xffffffffu)),
+                                .placement = Placement::retain,
+                                .reusable = true}},
+                    PhotonMapParameters{.classes = classes, .neighbours = kGatherNeighbours}, {{"photons", traced}});
+}
+
+// Nearer than an estimate is wide, its photons are those of the surface that the path comes from, and their mean over
+// it says little of this place.
+float PhotonPlan::limit() const { return std::max(static_cast<float>(spacing()), std::numeric_limits<float>::min()); }
+
+Artifact PhotonPlan::ask_cut(const Artifact& map) {
+  PhotonCutParameters p{};
+  p.nodes = photon_.cut;
+  p.rounds = kCutRounds;
+  p.ratio = kCutRatio;
+  p.estimate = estimate(kCutNeighbours);
+  return graph_.add({.name = "photon.cut",
+                     .kind = "photon_cut",
+                     .items = 1,
+                     .solo = true,
+                     .priority = kFirst,
+                     .output = {.record_bytes = CUT_WORDS * 4,
+                                .counted = true,
+                                .most_records = 0xffffffffu,
+                                .placement = Placement::retain,
+                                .reusable = true}},
+                    p, {{"map", map}});
+}
+
+// Scatterings that the map's photons may have: as ask_map() has them.
+std::uint32_t PhotonPlan::cut_depth() const {
+  return settings_.depth ? std::min(settings_.depth - 2, PHOTON_MOST_DEPTH) : PHOTON_MOST_DEPTH;
+}
+
+std::vector<Graph::Input> PhotonPlan::light_of(const Artifact& map) const {
+  std::vector<Graph::Input> inputs = {{"map", map}};
+  if (cut_) inputs.push_back({"cut", cut_});
+  return inputs;
+}
+
+// Paths that read the map behind their first surface.
+void PhotonPlan::gather(const Artifact& map) {
+  struct {
+    PhotonEstimate estimate;
+    std::uint32_t cut_depth, reserved;
+  } program{.estimate = estimate(kGatherNeighbours), .cut_depth = cut_depth(), .reserved = 0};
+  static_assert(sizeof(PathParameters) + sizeof program == sizeof(PhotonGatherParameters));
+  paths_.begin({.classes = classes(), .limit = limit()},
+               {.kind = "photon_gather", .method_parameters = bytes_of(program), .inputs = light_of(map)});
+}
+
+// --- Shading clusters ---
+
+// Which points are gathered at depends on geometry alone: they are chosen while photons are traced.
+void PhotonPlan::ask_clusters(const Artifact& map) {
+  const Artifact points = cache_.ask_points(graph_, "photon", kFirst);
+  PhotonClusterParameters p{};
+  p.width = settings_.width;
+  p.height = settings_.height;
+  p.samples = cache_.samples();
+  p.clusters = photon_.clusters;
+  p.iterations = kIterations;
+  p.seed_low = low(settings_.seed);
+  p.seed_high = high(settings_.seed);
+  const Artifact places =
+      graph_.add(cache_.choosing("photon.clusters", "photon_cluster", kFirst), p, {{"points", points}});
+  graph_.when({places, cut_ ? cut_ : map}, [this, map, points, places] {
+    gathered_ = checked_facts(map);
+    clusters_ = places.facts<PhotonClusterFacts>();
+    places.check_facts(
+        clusters_.places == places.record_count(),
+        std::to_string(clusters_.places) + " places, and " + std::to_string(places.record_count()) + " records");
+    if (clusters_.places > 0)
+      gather_clusters(map, points, places);
+    else
+      show_clusters({});
+  });
+}
+
+void PhotonPlan::gather_clusters(const Artifact& map, const Artifact& points, const Artifact& places) {
+  PhotonClusterGatherParameters p{};
+  p.records = cache_.gather_parameters(clusters_.places, strata_);
+  p.records.samples.filter = PATH_CLASS_DIFFUSE | PATH_CLASS_CAUSTIC | PATH_CLASS_MIXED;
+  p.records.samples.clamp = limit();
+  p.estimate = estimate(kGatherNeighbours);
+  p.cut_depth = cut_depth();
+  std::vector<Graph::Input> inputs = light_of(map);
+  inputs.push_back({"places", places});
+  const Artifact records = graph_.add(
+      PixelCache::gathering("photon.cluster_gather", "photon_cluster_gather", kFirst, clusters_.places, strata_), p,
+      std::move(inputs));
+  const Artifact cache = graph_.add({.name = "photon.cluster_smooth",
+                                     .kind = "photon_cluster_smooth",
+                                     .items = 1,
+                                     .solo = true,
+                                     .priority = kFirst,
+                                     .output = {.record_bytes = CACHE_WORDS * 4,
+                                                .counted = true,
+                                                .most_records = low(clusters_.places),
+                                                .placement = Placement::retain}},
+                                    PhotonClusterSmoothParameters{}, {{"records", records}});
+  const Artifact shaded = cache_.ask_shading(graph_, "photon", kFirst, points, cache);
+  cache_.preview(graph_, film_, shaded);
+  graph_.when({shaded}, [this, shaded] { show_clusters(cache_.picture_of(shaded.records())); });
+}
+
+// The clusters' light is a part of every pass of caustics, and a pass of its own where there is none.
+void PhotonPlan::show_clusters(std::vector<float> picture) {
+  if (has_caustics())
+    beside_->light = std::move(picture);
+  else
+    film_.add_pass(picture);
+  graph_.announce(beside_->known);
+  clusters_asked_ = true;
+  own_stages_asked_ = caustics_asked_ || !has_caustics();
+}
+
+// --- Caustics ---
+
+void PhotonPlan::ask_caustics(std::uint32_t pass) {
+  passes_[pass].map =
+      ask_map(std::to_string(pass), kFirstPass + pass, photon_.caustics, PHOTON_CLASS_BIT(PHOTON_CAUSTIC));
+  graph_.when({passes_[pass].map, guide_}, [this, pass] { shade_caustics(pass); });
+}
+
+void PhotonPlan::shade_caustics(std::uint32_t pass) {
+  Pass& s = passes_[pass];
+  s.facts = checked_facts(s.map);
+  PhotonCausticsParameters p{};
+  p.camera = settings_.camera;
+  p.width = settings_.width;
+  p.height = settings_.height;
+  p.samples = photon_.samples;
+  p.pass = pass;
+  p.seed_low = low(settings_.seed);
+  p.seed_high = high(settings_.seed);
+  p.depth = settings_.depth;
+  p.estimate = estimate(kCausticNeighbours);
+  // Squared radii: of pass i + 1 over pass i, (i + shrinkage) / (i + 1), passes counted from 1.
+  double squared = 1;
+  for (std::uint32_t i = 1; i <= pass; ++i) squared *= (i + kShrinkage) / (i + 1);
+  p.shrink = static_cast<float>(std::sqrt(squared));
+  const Artifact shaded = graph_.add({.name = numbered("photon.caustics", pass),
+                                      .kind = "photon_caustics",
+                                      .items = pixels(),
+                                      .priority = kFirst,
+                                      .work = static_cast<double>(pixels()) * photon_.samples,
+                                      .output = {.record_bytes = 12, .floats = true}},
+                                     p, {{"guide", guide_}, {"map", s.map}});
+  s.map = {};
+  preview_pass(shaded);
+  add_pass(shaded, beside_);
+  caustics_asked_ = pass + 1 == passes_.size();
+  own_stages_asked_ = caustics_asked_ && (clusters_asked_ || !has_clusters());
+  if (caustics_asked_)
+    guide_ = {};
+  else
+    ask_caustics(pass + 1);
+}
+
+// --- The film and the report ---
+
+bool PhotonPlan::conclude(const std::vector<CutStage>& cut) {
+  if (!paths_.begun() || (passes() > 0 && film_.passes() == 0)) return false;
+  if (!paths_.conclude(cut, skips_)) return false;
+  if (has_caustics() && film_.passes() < passes_.size())
+    skips_.push_back({"passes of caustics", "the time limit ended the frame", passes_.size() - film_.passes()});
+  return true;
+}
+
+std::string PhotonPlan::parameters_json() const {
+  nlohmann::json photon = {{"count", photon_.count}, {"caustics", photon_.caustics}, {"radius", photon_.radius}};
+  if (gathers())
+    photon["map"] = {{"photons", gathered_.photons},
+                     {"neighbours", estimate(kGatherNeighbours).neighbours},
+                     {"radius", gathered_.radius},
+                     {"spacing", spacing()}};
+  photon["cut"] = photon_.cut;
+  if (gathers() && photon_.cut) {
+    photon["cut_nodes"] = cut_facts_.nodes;
+    photon["cut_opened"] = cut_facts_.opened;
+    photon["cut_radius"] = cut_facts_.radius;
+  }
+  photon["clusters"] = photon_.clusters;
+  if (has_clusters()) {
+    photon["gather_rays"] = strata_.count();
+    photon["points"] = clusters_.points;
+    photon["places"] = clusters_.places;
+    photon["strays"] = clusters_.strays;
+    photon["reach"] = clusters_.reach;
+  }
+  if (has_caustics()) {
+    photon["passes"] = passes_.size();
+    photon["samples"] = photon_.samples;
+    photon["neighbours"] = estimate(kCausticNeighbours).neighbours;
+    std::uint64_t photons = 0;
+    for (const Pass& pass : passes_) photons += pass.facts.photons;
+    photon["caustic_photons"] = photons;
+  }
+  nlohmann::json json = paths_.begun() ? paths_.parameters() : nlohmann::json::object();
+  json["photon"] = photon;
+  return json.dump();
+}
+
+std::vector<std::string> PhotonPlan::outline() const {
+  std::vector<std::string> lines;
+  if (gathers()) {
+    lines.push_back("photon.trace.global: " + std::to_string(photon_.count) + " light paths, split");
+    lines.push_back("photon.map.global: the tree over their photons, solo");
+    if (photon_.cut) lines.push_back("photon.cut: " + std::to_string(photon_.cut) + " nodes that stand for them, solo");
+  }
+  if (has_clusters()) {
+    lines.push_back("photon.points: " + std::to_string(cache_.samples()) + " surface points of each pixel, in " +
+                    std::to_string(cache_.tiles()) + " tiles, split");
+    lines.push_back("photon.clusters: " + std::to_string(photon_.clusters) + " clusters of these, solo");
+    lines.push_back("photon.cluster_gather: " + std::to_string(strata_.count()) +
+                    " rays of each cluster's sample point, which read the map, split");
+    lines.push_back("photon.shade: " + std::to_string(cache_.tiles()) + " tiles lit by the samples near them, split");
+  }
+  if (has_caustics()) {
+    const std::string each = ", for each of " + std::to_string(passes_.size()) + " passes";
+    lines.push_back("photon.trace.guide: " + std::to_string(photon_.caustics) +
+                    " light paths by mirrors, glass and lobes, split; their map tells how wide caustics are estimated");
+    lines.push_back("photon.trace: as many light paths, split" + each);
+    lines.push_back("photon.map: the tree over their photons, solo" + each);
+    lines.push_back("photon.caustics: " + std::to_string(pixels()) + " pixels of " + std::to_string(photon_.samples) +
+                    " samples, split" + each);
+  }
+  for (const std::string& line : paths_.outline()) lines.push_back(line);
+  return lines;
+}
+
+}  // namespace
+
+Method photon_method() {
+  using enum SettingType;
+  return {
+      .name = "photon",
+      .help =
+          "Photon maps: light paths leave photons, whose density tells how bright surfaces are. Carries caustics, of "
+          "punctual lights too; explained in docs/explanation/photon.md.",
+      .make = make_plan_of<PhotonPlan>,
+      // Beside the paths: the passes' sum, its squares, the preview, two passes' records, a picture and the clusters'
+      // light, all RGB.
+      .bytes_a_pixel = kPathBytesAPixel + 7 * 3 * sizeof(float),
+      .settings = {
+          {"photon.count", whole, 0, 1u << 24, "200000",
+           "light paths of the map that paths read behind their first surface; 0: no such map, paths go on"},
+          {"photon.caustics", whole, 0, 1u << 24, "200000",
+           "light paths of each pass of caustics; 0: paths find the caustics"},
+          {"photon.passes", whole, 1, 4096, "`--spp` / 8, 1 to 64",
+           "independent passes of caustics, each of a smaller radius; their mean is the picture"},
+          {"photon.clusters", whole, 0, 1u << 20, "0",
+           "clusters of the points that pixels show, at whose sample points indirect light on diffuse layers is "
+           "gathered "
+           "and between which it is interpolated; 0: each sample of a pixel gathers by itself"},
+          {"photon.cut", whole, 0, PHOTON_MOST_CUT, "0",
+           "nodes of the map's tree that are read in place of its photons, before they are refined; 0: photons are "
+           "read"},
+          {"photon.gather_rays", whole, 0, SPLAT_MOST_RAYS / 2, "1024",
+           "rays of each cluster's sample point; 0: no clusters"},
+          {"photon.radius", real, 0, 1e9, "0",
+           "metres: of density estimates (of caustics: of the first pass); 0: as wide as the nearest photons lie"},
+      }};
+}
+
+}  // namespace gleaner::coordinator

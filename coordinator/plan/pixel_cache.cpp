@@ -1,0 +1,147 @@
+#include "coordinator/plan/pixel_cache.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+
+namespace gleaner::coordinator {
+namespace {
+
+using namespace kernels;
+
+// Points of a film, at most, and so many of each pixel as that allows.
+constexpr std::uint64_t kMostPoints = 1u << 22;
+// Work, in samples of paths: of a point that is found, and one that is shaded.
+constexpr double kPointWork = 0.2, kShadeWork = 0.1;
+
+std::uint32_t tiles_across(std::uint32_t pixels) { return (pixels + SPLAT_TILE - 1) / SPLAT_TILE; }
+
+// Calls row(pixel, rgb, pixels) for each row of each of the tiles from `first` on.
+template <typename Row>
+void each_row(std::uint64_t first, std::uint64_t count, const Bytes& records, std::uint32_t width, std::uint32_t height,
+              Row row) {
+  const std::uint32_t columns = tiles_across(width);
+  const auto* rgb = reinterpret_cast<const float*>(records.data());
+  for (std::uint64_t k = 0; k < count; ++k) {
+    const auto x = static_cast<std::uint32_t>((first + k) % columns) * SPLAT_TILE;
+    const auto y = static_cast<std::uint32_t>((first + k) / columns) * SPLAT_TILE;
+    const std::uint32_t pixels = std::min(SPLAT_TILE, width - x);
+    for (std::uint32_t r = 0; r < SPLAT_TILE && y + r < height; ++r)
+      row(std::uint64_t{y + r} * width + x, rgb + 3 * (k * SPLAT_TILE_PIXELS + std::uint64_t{r} * SPLAT_TILE), pixels);
+  }
+}
+
+}  // namespace
+
+Strata strata_of(std::uint32_t rays) {
+  const auto azimuthal =
+      static_cast<std::uint32_t>(16 * std::max(1l, std::lround(2 * std::sqrt(static_cast<double>(rays)) / 16)));
+  return {std::max(1u, (rays + azimuthal / 2) / azimuthal), azimuthal};
+}
+
+PixelCache::PixelCache(const FrameSettings& settings) : settings_(settings) {
+  const std::uint64_t pixels = std::uint64_t{settings.width} * settings.height;
+  const std::uint64_t most =
+      std::min<std::uint64_t>(SPLAT_MOST_SAMPLES, kMostPoints / std::max<std::uint64_t>(1, pixels));
+  samples_ = static_cast<std::uint32_t>(
+      std::bit_floor(std::clamp<std::uint64_t>(settings.spp, 1, std::max<std::uint64_t>(1, most))));
+}
+
+std::uint64_t PixelCache::tiles() const {
+  return std::uint64_t{tiles_across(settings_.width)} * tiles_across(settings_.height);
+}
+
+std::uint64_t PixelCache::points() const { return tiles() * SPLAT_TILE_PIXELS * samples_; }
+
+double PixelCache::work() const { return (kPointWork + kShadeWork) * static_cast<double>(points()); }
+
+bool PixelCache::holds(const FrameSettings& settings) {
+  return std::uint64_t{settings.width} * settings.height <= most_pixels;
+}
+
+Graph::Artifact PixelCache::ask_points(Graph& graph, const std::string& method, int priority) const {
+  SplatPointParameters p{};
+  p.camera = settings_.camera;
+  p.width = settings_.width;
+  p.height = settings_.height;
+  p.samples = samples_;
+  p.depth = settings_.depth;
+  p.seed_low = low(settings_.seed);
+  p.seed_high = high(settings_.seed);
+  return graph.add({.name = method + ".points",
+                    .kind = "splat_points",
+                    .items = tiles(),
+                    .priority = priority,
+                    .work = kPointWork * static_cast<double>(points()),
+                    .output = {.record_bytes = SPLAT_TILE_PIXELS * samples_ * SPLAT_POINT_WORDS * 4,
+                               .placement = Placement::retain}},
+                   p);
+}
+
+Graph::Artifact PixelCache::ask_shading(Graph& graph, const std::string& method, int priority,
+                                        const Graph::Artifact& points, const Graph::Artifact& cache) const {
+  SplatShadeParameters p{};
+  p.tiles = static_cast<std::uint32_t>(tiles());
+  p.samples = samples_;
+  return graph.add({.name = method + ".shade",
+                    .kind = "splat_shade",
+                    .items = tiles(),
+                    .priority = priority,
+                    .work = kShadeWork * static_cast<double>(this->points()),
+                    .output = {.record_bytes = SPLAT_TILE_PIXELS * 12, .floats = true}},
+                   p, {{"points", points, Extent::own_items}, {"cache", cache}});
+}
+
+StageSpec PixelCache::choosing(const std::string& name, const char* kind, int priority) const {
+  return {.name = name,
+          .kind = kind,
+          .items = 1,
+          .solo = true,
+          .priority = priority,
+          .output = {.record_bytes = SPLAT_POINT_WORDS * 4,
+                     .counted = true,
+                     .most_records = low(std::min<std::uint64_t>(points(), 0xffffffffu)),
+                     .placement = Placement::retain}};
+}
+
+StageSpec PixelCache::gathering(const std::string& name, const char* kind, int priority, std::uint64_t records,
+                                const Strata& strata) {
+  return {.name = name,
+          .kind = kind,
+          .items = records,
+          .priority = priority,
+          .work = static_cast<double>(records) * strata.count(),
+          .output = {.record_bytes = CACHE_WORDS * 4, .placement = Placement::retain}};
+}
+
+SplatGatherParameters PixelCache::gather_parameters(std::uint64_t records, const Strata& strata) const {
+  SplatGatherParameters p{};
+  p.samples.width = p.samples.height = p.samples.samples_per_item = p.samples.last_item_samples = 1;
+  p.samples.depth = settings_.depth;
+  p.samples.seed_low = low(settings_.seed);
+  p.samples.seed_high = high(settings_.seed);
+  p.records = low(records);
+  p.polar = strata.polar;
+  p.azimuthal = strata.azimuthal;
+  return p;
+}
+
+void PixelCache::preview(Graph& graph, Accumulator& film, const Graph::Artifact& shaded) const {
+  graph.on_preview(shaded, [this, &film](auto first, auto count, const Bytes& records) {
+    each_row(first, count, records, settings_.width, settings_.height,
+             [&film](std::uint64_t pixel, const float* rgb, std::uint32_t pixels) {
+               film.draw_pass(pixel, {rgb, std::size_t{3} * pixels});
+             });
+  });
+}
+
+std::vector<float> PixelCache::picture_of(const Bytes& records) const {
+  std::vector<float> picture(std::size_t{3} * settings_.width * settings_.height);
+  each_row(0, tiles(), records, settings_.width, settings_.height,
+           [&](std::uint64_t pixel, const float* rgb, std::uint32_t pixels) {
+             std::copy_n(rgb, std::size_t{3} * pixels, picture.begin() + static_cast<std::ptrdiff_t>(3 * pixel));
+           });
+  return picture;
+}
+
+}  // namespace gleaner::coordinator

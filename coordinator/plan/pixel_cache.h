@@ -1,0 +1,58 @@
+#pragma once
+// What methods share that gather irradiance at a few of the points that pixels show and interpolate it between them
+// (kernels/splat_records.h): the points, and the tiles of pixels that are shaded.
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "coordinator/film/accumulator.h"
+#include "coordinator/plan/graph.h"
+#include "kernels/splat_records.h"
+
+namespace gleaner::coordinator {
+
+// Strata of a hemisphere, about as many as rays were asked for: rings, four times as many strata around as rings, or
+// nearly.
+struct Strata {
+  std::uint32_t polar = 1, azimuthal = 16;
+  std::uint32_t count() const { return polar * azimuthal; }
+};
+Strata strata_of(std::uint32_t rays);
+
+class PixelCache {
+ public:
+  explicit PixelCache(const FrameSettings& settings);
+
+  std::uint32_t samples() const { return samples_; }  // points of a pixel
+  std::uint64_t tiles() const;
+  std::uint64_t points() const;  // of whole tiles
+  double work() const;           // of both stages, as StageSpec::work
+  // Whether the stages take a film of this size.
+  static bool holds(const FrameSettings& settings);
+  static constexpr std::uint64_t most_pixels = 1u << 26;
+
+  // Stages "METHOD.points" and "METHOD.shade", of these priorities.
+  Graph::Artifact ask_points(Graph& graph, const std::string& method, int priority) const;
+  // Tiles of `points` lit by the records of `cache`.
+  Graph::Artifact ask_shading(Graph& graph, const std::string& method, int priority, const Graph::Artifact& points,
+                              const Graph::Artifact& cache) const;
+
+  // The solo stage that chooses, among the points, where light is gathered.
+  StageSpec choosing(const std::string& name, const char* kind, int priority) const;
+  // The stage that gathers at so many places, and its parameters: filter and clamp are the method's.
+  static StageSpec gathering(const std::string& name, const char* kind, int priority, std::uint64_t records,
+                             const Strata& strata);
+  kernels::SplatGatherParameters gather_parameters(std::uint64_t records, const Strata& strata) const;
+
+  // The live preview shows the tiles while they are shaded.
+  void preview(Graph& graph, Accumulator& film, const Graph::Artifact& shaded) const;
+  // Of shaded tiles, RGB of each pixel.
+  std::vector<float> picture_of(const Bytes& records) const;
+
+ private:
+  FrameSettings settings_;
+  std::uint32_t samples_;
+};
+
+}  // namespace gleaner::coordinator

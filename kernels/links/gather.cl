@@ -1,0 +1,59 @@
+// One bounce of light: every element gathers over its links what the others send. Stage kind "links_gather".
+//
+//   for each element
+//     irradiance = sum over its links of weight * what the link's end sends               (eq. 3)
+//     sends      = albedo * (direct light + irradiance)                                   (eq. 4)
+//
+// After k such stages, each of which reads the last one's whole vector, light of k bounces is there.
+#include "kernels/lanes.h"
+#include "kernels/links_records.h"
+
+// What the end of a link sends. An end that is no element sends what the last one does, and is told of.
+FN float4 sent_by(global const float4* sent, uint end, uint last, uint* beyond) {
+  *beyond |= end > last ? 1u : 0u;
+  return sent[min(end, last)];
+}
+
+FN float4 gather_exact(global const float4* sent, global const uint* ends, uint links, uint last, uint* beyond) {
+  float4 sum = (float4)(0.0f);
+  for (uint k = 0; k < links; ++k) sum += as_float(ends[links + k]) * sent_by(sent, ends[k], last, beyond);
+  return sum;
+}
+
+// Two weights a word, in units of 1 / 65535. Four links at a time, with a sum each: one after another would wait for
+// its last sum.
+FN float4 gather_packed(global const float4* sent, global const uint* ends, uint links, uint last, uint* beyond) {
+  global const uint* weights = ends + links;
+  float4 sum[4] = {(float4)(0.0f), (float4)(0.0f), (float4)(0.0f), (float4)(0.0f)};
+  uint k = 0u;
+  for (; k + 3u < links; k += 4u) {
+    uint low = weights[k >> 1], high = weights[(k >> 1) + 1u];
+    sum[0] += (float)(low & 0xffffu) * sent_by(sent, ends[k], last, beyond);
+    sum[1] += (float)(low >> 16) * sent_by(sent, ends[k + 1u], last, beyond);
+    sum[2] += (float)(high & 0xffffu) * sent_by(sent, ends[k + 2u], last, beyond);
+    sum[3] += (float)(high >> 16) * sent_by(sent, ends[k + 3u], last, beyond);
+  }
+  for (; k < links; ++k) {
+    uint pair = weights[k >> 1];
+    sum[0] += (float)(k & 1u ? pair >> 16 : pair & 0xffffu) * sent_by(sent, ends[k], last, beyond);
+  }
+  return ((sum[0] + sum[1]) + (sum[2] + sum[3])) * (1.0f / 65535.0f);
+}
+
+// Elements base to count - 1 of a batch. `words`: their links, those of element e from starts[e] on. `sent`: of all
+// elements. Elements with an end that is none count in `faults`.
+kernel void links_gather(global const LinksGatherParameters* restrict parameters, uint base, uint count,
+                         global const uint* restrict words, global const uint* restrict starts,
+                         global const float4* restrict sent, global const float4* restrict light,
+                         global const float4* restrict albedo, global float4* restrict records,
+                         global uint* restrict faults) {
+  uint element = base + (uint)get_global_id(0);
+  if (element >= count) return;
+  uint first = starts[element], total = starts[element + 1u] - first, last = parameters->elements - 1u;
+  uint beyond = 0u;
+  float4 sum = parameters->exact ? gather_exact(sent, words + first, total / 2u, last, &beyond)
+                                 : gather_packed(sent, words + first, 2u * total / 3u, last, &beyond);
+  records[2u * element] = sum;
+  records[2u * element + 1u] = albedo[element] * (light[2u * element] + sum);
+  if (beyond) atomic_inc(faults);
+}

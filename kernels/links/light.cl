@@ -1,0 +1,103 @@
+// Direct light of elements: light links. Stage kind "links_light".
+//
+//   for each element, for each of its samples
+//     links_light_rays   a point of the one-ring and a light sample: a shadow ray
+//   trace                any hit
+//   shadow_connect       samples that arrived are added to their slots         (kernels/transport/shadow_rays.h)
+//   links_light_sum      a slot a sample -> the element's irradiance, and what it sends
+//
+// The points are spread over the one-ring as the paper's 1:4 oversampling has them: divided once, the small triangle at
+// the vertex holds half of the samples, its neighbours the rest.
+#include "kernels/lights.h"
+#include "kernels/links/mesh.h"
+#include "kernels/transport/shadow_rays.h"
+#include "kernels/wide.h"
+
+// Sample s of element first + e is number e * samples + s of `count`, which is its slot.
+kernel WIDE void links_light_rays(global const LinksParameters* restrict parameters, SCENE_PARAMETERS,
+                                  global const uint* restrict mesh, uint first, uint count,
+                                  global float* restrict shadows, global float* restrict slots, uint slot_count,
+                                  global uint* counters) {
+  uint block = (uint)get_global_id(0);
+  uint first_lane = block * LANES;
+  if (first_lane >= count) return;
+  Scene scene_value = SCENE_FROM_PARAMETERS;
+  const Scene* scene = &scene_value;
+  uint samples = parameters->samples;
+  uint element = first + first_lane / samples;
+  vu slot = (vu)first_lane + lane_index();
+  for (uint k = 0; k < SLOT_WORDS; ++k) store_f(slots + (ulong)SLOT_WORDS * first_lane + k * LANES, 0, zero_f());
+  Connection c;
+  c.origin = c.direction = c.contribution = splat3(zero_f());
+  c.far = (vf)-1.0f;
+  c.total = one_f();
+  c.bits = (vu)0u;
+  c.connected = no_lanes();
+#ifdef NEED_MEDIA
+  c.media = media_of(0u, 0u);
+#endif
+  Vertex v;
+  v.primitive = (vu)GLEANER_NONE;
+#ifdef NEED_INSTANCES
+  v.hit.instance = (vu)GLEANER_NONE;
+#endif
+#ifdef NEED_LIGHTS
+  Mesh m = load_mesh(mesh);
+  vi active = (vi)(element < m.elements ? all_lanes() : no_lanes());
+  if (any_lane(active)) {
+    vu sample = (vu)(first_lane % samples) + lane_index();
+    vu key = element_key(parameters->seed_low, parameters->seed_high, element, 0x4cu);
+    RingPoint at = random_ring_point(&m, element, 1.0f, key, sample);
+    v = element_surface(scene, &at, element, active);
+    vf u_choice, u_spare, l0, l1;
+    sample_pair(key, sample, LINKS_MOST_SAMPLES, 0u, &u_choice, &u_spare);
+    sample_pair(key, sample, LINKS_MOST_SAMPLES, 1u, &l0, &l1);
+    LightSample light = sample_light(scene, v.hit.p, u_choice, l0, l1);
+    vf cosine = dot3(v.frame.normal, light.direction);
+    vf share = cosine * left_above(scene, &v.surface, clamp_f(cosine, (vf)1e-6f, one_f()));
+#ifdef NEED_BENT_NORMALS
+    share *= geometric_share(&v.frame, light.direction, cosine);
+#endif
+    c.contribution = scale3(light.radiance, share / light.pdf);
+    c.connected = active & (cosine > (vf)1e-6f) & (light.pdf > zero_f()) & (max_component(c.contribution) > zero_f());
+    c.origin = offset_ray_origin(v.hit.p, v.hit.error, v.hit.geometric, light.direction);
+    c.direction = pick3(sub3(light.target, c.origin), light.direction, light.infinite);
+    c.far = pick((vf)-1.0f, pick((vf)SHADOW_FAR, (vf)INFINITY, light.infinite), c.connected);
+#ifdef TRANSPARENT_SHADOWS
+    c.bits = pick_u((vu)0u, (vu)SHADOW_INFINITE, light.infinite);
+#endif
+    uint asked;
+    rank_lanes(c.connected, &asked);
+    if (asked) atomic_add(counters + COUNTER_SHADOW, asked);
+  }
+#endif
+  write_connection(shadows, block, &c, &v, slot, slot_count);
+}
+
+// Sums each element's samples in their order. Samples that are not finite are left out and reported.
+kernel void links_light_sum(global const LinksParameters* restrict parameters, uint count,
+                            global const float* restrict slots, global const float* restrict albedo,
+                            global float* restrict records, global uint* restrict report) {
+  uint element = (uint)get_global_id(0);
+  if (element >= count) return;
+  uint samples = parameters->samples, lost = 0u;
+  float sum[3] = {0, 0, 0};
+  for (uint s = 0; s < samples; ++s) {
+    global const float* slot = slots + (ulong)SLOT_WORDS * (element * samples + s);
+    int fine = 1;
+    for (uint k = 0; k < 3u; ++k) fine = fine && fabs(slot[k]) <= 3.402823466e38f;
+    for (uint k = 0; k < 3u && fine; ++k) sum[k] += slot[k];
+    lost += fine ? 0u : 1u;
+  }
+  global float* record = records + RADIOSITY_WORDS * element;
+  for (uint k = 0; k < 4u; ++k) {
+    float light = k < 3u ? sum[k] / (float)samples : 0.0f;
+    record[RADIOSITY_IRRADIANCE + k] = light;
+    record[RADIOSITY_SENT + k] = light * albedo[ALBEDO_WORDS * element + k];
+  }
+  if (lost) {
+    atomic_add(report, lost);
+    uint at = atomic_inc(report + 1);
+    if (at < REPORTED_ITEMS) report[2 + at] = element;
+  }
+}

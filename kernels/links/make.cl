@@ -1,0 +1,120 @@
+// Links between elements. Stage kind "links_make".
+//
+//   for each element, for each of its directions
+//     links_rays       (kernels/links/rays.h) 16 neighbouring directions at once: a point of the one-ring, a
+//     cosine-weighted ray
+//   trace              closest hits
+//   links_hits         three links a hit, to the vertices about it, weighted by its barycentric coordinates
+//   links_compress     links of the same end become one; the element's row is packed
+//
+// A link's weight is the share of the element's hemisphere that its rays see of the other's hat function, less what
+// opacity and the layers above both diffuse layers take.
+#include "kernels/links/rays.h"
+
+// Three ends and weights a ray; weight 0: no link.
+kernel WIDE void links_hits(SCENE_PARAMETERS, global const uint* restrict mesh, global const float* restrict probe,
+                            uint count, global const float* restrict rays, global uint* restrict ends,
+                            global float* restrict weights) {
+  uint block = (uint)get_global_id(0);
+  uint first_lane = block * LANES;
+  if (first_lane >= count) return;
+  Scene scene_value = SCENE_FROM_PARAMETERS;
+  const Scene* scene = &scene_value;
+  vf weight = row_f(rays, LINK_ROWS, block, ROW_WEIGHT);
+  vi hit = (weight > zero_f()) & (row_u(rays, LINK_ROWS, block, ROW_GEOMETRY) != GLEANER_NONE);
+  vu to = ((vu)first_lane + lane_index()) * 3u;
+  if (!any_lane(hit)) {
+    scatter3(weights, to, splat3(zero_f()));
+    return;
+  }
+  v3 direction = row_3(rays, LINK_ROWS, block, ROW_DIRECTION);
+  Mesh m = load_mesh(mesh);
+  Vertex v = meet_surface(scene, rays, LINK_ROWS, block, hit);
+#ifdef NEED_MEDIA
+  v.media = media_of(0u, 0u);
+#endif
+  prepare_scattering(scene, &v, direction);
+  weight *= left_above(scene, &v.surface, max_f(v.frame.view.z, (vf)1e-6f));
+#ifdef NEED_ALPHA
+  weight *= v.surface.opacity;
+#endif
+  weight = pick(zero_f(), weight, v.active);
+  Corners c = corners_at(&m, v.primitive, v.hit.b1, v.hit.b2);
+  vu side = pick_u((vu)0u, (vu)1u, v.frame.from_back);
+  vf outside[3];
+  for (uint k = 0; k < 3u; ++k)
+    outside[k] = pick(zero_f(), one_f(),
+                      gather_f(probe + PROBE_BACKS, (c.vertex[k] * 2u + side) * PROBE_WORDS) <= (vf)PROBE_MOST_BACKS);
+  weigh_outside(&c, outside);
+  for (uint k = 0; k < 3u; ++k) {
+    scatter_u(ends + k, to, c.vertex[k] * 2u + side);
+    scatter_f(weights + k, to, weight * c.weight[k]);
+  }
+}
+
+#define WEIGHT_UNITS 65535u
+
+// Merges links of one end, in place and in the order of the rays; returns how many are left. `place`: `slots` words, a
+// power of two.
+uint merge_links(global uint* end, global float* weight, uint raw, global uint* place, uint slots) {
+  for (uint k = 0; k < slots; ++k) place[k] = 0u;
+  uint links = 0u;
+  for (uint k = 0; k < raw; ++k) {
+    float w = weight[k];
+    if (!(w > 0.0f)) continue;
+    uint id = end[k], slot = (id * 0x9e3779b1u) & (slots - 1u);
+    while (place[slot] != 0u && end[place[slot] - 1u] != id) slot = (slot + 1u) & (slots - 1u);
+    if (place[slot] == 0u) {
+      end[links] = id;
+      weight[links] = w;
+      place[slot] = ++links;
+    } else {
+      weight[place[slot] - 1u] += w;
+    }
+  }
+  return links;
+}
+
+uint drop_empty_links(global uint* end, global float* weight, uint raw) {
+  uint links = 0u;
+  for (uint k = 0; k < raw; ++k)
+    if (weight[k] > 0.0f) {
+      end[links] = end[k];
+      weight[links++] = weight[k];
+    }
+  return links;
+}
+
+// One work-item an element: row `element` of `packed`, of 2 * 3 * directions words; `words` gets how many of them it
+// uses. `table`: `slots` words for each.
+kernel void links_compress(global const LinksParameters* restrict parameters, uint count, uint slots, global uint* ends,
+                           global float* weights, global uint* restrict table, global uint* restrict packed,
+                           global uint* restrict words) {
+  uint element = (uint)get_global_id(0);
+  if (element >= count) return;
+  uint raw = 3u * parameters->directions;
+  global uint* end = ends + (ulong)raw * element;
+  global float* weight = weights + (ulong)raw * element;
+  uint links = parameters->compress ? merge_links(end, weight, raw, table + (ulong)slots * element, slots)
+                                    : drop_empty_links(end, weight, raw);
+  global uint* row = packed + (ulong)(2u * raw) * element;
+  for (uint k = 0; k < links; ++k) row[k] = end[k];
+  float scale = 1.0f / (float)parameters->directions;
+  if (parameters->exact) {
+    for (uint k = 0; k < links; ++k) row[links + k] = as_uint(weight[k] * scale);
+    words[element] = 2u * links;
+    return;
+  }
+  // The running sum is rounded, so that the weights' sum is right to one unit, and at most 1.
+  float sum = 0.0f;
+  uint before = 0u;
+  for (uint k = 0; k < links; ++k) {
+    sum += weight[k] * scale;
+    uint now = min((uint)(min(sum, 1.0f) * (float)WEIGHT_UNITS + 0.5f), WEIGHT_UNITS);
+    uint units = now - before;
+    before = now;
+    global uint* pair = row + links + (k >> 1);
+    *pair = k & 1u ? *pair | (units << 16) : units;
+  }
+  words[element] = links + (links + 1u) / 2u;
+}

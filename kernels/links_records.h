@@ -1,0 +1,152 @@
+// Records of radiance links between vertices (kernels/links/).
+#ifndef GLEANER_KERNELS_LINKS_RECORDS_H
+#define GLEANER_KERNELS_LINKS_RECORDS_H
+
+#include "kernels/records.h"
+
+#ifndef __OPENCL_VERSION__
+namespace gleaner::kernels {
+#endif
+
+// --- The mesh: which vertices there are, and between which of them a triangle interpolates ---
+//
+// A triangle of level l is divided by a regular grid of n = 2^l steps along its edges. Node (i, j) of the grid, i along
+// the edge to the second corner and j along that to the third, i + j <= n, has number j (n + 1) - j (j - 1) / 2 + i. A
+// node is a vertex, which other nodes at the same place, of the same material and of (nearly) the same normal share.
+// Each vertex has two sides: element 2 v is vertex v seen from its front, element 2 v + 1 from its back.
+//
+// Stage kind "links_mesh"; solo. One item, whose records are words: this header, then the sections
+//   triangles   2 words each: number of its first node, level
+//   nodes       a word each: its vertex
+//   rings       a word a vertex and one more: its first corner; the corners of a vertex follow each other
+//   corners     CORNER_WORDS each: the corners of small triangles that meet at a vertex (its one-ring)
+//   areas       a float a vertex: a third of its one-ring, m^2
+//   places      PLACE_WORDS a vertex: its normal, and the first vertex at the same place
+//   hanging     HANGING_WORDS each: vertices on an edge that another triangle divides less, and the two on that edge
+//               between which the other triangle interpolates
+#define MESH_TRIANGLES 0u
+#define MESH_NODES 1u
+#define MESH_VERTICES 2u
+#define MESH_CORNERS 3u
+#define MESH_HANGING 4u
+#define MESH_HEADER 16u
+#define MESH_TRIANGLE_WORDS 2u
+#define MESH_MOST_LEVEL 10u
+
+#define CORNER_WORDS 4u
+#define CORNER_TRIANGLE 0u
+#define CORNER_PLACE 1u  // uint: i, j << 12, CORNER_KIND << 24
+#define CORNER_SHARE 2u  // of the one-ring's area, cumulated
+#define CORNER_STEP 3u   // 1 / n
+#define CORNER_GRID_MASK 0xfffu
+// The grid steps from the corner to the other two of its small triangle: one of six.
+#define CORNER_KINDS 6u
+
+#define PLACE_WORDS 4u
+#define PLACE_NORMAL 0u
+#define PLACE_FIRST 3u  // uint
+
+#define HANGING_WORDS 4u
+#define HANGING_VERTEX 0u
+#define HANGING_FROM 1u
+#define HANGING_TO 2u
+#define HANGING_PART 3u  // float: of the way from the one to the other
+
+// With the inputs "coarse", a mesh, and "probe", what links_probe found of it: triangles are divided on where
+// irradiance bends, that is where it is not what a triangle interpolates.
+typedef struct {
+  // Wanted: triangles are divided until there are about so many; 0: none is; GLEANER_NONE: LINKS_USUAL_VERTICES, or
+  // twice as many as triangles where that is more.
+  gl_uint vertices;
+  gl_uint reserved[3];
+} LinksMeshParameters;
+GLEANER_SIZE(LinksMeshParameters, 16);
+#define LINKS_USUAL_VERTICES 4000u
+#define LINKS_USUAL_HALF 0xfffffffeu  // half of what GLEANER_NONE stands for
+
+// Stage kind "links_probe" (input "mesh"): an element's irradiance by PROBE_LIGHTS test lights that know nothing of the
+// scene's: every surface shines by a smooth random function of the place. Twice, by the even rays and by the odd ones:
+// the products of their differences have no noise in the mean.
+#define PROBE_LIGHTS 4u
+// The share of the rays' hits that are on surfaces' backs: where that is most of them, the element lies inside of
+// something (the floor under a box), and nothing is interpolated from it unless it has no neighbour outside.
+#define PROBE_BACKS (2u * PROBE_LIGHTS)
+#define PROBE_WORDS (PROBE_BACKS + 1u)
+#define PROBE_MOST_BACKS 0.5f
+
+// What the plan is told of a mesh.
+typedef struct {
+  gl_uint vertices, nodes, divided, triangles;
+} LinksMeshFacts;
+GLEANER_SIZE(LinksMeshFacts, 16);
+
+// --- Elements ---
+
+// Of stage kinds "links_probe", "links_albedo", "links_make", "links_light": an item is an element, a tile is a vertex.
+typedef struct {
+  gl_uint elements;    // of the mesh: two a vertex
+  gl_uint directions;  // links_make, links_probe: rays of an element, n^2 with n a multiple of 4
+  gl_uint samples;     // links_albedo, links_light: of an element, a multiple of 16
+  gl_uint seed_low, seed_high;
+  gl_uint compress;  // links_make: 1: links of the same end are one
+  gl_uint exact;     // links_make: 1: weights are floats, else 16 bits
+  gl_float wave;     // links_probe: of the test lights, 1/m
+} LinksParameters;
+GLEANER_SIZE(LinksParameters, 32);
+
+#define LINKS_MOST_DIRECTIONS 4096u
+#define LINKS_MOST_SAMPLES 4096u
+
+// Stage kind "links_albedo" (input "mesh"): the diffuse layer's albedo, RGB, less what the layers above it take, which
+// depends on the angle and belongs to the links; then a spare word.
+#define ALBEDO_WORDS 4u
+
+// Stage kind "links_make" (inputs "mesh", "probe"): an element's links, counted words: n elements, then n weights, two
+// to a word (the first in the low half) in units of 1 / 65535, or as floats. A weight is the share of the element's
+// cosine- weighted hemisphere in which it sees the other, at most 1 in sum.
+
+// Stage kinds "links_light" (inputs "mesh", "albedo": own items) and "links_gather" (inputs "links", "light", "albedo":
+// own items; "radiosity": whole): rows of RADIOSITY_WORDS.
+#define RADIOSITY_WORDS 8u
+#define RADIOSITY_IRRADIANCE 0u  // RGB: of the direct light (links_light), or of all light from other elements
+#define RADIOSITY_OUTSIDE 3u     // links_smooth: 1 where the element lies in the open, else 0
+#define RADIOSITY_SENT 4u        // RGB: what the element sends: albedo times all irradiance, W/m^2
+
+typedef struct {
+  gl_uint elements;
+  gl_uint exact;  // as of links_make
+  gl_uint reserved[2];
+} LinksGatherParameters;
+GLEANER_SIZE(LinksGatherParameters, 16);
+
+// Stage kind "links_flux" (inputs "mesh", "radiosity", "before"); solo. No records; facts: what all elements send, W
+// (luminance), and how much that has grown since "before".
+typedef struct {
+  gl_uint elements;
+  gl_uint reserved[3];
+} LinksFluxParameters;
+GLEANER_SIZE(LinksFluxParameters, 16);
+
+#ifndef __OPENCL_VERSION__
+struct LinksFluxFacts {
+  double flux = 0, grown = 0;
+};
+#endif
+
+// Stage kind "links_smooth" (inputs "mesh", "probe", "irradiance"); solo, an item an element: rows of RADIOSITY_WORDS.
+// Irradiance is smoothed over the one-ring within feature edges (eq. 5-6), and what hangs on an edge is put on it.
+typedef struct {
+  gl_uint elements;
+  gl_float least_cosine;  // between the normals of neighbours that are smoothed; above 1: none is
+  gl_uint reserved[2];
+} LinksSmoothParameters;
+GLEANER_SIZE(LinksSmoothParameters, 16);
+
+// Stage kind "links_shade" (inputs "mesh", "irradiance": rows of RADIOSITY_WORDS): VplPointParameters; an item is a
+// pixel, its record the mean radiance of its samples, RGB.
+
+#ifndef __OPENCL_VERSION__
+}  // namespace gleaner::kernels
+#endif
+
+#endif

@@ -1,0 +1,26 @@
+// What the diffuse layer at a place takes of photons.
+#ifndef GLEANER_KERNELS_PHOTON_LAYER_H
+#define GLEANER_KERNELS_PHOTON_LAYER_H
+
+#include "kernels/bsdf.h"
+#include "kernels/photon/map.h"
+
+// Power, W, of the photons in `near` lanes, weakened by the lobe above the layer.
+FN v3 layer_takes(const Scene* scene, const PhotonMap* map, uint block, uint part, global const float* read, vi near) {
+  v3 power = make3(photon_f(map, block, part, PHOTON_POWER), photon_f(map, block, part, PHOTON_POWER + 1u),
+                   photon_f(map, block, part, PHOTON_POWER + 2u));
+#ifdef NEED_LOBE
+  uint table = ((global const uint*)read)[READ_TABLE];
+  if (table != GLEANER_NONE) {
+    v3 d = unpack_unit(photon_u(map, block, part, PHOTON_DIRECTION), 16u);
+    vf cosine = -(d.x * read[READ_NORMAL] + d.y * read[READ_NORMAL + 1u] + d.z * read[READ_NORMAL + 2u]);
+    Surface m;
+    m.table = (vu)table;
+    m.table_row = (vf)read[READ_ROW];
+    power = scale3(power, left_to_layer(scene, &m, clamp_f(cosine, (vf)1e-6f, one_f())));
+  }
+#endif
+  return pick3(splat3(zero_f()), power, near);
+}
+
+#endif

@@ -1,0 +1,48 @@
+// Reading a photon map, or the cut of it, where gather paths say (path_shade's `reads`).
+#ifndef GLEANER_KERNELS_PHOTON_READ_H
+#define GLEANER_KERNELS_PHOTON_READ_H
+
+#include "kernels/photon/cut.h"
+#include "kernels/photon/layer.h"
+
+kernel void photon_read(global const float* restrict reads, uint count, SCENE_PARAMETERS,
+                        global const float* restrict map, uint map_nodes, global const float* restrict cut,
+                        uint cut_nodes, uint cut_depth, uint neighbours, float most_radius,
+                        global float* restrict slots, uint slot_count) {
+  uint i = (uint)get_global_id(0);
+  if (i >= count) return;
+  Scene scene_value = SCENE_FROM_PARAMETERS;
+  global const float* read = reads + READ_WORDS * i;
+  uint slot = ((global const uint*)read)[READ_SLOT];
+  if (slot >= slot_count) return;
+  MapPlace place = map_place(read);
+  if (cut_nodes && !place.caustics && place.most_depth >= cut_depth &&
+      ((global const uint*)read)[READ_TABLE] == GLEANER_NONE) {
+    float e[3];
+    if (cut_irradiance(cut, cut_nodes, &place, e) > 0.0f) {
+      global float* to = slots + SLOT_WORDS * slot + SLOT_INDIRECT;
+      for (uint k = 0; k < 3u; ++k) to[k] += read[READ_FACTOR + k] * e[k];
+      return;
+    }
+  }
+  PhotonMap photons = photon_map(map, map_nodes);
+  float radius2 = estimate_radius2(&photons, &place, neighbours, most_radius);
+  v3 sum = splat3(zero_f());
+  uint at = 0u;
+  for (;;) {
+    uint block = next_leaf(&photons, &place, radius2, &at);
+    if (block == GLEANER_NONE) break;
+    for (uint part = 0; part < MAP_PARTS; ++part) {
+      vf distance2;
+      vi near = photons_near(&photons, block, part, &place, radius2, &distance2);
+      if (any_lane(near)) sum = add3(sum, layer_takes(&scene_value, &photons, block, part, read, near));
+    }
+  }
+  float scale = INV_PI / radius2;
+  global float* to = slots + SLOT_WORDS * slot + SLOT_INDIRECT;
+  to[0] += read[READ_FACTOR] * scale * sum_lanes(sum.x);
+  to[1] += read[READ_FACTOR + 1u] * scale * sum_lanes(sum.y);
+  to[2] += read[READ_FACTOR + 2u] * scale * sum_lanes(sum.z);
+}
+
+#endif

@@ -1,0 +1,196 @@
+// Records of photon maps (kernels/photon/).
+#ifndef GLEANER_KERNELS_PHOTON_RECORDS_H
+#define GLEANER_KERNELS_PHOTON_RECORDS_H
+
+#include "kernels/splat_records.h"
+
+#ifndef __OPENCL_VERSION__
+namespace gleaner::kernels {
+#endif
+
+// A photon: 32 bytes.
+#define PHOTON_WORDS 8u
+#define PHOTON_POSITION 0u
+#define PHOTON_POWER 3u      // W, RGB: what arrives, weighed for the normal for shading
+#define PHOTON_DIRECTION 6u  // uint: of the ray that arrived, octahedral, 16 + 16 bits
+#define PHOTON_SURFACE \
+  7u  // uint: the triangle's normal on the side that it came from, octahedral, 12 + 12 bits; from
+      // bit 24 on its class; from bit 27 on its depth: scatterings so far, 31: or more
+#define PHOTON_CLASS_SHIFT 24u
+#define PHOTON_CLASS_MASK 7u
+#define PHOTON_DEPTH_SHIFT 27u
+#define PHOTON_MOST_DEPTH 31u
+
+// How a photon came to its surface, by what scattered it last. Broad and sharp parts: kernels/transport/parts.h.
+#define PHOTON_DIRECT 0u   // nothing has scattered it
+#define PHOTON_BROAD 1u    // a broad part
+#define PHOTON_CAUSTIC 2u  // sharp parts alone, since it left its light
+#define PHOTON_MIXED 3u    // sharp parts, since a broad part
+#define PHOTON_CLASSES 4u
+// Of the balance of a path's power (PhotonTraceParameters::balance); no photons.
+#define PHOTON_ABSORBED 4u
+#define PHOTON_ESCAPED 5u
+
+#define PHOTON_CLASS_BIT(c) (1u << (c))
+#define PHOTON_ALL_CLASSES 15u
+
+// Photons that a path may leave. Of a path that would leave more, this many are kept at random, each of them the more
+// powerful for it.
+#define PHOTON_PATH_SLOTS 16u
+
+// Stage kind "photon_trace". An item is a light path; its records are the photons it leaves, 0 to PHOTON_PATH_SLOTS,
+// and two rows more where a balance is asked for.
+typedef struct {
+  gl_uint items_low, items_high;  // paths of the whole stage: a photon's power is the flux of its path over these
+  gl_uint most_depth;             // a photon's scatterings, at most; GLEANER_NONE: until Russian roulette ends its path
+  gl_uint classes;                // that are kept: PHOTON_CLASS_BIT each
+  gl_uint pass;
+  gl_uint seed_low, seed_high;
+  gl_uint balance;  // 1: each path also tells what of its power was absorbed and what left the scene
+} PhotonTraceParameters;
+GLEANER_SIZE(PhotonTraceParameters, 32);
+
+// A photon map: rows of PHOTON_WORDS words. Row 0 is the header; then the nodes of a kd-tree in depth-first order, an
+// odd number of them; then its leaves, blocks of 16 photons that lie word by word (as rays do: kernels/rays.h).
+#define MAP_NODES 0u    // uint
+#define MAP_BLOCKS 1u   // uint
+#define MAP_PHOTONS 2u  // uint: those of the last block that are none lie far away and have no power
+// A node: the box about its photons; its left child follows it, its right child is where the left one's skip leads.
+#define NODE_LOWER 0u
+#define NODE_UPPER 3u
+#define NODE_BLOCK 6u  // uint: of a leaf; GLEANER_NONE: an inner node
+#define NODE_SKIP 7u   // uint: the first node behind all below this one
+
+// An illumination cut: rows of CUT_WORDS words, a tree in depth-first order as a map's nodes are. Of each its box; of
+// the cut's nodes the box that they reach, with their place in its middle.
+#define CUT_WORDS 16u
+#define CUT_NEARNESS 6u     // 1/m^2: one over r_p^2 of eq. 4; 0: a node above the cut
+#define CUT_NORMAL 8u       // of the surface there
+#define CUT_IRRADIANCE 11u  // W/m^2, RGB: E_p
+// Nodes that a coarse cut may have.
+#define PHOTON_MOST_CUT (1u << 22)
+
+// Photons that a density estimate asks for, at most.
+#define PHOTON_MOST_NEIGHBOURS 128u
+
+// How a map's density is estimated at a place.
+typedef struct {
+  gl_uint neighbours;    // the radius is the distance to the photon of this rank; 0: it is `most_radius`
+  gl_float most_radius;  // m
+} PhotonEstimate;
+GLEANER_SIZE(PhotonEstimate, 8);
+
+// Where there is an input "cut", places read it where one of its nodes is near, and no lobe lies above their layer.
+// Not where photons of fewer scatterings than the map's count alone: `cut_depth` are the most that one of them has, 31:
+// or more.
+
+// Stage kind "photon_gather" (inputs "map", "cut"): items and records are those of stage kind "path". Where a path has
+// left its first surface, the light of the diffuse layers that it meets is read off the map.
+typedef struct {
+  PathParameters samples;  // the filter holds PATH_CLASS_DIFFUSE and PATH_CLASS_MIXED; in the place of the clamp stands
+                           // the spacing, m: a surface nearer than this is not read off the map, the path goes on
+  PhotonEstimate estimate;
+  gl_uint cut_depth;
+  gl_uint reserved;
+} PhotonGatherParameters;
+GLEANER_SIZE(PhotonGatherParameters, 144);
+
+// Stage kind "photon_cluster_gather" (inputs "places", "map", "cut"): items and records are those of stage kind
+// "splat_gather".
+typedef struct {
+  // The filter is all that PATH_CLASS_LAYER may take, and CAUSTIC; the clamp is the map's spacing, m.
+  SplatGatherParameters records;
+  PhotonEstimate estimate;
+  gl_uint cut_depth;
+  gl_uint reserved;
+} PhotonClusterGatherParameters;
+GLEANER_SIZE(PhotonClusterGatherParameters, 160);
+
+// A place where a map is read: rows of 16 words.
+#define READ_WORDS 16u
+#define READ_POSITION 0u
+#define READ_GEOMETRIC 3u  // the triangle's normal, on the viewer's side
+#define READ_NORMAL 6u     // for shading
+#define READ_TABLE 9u      // uint: the albedo table of the lobe above the diffuse layer, or GLEANER_NONE
+#define READ_ROW 10u       // its fractional row
+#define READ_FACTOR 11u    // RGB: what irradiance here adds to the picture
+#define READ_SLOT 14u      // uint: where it is added
+#define READ_LIMITS 15u    // uint: scatterings of a photon, at most; with this bit, caustic photons alone
+#define READ_CAUSTICS 0x80000000u
+
+// Stage kind "photon_caustics" (inputs "guide", "map": maps of caustic photons; of the guide's photons the radius is
+// made). An item is a pixel; its record is RGB, what the map's photons bring to its samples in the mean.
+typedef struct {
+  Camera camera;
+  gl_uint width, height;  // pixels
+  gl_uint samples;        // of a pixel in this pass: a power of two, at most 64
+  gl_uint pass;
+  gl_uint seed_low, seed_high;
+  gl_uint depth;  // most scatterings on a light's way; 0: no limit
+  gl_uint reserved;
+  PhotonEstimate estimate;
+  gl_float shrink;  // factor of the guide's radius
+  gl_uint spare[5];
+} PhotonCausticsParameters;
+GLEANER_SIZE(PhotonCausticsParameters, 128);
+
+#ifndef __OPENCL_VERSION__
+// Stage kind "photon_map"; solo. Input "photons". One item: the rows of a map of the photons of these classes.
+struct PhotonMapParameters {
+  std::uint32_t classes = 0;  // PHOTON_CLASS_BIT each
+  std::uint32_t neighbours = 0;
+  std::uint32_t reserved[2] = {};
+};
+static_assert(sizeof(PhotonMapParameters) == 16);
+
+// Stage kind "photon_cluster" (input "points"); solo. One item: the places of the clusters' sample points, 0 or more.
+struct PhotonClusterParameters {
+  std::uint32_t width = 0, height = 0, samples = 0;  // as SplatPointParameters
+  std::uint32_t clusters = 0;                        // from as many as there are points on each is its own cluster
+  std::uint32_t iterations = 0;                      // of k-means
+  std::uint32_t seed_low = 0, seed_high = 0;
+  std::uint32_t reserved = 0;
+};
+static_assert(sizeof(PhotonClusterParameters) == 32);
+
+struct PhotonClusterFacts {
+  std::uint64_t points = 0;  // that pixels show
+  std::uint64_t places = 0;  // sample points in all
+  std::uint64_t strays = 0;  // of these: of points that are too unlike the rest of their cluster
+  double reach = 0;          // m: the median
+};
+
+// Stage kind "photon_cluster_smooth" (input "records", of stage kind "photon_cluster_gather"); solo. One item: as many
+// rows of the cache as there are records.
+struct PhotonClusterSmoothParameters {
+  std::uint32_t reserved[4] = {};
+};
+static_assert(sizeof(PhotonClusterSmoothParameters) == 16);
+
+// Stage kind "photon_cut" (input "map"); solo. One item: the rows of a cut.
+struct PhotonCutParameters {
+  std::uint32_t nodes = 0;   // of the coarse cut
+  std::uint32_t rounds = 0;  // of refinement
+  float ratio = 0;           // eq. 3's irradiance may be off by so much of itself
+  std::uint32_t reserved = 0;
+  PhotonEstimate estimate{};
+  std::uint32_t spare[2] = {};
+};
+static_assert(sizeof(PhotonCutParameters) == 32);
+
+struct PhotonCutFacts {
+  std::uint64_t nodes = 0;   // of the cut
+  std::uint64_t opened = 0;  // by refinement
+  double radius = 0;         // m: the median
+};
+
+struct PhotonMapFacts {
+  std::uint64_t photons = 0, nodes = 0;
+  double power[3] = {};  // W, of all its photons
+  double radius = 0;     // m: the median, over photons, of a disc that holds `neighbours` of them
+};
+
+}  // namespace gleaner::kernels
+#endif
+
+#endif

@@ -1,0 +1,28 @@
+// Where a record counts, and how much (Gautron et al. 2005, eq. 2 to 4). Compiled by OpenCL C, for lanes of points, and
+// by C++, for one (worker/stages/splat/scalar.h): who chooses records and who reads them must agree.
+#ifndef GLEANER_KERNELS_SPLAT_WEIGHT_H
+#define GLEANER_KERNELS_SPLAT_WEIGHT_H
+
+// A point that lies deeper than this part of its distance below a record's surface gets nothing from it: what the
+// record sees may be hidden from there (Ward, Rubinstein & Clear 1988). Surfaces that curve need the margin.
+#define SPLAT_MOST_DEPTH 0.05f
+// 1 / w at the record's own place.
+#define SPLAT_LEAST_ERROR 1e-6f
+// Host and device round differently: a point is covered by a stricter measure than it is read by.
+#define SPLAT_SLACK 1e-3f
+
+// 1 / w of eq. 2. (x, y, z): from the record to the point; (nx, ny, nz): the point's normal, (mx, my, mz): the
+// record's. 1 - n.m is half of |n - m|^2, which does not cancel.
+FN vf splat_error(vf x, vf y, vf z, vf nx, vf ny, vf nz, vf mx, vf my, vf mz, vf radius) {
+  vf away = sqrt(x * x + y * y + z * z) / radius;
+  vf dx = nx - mx, dy = ny - my, dz = nz - mz;
+  return max_f(away + sqrt((dx * dx + dy * dy + dz * dz) * 0.5f), (vf)SPLAT_LEAST_ERROR);
+}
+
+// Whether the point is below the record's surface, as both normals see it, by more than `depth` of its distance.
+FN vi splat_is_hidden(vf x, vf y, vf z, vf nx, vf ny, vf nz, vf mx, vf my, vf mz, float depth) {
+  vf height = (x * (nx + mx) + y * (ny + my) + z * (nz + mz)) * 0.5f;
+  return height < (vf)-depth * sqrt(x * x + y * y + z * z);
+}
+
+#endif

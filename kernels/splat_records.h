@@ -1,0 +1,100 @@
+// Records of radiance cache splatting (kernels/splat/): Gautron, Krivanek, Bouatouch & Pattanaik 2005, "Radiance Cache
+// Splatting: A GPU-Friendly Global Illumination Algorithm". Equations are theirs.
+#ifndef GLEANER_KERNELS_SPLAT_RECORDS_H
+#define GLEANER_KERNELS_SPLAT_RECORDS_H
+
+#include "kernels/path_records.h"
+
+#ifndef __OPENCL_VERSION__
+namespace gleaner::kernels {
+#endif
+
+// Pixels are dealt with in square tiles, row by row over the picture; those of the last column and row may hang over.
+// A tile's pixels go row by row, and a pixel's points follow each other.
+#define SPLAT_TILE 8u
+#define SPLAT_TILE_PIXELS 64u
+// Points of a pixel, at most.
+#define SPLAT_MOST_SAMPLES 16u
+
+// A surface point that a pixel shows: rows of SPLAT_POINT_WORDS words.
+#define SPLAT_POINT_WORDS 16u
+#define SPLAT_POSITION 0u
+#define SPLAT_NORMAL 3u      // for shading, on the viewer's side
+#define SPLAT_GEOMETRIC 6u   // of the triangle, on that side
+#define SPLAT_FACTOR 9u      // RGB: what a unit of irradiance adds to the pixel's sample
+#define SPLAT_FOOTPRINT 12u  // m: a pixel's width there, across the ray; 0: no point
+#define SPLAT_TABLE 13u      // uint: the albedo table of the lobe above the diffuse layer, or GLEANER_NONE
+#define SPLAT_ROW 14u        // its fractional row
+#define SPLAT_KEY 15u        // uint: of random numbers
+
+// Stage kind "splat_points". An item is a tile; its record has a row for each of its points.
+typedef struct {
+  Camera camera;
+  gl_uint width, height;  // pixels
+  gl_uint samples;        // points of a pixel: a power of two
+  gl_uint depth;          // most scatterings on a light's way; 0: no limit
+  gl_uint seed_low, seed_high;
+  gl_uint reserved[2];
+} SplatPointParameters;
+GLEANER_SIZE(SplatPointParameters, 96);
+
+// A place where irradiance is to be gathered: the row of the point that it was chosen at, of which the words below mean
+// something else.
+#define SPLAT_RADIUS 9u  // m: the harmonic mean distance, within its bounds; of a shading cluster: how far it reaches
+#define SPLAT_ACCURACY 10u  // a; of a shading cluster: the same for normals, as sqrt(1 - n.m)
+#define SPLAT_SPACING 11u   // m, of a shading cluster: how far its members lie apart
+
+// Stage kind "splat_gather" (input "places"). An item is a place; its record is a row of the cache.
+typedef struct {
+  PathParameters samples;    // camera, size and items are not read; the depth is the light's
+  gl_uint records;           // items of the stage
+  gl_uint polar, azimuthal;  // strata of the hemisphere: azimuthal is a multiple of 16
+  gl_uint reserved;
+} SplatGatherParameters;
+GLEANER_SIZE(SplatGatherParameters, 144);
+// Strata, at most.
+#define SPLAT_MOST_RAYS 65536u
+
+// A record of the cache: rows of CACHE_WORDS words. Gradients are vectors, a colour after the other: W/m^2 per radian
+// of rotation about their axis, and per metre.
+#define CACHE_WORDS 32u
+#define CACHE_POSITION 0u
+#define CACHE_NORMAL 3u
+#define CACHE_RADIUS 6u        // m: R_k
+#define CACHE_IRRADIANCE 7u    // W/m^2, RGB: E_k
+#define CACHE_ROTATION 10u     // nabla_r
+#define CACHE_TRANSLATION 19u  // nabla_t
+#define CACHE_ACCURACY 28u     // a: where eq. 2 gives more than 1 / a, the record counts
+#define CACHE_SPARE 29u
+
+// Stage kind "splat_shade" (inputs "points", of the stage's items, and "cache"). An item is a tile; its record is RGB
+// of each of its pixels.
+typedef struct {
+  gl_uint tiles;
+  gl_uint samples;  // as SplatPointParameters
+  gl_uint reserved[2];
+} SplatShadeParameters;
+GLEANER_SIZE(SplatShadeParameters, 16);
+
+#ifndef __OPENCL_VERSION__
+// Stage kind "splat_select" (input "points"); solo. One item: the places of the records, 0 or more.
+struct SplatSelectParameters {
+  std::uint32_t width = 0, height = 0, samples = 0;  // as SplatPointParameters
+  float accuracy = 0;                                // a; 0: every point is a place
+  std::uint32_t records = 0;                         // at most; 0: no limit
+  std::uint32_t probe_rays = 0;                      // that tell a place's mean distance: a multiple of 16
+  float least_radius = 0, most_radius = 0;           // of R_k, in pixels
+  std::uint32_t seed_low = 0, seed_high = 0;
+  std::uint32_t reserved[2] = {};
+};
+static_assert(sizeof(SplatSelectParameters) == 48);
+
+struct SplatSelectFacts {
+  std::uint64_t points = 0, records = 0, rounds = 0, probes = 0;
+  double accuracy = 0;  // that the records were chosen with: above the one asked for where there were too many
+};
+
+}  // namespace gleaner::kernels
+#endif
+
+#endif

@@ -1,0 +1,231 @@
+#include "proto/authority.h"
+
+#include <fcntl.h>
+#include <openssl/err.h>
+#include <openssl/rand.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <ctime>
+#include <fstream>
+#include <sstream>
+
+#include "proto/openssl_handles.h"
+#include "scene/model/error.h"
+
+namespace gleaner {
+
+namespace fs = std::filesystem;
+using openssl::Held;
+
+namespace {
+
+constexpr const char* authority_key_file = "authority.key";
+constexpr const char* issued_file = "issued";  // serial, name, roles and last day of each certificate, by tabs
+constexpr const char* authority_name = "Gleaner farm authority";
+constexpr long day = 24 * 3600;
+
+void check(bool done, const char* what) {
+  if (!done) throw Error::failed(std::string("OpenSSL: ") + what + " failed");
+}
+
+std::string reason() { return std::strerror(errno); }
+
+// Written whole or not at all. Keys are for their owner's eyes.
+void write(const fs::path& file, const std::string& text, mode_t mode) {
+  const fs::path temporary = file.string() + ".tmp";
+  const int descriptor = ::open(temporary.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, mode);
+  if (descriptor < 0) throw Error::failed(temporary.string() + ": cannot be written: " + reason());
+  const bool written =
+      ::write(descriptor, text.data(), text.size()) == static_cast<ssize_t>(text.size()) && ::fsync(descriptor) == 0;
+  const std::string why = written ? "" : reason();
+  ::close(descriptor);
+  if (!written || ::rename(temporary.c_str(), file.c_str()) != 0) {
+    const std::string said = why.empty() ? reason() : why;
+    ::unlink(temporary.c_str());
+    throw Error::failed(file.string() + ": cannot be written: " + said);
+  }
+}
+
+std::string read(const fs::path& file) {
+  std::ifstream in(file, std::ios::binary);
+  if (!in) throw Error::bad_input(file.string(), "", "a file of a farm's authority (gleaner keys init)", "none");
+  return {std::istreambuf_iterator<char>(in), {}};
+}
+
+template <typename Write>
+std::string pem_of(Write&& write_pem) {
+  const Held<BIO> bio(BIO_new(BIO_s_mem()));
+  check(bio && write_pem(bio.get()) == 1, "writing PEM");
+  char* bytes = nullptr;
+  const long size = BIO_get_mem_data(bio.get(), &bytes);
+  return {bytes, static_cast<std::size_t>(size)};
+}
+std::string pem_of(X509* certificate) {
+  return pem_of([&](BIO* bio) { return PEM_write_bio_X509(bio, certificate); });
+}
+std::string pem_of(EVP_PKEY* key) {
+  return pem_of([&](BIO* bio) { return PEM_write_bio_PrivateKey(bio, key, nullptr, nullptr, 0, nullptr, nullptr); });
+}
+
+Held<EVP_PKEY> new_key() {
+  Held<EVP_PKEY> key(EVP_EC_gen("P-256"));
+  check(key != nullptr, "making a key");
+  return key;
+}
+
+void add_extension(X509* certificate, X509* issuer, int kind, const std::string& value) {
+  X509V3_CTX context;
+  X509V3_set_ctx_nodb(&context);
+  X509V3_set_ctx(&context, issuer, certificate, nullptr, nullptr, 0);
+  const Held<X509_EXTENSION> extension(X509V3_EXT_conf_nid(nullptr, &context, kind, value.c_str()));
+  check(extension && X509_add_ext(certificate, extension.get(), -1) == 1, "adding an extension");
+}
+
+// A certificate without extensions and signature. It is good from five minutes ago on: clocks differ.
+Held<X509> new_certificate(const std::string& name, EVP_PKEY* key, int days) {
+  Held<X509> certificate(X509_new());
+  check(certificate != nullptr, "making a certificate");
+  unsigned char random[16];
+  check(RAND_bytes(random, sizeof random) == 1, "drawing a serial number");
+  random[0] = static_cast<unsigned char>((random[0] & 0x3f) | 0x40);  // positive, and always as long
+  const Held<BIGNUM> serial(BN_bin2bn(random, sizeof random, nullptr));
+  X509_NAME* subject = X509_get_subject_name(certificate.get());
+  check(X509_set_version(certificate.get(), X509_VERSION_3) == 1 &&
+            BN_to_ASN1_INTEGER(serial.get(), X509_get_serialNumber(certificate.get())) != nullptr &&
+            X509_gmtime_adj(X509_getm_notBefore(certificate.get()), -300) != nullptr &&
+            X509_gmtime_adj(X509_getm_notAfter(certificate.get()), day * days) != nullptr &&
+            X509_NAME_add_entry_by_txt(subject, "CN", MBSTRING_UTF8,
+                                       reinterpret_cast<const unsigned char*>(name.c_str()), -1, -1, 0) == 1 &&
+            X509_set_pubkey(certificate.get(), key) == 1,
+        "filling in a certificate");
+  return certificate;
+}
+
+std::string last_day(X509* certificate) {
+  std::tm time{};
+  check(ASN1_TIME_to_tm(X509_get0_notAfter(certificate), &time) == 1, "reading a date");
+  char text[16];
+  std::strftime(text, sizeof text, "%Y-%m-%d", &time);
+  return text;
+}
+
+std::string words_of(const std::set<Role>& roles) {
+  std::string words;
+  for (const Role role : roles) words.append(words.empty() ? "" : ",").append(role_name(role));
+  return words;
+}
+std::string alternative_names(const std::set<Role>& roles) {
+  std::string names;
+  for (const Role role : roles) names.append(names.empty() ? "DNS:" : ",DNS:").append(role_dns_name(role));
+  return names;
+}
+
+void check_name(const std::string& name) {
+  const bool plain =
+      std::ranges::all_of(name, [](unsigned char c) { return std::isalnum(c) || c == '.' || c == '_' || c == '-'; });
+  if (name.empty() || name.size() > 64 || !plain || name[0] == '.')
+    throw Error::usage("NAME: expected 1 to 64 of [A-Za-z0-9._-], found \"" + name + "\"");
+}
+
+}  // namespace
+
+Authority Authority::init(const fs::path& folder, int days) {
+  std::error_code ignored;
+  if (fs::exists(folder, ignored) && !fs::is_empty(folder, ignored))
+    throw Error::usage(folder.string() +
+                       " is there and not empty: an authority is made once; gleaner keys issue goes on "
+                       "with it");
+  fs::create_directories(folder, ignored);
+  const Held<EVP_PKEY> key = new_key();
+  const Held<X509> certificate = new_certificate(authority_name, key.get(), days);
+  X509* const own = certificate.get();
+  check(X509_set_issuer_name(own, X509_get_subject_name(own)) == 1, "naming the issuer");
+  add_extension(own, own, NID_basic_constraints, "critical,CA:TRUE,pathlen:0");
+  add_extension(own, own, NID_key_usage, "critical,keyCertSign,cRLSign");
+  add_extension(own, own, NID_subject_key_identifier, "hash");
+  check(X509_sign(own, key.get(), EVP_sha256()) > 0, "signing");
+  write(folder / authority_key_file, pem_of(key.get()), 0600);
+  write(folder / authority_file, pem_of(own), 0644);
+  write(folder / issued_file, "", 0644);
+  Authority authority(folder);
+  authority.issue("coordinator", {Role::coordinate}, days - 1, folder / "coordinator");
+  return authority;
+}
+
+Authority::Authority(fs::path folder) : folder_(std::move(folder)) { read(folder_ / authority_key_file); }
+
+void Authority::issue(const std::string& name, const std::set<Role>& roles, int days, const fs::path& to) const {
+  check_name(name);
+  if (roles.empty()) throw Error::usage("--role: expected at least one");
+  std::error_code ignored;
+  if (fs::exists(to, ignored)) throw Error::usage(to.string() + " is there already: -o takes a new folder");
+  const Held<X509> issuer = openssl::parse_certificate(read(folder_ / authority_file));
+  const Held<EVP_PKEY> issuer_key = openssl::parse_key(read(folder_ / authority_key_file));
+  if (!issuer || !issuer_key || X509_check_private_key(issuer.get(), issuer_key.get()) != 1)
+    throw Error::bad_input(folder_.string(), "", "an authority's certificate and its key", "others");
+
+  const Held<EVP_PKEY> key = new_key();
+  const Held<X509> certificate = new_certificate(name, key.get(), days);
+  X509* const own = certificate.get();
+  if (ASN1_TIME_compare(X509_get0_notAfter(own), X509_get0_notAfter(issuer.get())) > 0)
+    throw Error::usage("--days: the authority itself is good until " + last_day(issuer.get()));
+  check(X509_set_issuer_name(own, X509_get_subject_name(issuer.get())) == 1, "naming the issuer");
+  add_extension(own, issuer.get(), NID_basic_constraints, "critical,CA:FALSE");
+  add_extension(own, issuer.get(), NID_key_usage, "critical,digitalSignature");
+  add_extension(own, issuer.get(), NID_ext_key_usage, "serverAuth,clientAuth");
+  add_extension(own, issuer.get(), NID_subject_alt_name, alternative_names(roles));
+  check(X509_sign(own, issuer_key.get(), EVP_sha256()) > 0, "signing");
+
+  // On record before it is anywhere else: what nobody knows of cannot be revoked.
+  write(folder_ / issued_file,
+        read(folder_ / issued_file) + openssl::serial_of(own) + "\t" + name + "\t" + words_of(roles) + "\t" +
+            last_day(own) + "\n",
+        0644);
+  if (!fs::create_directories(to, ignored))
+    throw Error::failed(to.string() + ": cannot be made" + (ignored ? ": " + ignored.message() : ""));
+  write(to / authority_file, pem_of(issuer.get()), 0644);
+  write(to / certificate_file, pem_of(own), 0644);
+  write(to / key_file, pem_of(key.get()), 0600);
+}
+
+std::vector<Authority::Issued> Authority::issued() const {
+  std::set<std::string> revoked;
+  if (std::ifstream in(revoked_list()); in)
+    for (std::string line; std::getline(in, line);) revoked.insert(line.substr(0, line.find_first_of(" \t")));
+  std::vector<Issued> all;
+  std::istringstream lines(read(folder_ / issued_file));
+  for (std::string line; std::getline(lines, line);) {
+    std::istringstream words(line);
+    Issued one;
+    std::string roles;
+    std::getline(words, one.serial, '\t');
+    std::getline(words, one.name, '\t');
+    std::getline(words, roles, '\t');
+    std::getline(words, one.good_until, '\t');
+    std::istringstream each(roles);
+    for (std::string role; std::getline(each, role, ',');) one.roles.insert(parse_role(role));
+    one.revoked = revoked.contains(one.serial);
+    all.push_back(std::move(one));
+  }
+  return all;
+}
+
+int Authority::revoke(const std::string& name) const {
+  std::string list;
+  if (std::ifstream in(revoked_list(), std::ios::binary); in) list.assign(std::istreambuf_iterator<char>(in), {});
+  int revoked = 0;
+  for (const Issued& one : issued()) {
+    if (one.name != name || one.revoked) continue;
+    list += one.serial + " " + one.name + "\n";
+    ++revoked;
+  }
+  if (revoked == 0) throw Error::usage("NAME: \"" + name + "\" has no certificate that is good (gleaner keys list)");
+  write(revoked_list(), list, 0644);
+  return revoked;
+}
+
+}  // namespace gleaner

@@ -1,0 +1,14 @@
+# Coordinators that die: the real programs, as processes.
+find_package(OpenImageIO REQUIRED)
+find_package(nlohmann_json REQUIRED)
+if(TARGET gleaner AND TARGET gleaner-coordinator AND TARGET gleaner-worker)
+  gleaner_test(NAME farm_restart SOURCES restart_test.cpp ../unit/import_files.cpp
+               LIBRARIES gleaner_import gleaner_proto OpenImageIO::OpenImageIO nlohmann_json::nlohmann_json
+               TIMEOUT 900)
+  target_compile_definitions(test_farm_restart PRIVATE GLEANER_BIN_DIR="${CMAKE_RUNTIME_OUTPUT_DIRECTORY}")
+  add_dependencies(test_farm_restart gleaner gleaner-coordinator gleaner-worker)
+  gleaner_test(NAME farm_side_by_side_processes SOURCES side_by_side_processes_test.cpp
+               LIBRARIES gleaner_proto nlohmann_json::nlohmann_json TIMEOUT 900)
+  target_compile_definitions(test_farm_side_by_side_processes PRIVATE GLEANER_BIN_DIR="${CMAKE_RUNTIME_OUTPUT_DIRECTORY}")
+  add_dependencies(test_farm_side_by_side_processes gleaner gleaner-coordinator gleaner-worker)
+endif()

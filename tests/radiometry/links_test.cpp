@@ -1,0 +1,316 @@
+// Method `links` against closed forms, against the path tracer, and in the limits in which its approximations vanish.
+
+#include <bit>
+#include <cmath>
+#include <cstdio>
+
+#include "kernels/links_records.h"
+#include "scene/library/library.h"
+#include "scene/model/error.h"
+#include "tests/radiometry/rendered_frame.h"
+
+namespace gleaner::test {
+namespace {
+
+constexpr double kFamily = 1e-3;  // chance of a false alarm of one test
+
+Frame frame_of(Scene scene, const std::string& camera, std::uint32_t size, std::uint32_t spp, const Settings& set) {
+  return square_frame("links", std::move(scene), camera, size, spp, set);
+}
+
+std::uint32_t word(const worker::BatchResult& result, std::uint64_t at) {
+  std::uint32_t value = 0;
+  std::memcpy(&value, result.records.data() + at * 4, 4);
+  return value;
+}
+
+// --- Closed forms ---
+
+TEST(Links, FurnaceOfSoManyBounces) {
+  for (const char* depth : {"1", "2", "3", "0"}) {
+    const Frame frame = frame_of(
+        scene::make_scene("furnace", {{"albedo", "0.5"}, {"emission", "1"}}), "corner", 24, 16,
+        {{"depth", depth}, {"links.vertices", "600"}, {"links.directions", "64"}, {"links.light_samples", "64"}});
+    const double bounces = std::atof(depth), expected = bounces > 0 ? (1 - std::pow(0.5, bounces + 1)) / 0.5 : 2;
+    expect_mean(means_of(frame, "G", 6), expected, std::string("box, depth ") + depth, sidak(kFamily, 4), 0.01,
+                bounces > 0 ? 0 : 1e-3 * expected);
+  }
+}
+
+// Every ray of a closed box meets a wall, so that an element's weights sum to 1; never to more.
+TEST(Links, WeightsOfAVertexSumToOneAtMost) {
+  for (const char* exact : {"0", "1"})
+    for (const char* scene : {"furnace", "cornell-glossy"}) {
+      const Rendered made = render(frame_of(scene::make_scene(scene, {}), "", 16, 1,
+                                            {{"links.vertices", "500"}, {"links.exact_weights", exact}}));
+      const worker::BatchResult& links = made.results.at("links.make");
+      std::uint64_t at = 0, whole = 0;
+      for (const std::uint32_t words : links.counts) {
+        const std::uint64_t n = *exact == '1' ? words / 2 : 2 * std::uint64_t{words} / 3;
+        double sum = 0;
+        for (std::uint64_t k = 0; k < n; ++k) {
+          const std::uint32_t value = word(links, at + n + (*exact == '1' ? k : k / 2));
+          sum += *exact == '1' ? std::bit_cast<float>(value) : ((value >> (16 * (k % 2))) & 0xffffu) / 65535.0;
+        }
+        EXPECT_LE(sum, 1 + 1e-5) << scene;
+        whole += sum > 1 - 1e-4;
+        at += words;
+      }
+      EXPECT_EQ(at * 4, links.records.size());
+      // The inner sides of the box; of the room, no lobe and no opening takes a share from those far from both.
+      if (std::string(scene) == "furnace") {
+        EXPECT_EQ(whole, links.counts.size() / 2);
+      }
+    }
+}
+
+// --- The path tracer ---
+
+class LinksMeetPath : public testing::TestWithParam<const char*> {};
+
+// With many vertices and directions the mean is the path tracer's, with all that links leave to paths.
+TEST_P(LinksMeetPath, Mean) {
+  Frame links = frame_of(scene::make_scene(GetParam(), {}), "", 24, 64,
+                         {{"links.vertices", "12000"}, {"links.directions", "64"}, {"links.light_samples", "16"}});
+  Frame path = links;
+  path.settings.method = "path";
+  path.settings.spp = 512;
+  for (const char* channel : {"R", "B"}) {
+    const Sample truth = means_of(path, channel, 4), sample = means_of(links, channel, 4);
+    const double error = std::hypot(truth.standard_error(), sample.standard_error());
+    const double t = std::max(0.0, std::abs(sample.mean - truth.mean) - 0.006 * truth.mean) / error;
+    std::printf("  %s %s: %.6f +- %.6f, path %.6f +- %.6f\n", GetParam(), channel, sample.mean, sample.standard_error(),
+                truth.mean, truth.standard_error());
+    EXPECT_GE(student_p(t, 6), sidak(kFamily, 2)) << GetParam() << " " << channel;
+    EXPECT_LT(error, 0.01 * truth.mean) << "too noisy to prove anything";
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Scenes, LinksMeetPath,
+                         testing::Values("cornell-box", "cornell-mirror", "cornell-glossy", "cornell-textured",
+                                         "punctual-lights"),
+                         [](const auto& scene) {
+                           std::string name = scene.param;
+                           std::erase(name, '-');
+                           return name;
+                         });
+
+// Walls that glow and have a lobe: camera paths go on through chains of diffuse layers, and find at every turn light
+// that is the vertices'.
+TEST(Links, GlowingGlossyWallsMeetPath) {
+  Scene scene = scene::make_scene("furnace", {{"albedo", "0.6"}, {"emission", "1"}});
+  for (auto& material : scene.materials) {
+    material.specular = 1;
+    material.roughness = 0.3f;
+  }
+  finish_materials(scene);
+  Frame links = frame_of(scene, "", 16, 64,
+                         {{"links.vertices", "1000"}, {"links.directions", "64"}, {"links.light_samples", "64"}});
+  Frame path = links;
+  path.settings.method = "path";
+  path.settings.spp = 256;
+  const Sample truth = means_of(path, "G", 4), sample = means_of(links, "G", 4);
+  const double error = std::hypot(truth.standard_error(), sample.standard_error());
+  std::printf("  %.5f +- %.5f, path %.5f +- %.5f\n", sample.mean, sample.standard_error(), truth.mean,
+              truth.standard_error());
+  EXPECT_LT(std::abs(sample.mean - truth.mean), 4 * error + 0.003 * truth.mean);
+  EXPECT_LT(error, 0.01 * truth.mean) << "too noisy to prove anything";
+}
+
+// --- Limits ---
+
+double largest_difference(const Film& a, const Film& b) {
+  double largest = 0;
+  for (const char* channel : {"R", "G", "B"}) {
+    const auto& x = a.find(channel)->values;
+    const auto& y = b.find(channel)->values;
+    for (std::size_t i = 0; i < x.size(); ++i) largest = std::max(largest, std::abs(double{x[i]} - y[i]));
+  }
+  return largest / mean_of(a, "G");
+}
+
+TEST(Links, CompressionChangesNothing) {
+  Frame frame = frame_of(scene::make_scene("cornell-box", {}), "", 24, 4,
+                         {{"links.vertices", "600"}, {"links.exact_weights", "1"}});
+  const Rendered on = render(frame);
+  frame.settings.set["links.compress"] = "0";
+  const Rendered off = render(frame);
+  EXPECT_LT(largest_difference(on.film, off.film), 1e-6);
+  const double ratio = off.parameters["links"]["bytes"].get<double>() / on.parameters["links"]["bytes"].get<double>();
+  std::printf("  compression %.2f\n", ratio);
+  EXPECT_GT(ratio, 2.5);
+  // 16 bits: a running sum is right to half a unit, so that the error stays far below a thousandth.
+  frame.settings.set = {{"links.vertices", "600"}};
+  const double rounded = largest_difference(on.film, render(frame).film);
+  std::printf("  16-bit weights: %.6f of the mean at most\n", rounded);
+  EXPECT_LT(rounded, 1e-3);
+  EXPECT_GT(rounded, 0);
+}
+
+// --- Smoothing, and edges ---
+
+// What the mesh of a frame says of each vertex, and a smoothing stage of it whose irradiance is made up.
+struct MadeUp {
+  explicit MadeUp(const Frame& frame) : made(render(frame)), task(made.tasks.at("links.smooth")) {
+    const worker::BatchResult& mesh = made.results.at("links.mesh");
+    const std::uint64_t triangles = word(mesh, MESH_TRIANGLES), nodes = word(mesh, MESH_NODES);
+    vertices = word(mesh, MESH_VERTICES);
+    hanging = word(mesh, MESH_HANGING);
+    places_at = MESH_HEADER + MESH_TRIANGLE_WORDS * triangles + nodes + vertices + 1 +
+                CORNER_WORDS * std::uint64_t{word(mesh, MESH_CORNERS)} + vertices;
+    hanging_at = places_at + PLACE_WORDS * std::uint64_t{vertices};
+  }
+  float normal(std::uint32_t vertex, unsigned axis) const {
+    return std::bit_cast<float>(word(made.results.at("links.mesh"), places_at + PLACE_WORDS * vertex + axis));
+  }
+  // Irradiance `value(vertex)` on both sides, smoothed.
+  template <typename Value>
+  std::vector<float> smoothed(double degrees, Value value) {
+    kernels::LinksSmoothParameters p{};
+    p.elements = 2 * vertices;
+    p.least_cosine = degrees > 0 ? static_cast<float>(std::cos(degrees * 3.14159265 / 180)) : 2.0f;
+    std::memcpy(task.parameters.data(), &p, sizeof p);
+    auto bytes = std::make_shared<scene::Bytes>(std::size_t{2} * vertices * RADIOSITY_WORDS * 4);
+    auto* rows = reinterpret_cast<float*>(bytes->data());
+    for (std::uint32_t e = 0; e < 2 * vertices; ++e) rows[e * RADIOSITY_WORDS] = value(e / 2);
+    task.inputs["irradiance"] = worker::TaskInput(std::move(bytes));
+    const worker::BatchResult result = executor(worker::TraceKind::automatic).run(task, 0, std::uint64_t{2} * vertices);
+    std::vector<float> out(2 * vertices);
+    for (std::uint32_t e = 0; e < 2 * vertices; ++e)
+      out[e] = std::bit_cast<float>(word(result, std::uint64_t{e} * RADIOSITY_WORDS));
+    return out;
+  }
+
+  Rendered made;
+  worker::StageTask task;
+  std::uint32_t vertices = 0, hanging = 0;
+  std::uint64_t places_at = 0, hanging_at = 0;
+};
+
+TEST(Links, SmoothingKeepsFeatureEdges) {
+  MadeUp mesh(frame_of(scene::make_scene("cornell-box", {}), "", 16, 1,
+                       {{"links.vertices", "800"}, {"links.refine", "0"}, {"links.smooth_angle", "30"}}));
+  const auto floors = [&](std::uint32_t v) { return mesh.normal(v, 1) > 0.9f ? 1.0f : 0.0f; };
+  const auto waves = [&](std::uint32_t v) { return static_cast<float>(v % 7); };
+  const std::vector<float> kept = mesh.smoothed(30, floors), crossed = mesh.smoothed(100, floors);
+  const std::vector<float> none = mesh.smoothed(0, waves), smooth = mesh.smoothed(30, waves);
+  std::uint32_t across = 0, changed = 0;
+  for (std::uint32_t e = 0; e < 2 * mesh.vertices; ++e) {
+    EXPECT_FLOAT_EQ(kept[e], floors(e / 2)) << e;
+    if (mesh.hanging == 0) {
+      EXPECT_EQ(none[e], waves(e / 2)) << e;
+    }
+    across += crossed[e] != floors(e / 2);
+    changed += smooth[e] != waves(e / 2);
+  }
+  EXPECT_GT(across, 20u);
+  EXPECT_GT(changed, mesh.vertices);
+}
+
+// Where a triangle is divided more than its neighbour, the vertices on their edge show what the neighbour interpolates.
+TEST(Links, EdgesHaveNoCracks) {
+  MadeUp mesh(frame_of(scene::make_scene("cornell-box", {}), "", 16, 1, {{"links.vertices", "2000"}}));
+  ASSERT_GT(mesh.hanging, 20u) << "nothing hangs in this mesh";
+  const std::vector<float> shown = mesh.smoothed(0, [](std::uint32_t v) { return static_cast<float>(v % 11); });
+  const worker::BatchResult& words = mesh.made.results.at("links.mesh");
+  std::uint32_t between = 0;
+  for (std::uint32_t h = 0; h < mesh.hanging; ++h) {
+    const auto at = [&](unsigned k) { return word(words, mesh.hanging_at + HANGING_WORDS * h + k); };
+    const float part = std::bit_cast<float>(at(HANGING_PART));
+    EXPECT_GT(part, 0);
+    EXPECT_LT(part, 1);
+    for (std::uint32_t side = 0; side < 2; ++side) {
+      const float a = shown[2 * at(HANGING_FROM) + side], b = shown[2 * at(HANGING_TO) + side];
+      const float found = shown[2 * at(HANGING_VERTEX) + side];
+      // An end inside of something gives nothing.
+      EXPECT_TRUE(std::abs(found - ((1 - part) * a + part * b)) < 1e-5f || found == a || found == b) << h;
+      between += std::abs(found - ((1 - part) * a + part * b)) < 1e-5f;
+    }
+  }
+  EXPECT_GT(between, mesh.hanging);
+}
+
+// --- The house ---
+
+TEST(Links, RecordsDoNotDependOnBatches) {
+  const Frame frame = frame_of(scene::make_scene("cornell-textured", {}), "", 16, 4, {{"links.vertices", "400"}});
+  const Rendered made = render(frame);
+  worker::Executor two({.device = -1, .threads = 2, .trace = worker::TraceKind::automatic});
+  two.load_scene("two", frame.scene, nullptr);
+  for (const char* name :
+       {"links.probe", "links.albedo", "links.make", "links.light", "links.gather.2", "links.shade"}) {
+    const coordinator::StageSpec& spec = made.specs.at(name);
+    const worker::BatchResult& whole = made.results.at(name);
+    worker::StageTask task = made.tasks.at(name);
+    task.scene = "two";
+    std::size_t at = 0;
+    for (std::uint64_t first = 0; first < spec.items;) {
+      const std::uint64_t count = std::min<std::uint64_t>(spec.items - first, 6 * spec.tile);
+      const worker::BatchResult part = two.run(task, first, count);
+      ASSERT_LE(at + part.records.size(), whole.records.size()) << name;
+      ASSERT_EQ(std::memcmp(part.records.data(), whole.records.data() + at, part.records.size()), 0)
+          << name << ", items from " << first;
+      at += part.records.size();
+      first += count;
+    }
+    EXPECT_EQ(at, whole.records.size()) << name;
+  }
+}
+
+// Frames in which lights and cameras alone differ ask for the same links, and get the same records.
+TEST(Links, LinksKnowNoLightAndNoCamera) {
+  const Settings set = {{"links.vertices", "600"}};
+  Scene scene = scene::make_scene("cornell-box", {});
+  const Rendered one = render(frame_of(scene, "", 16, 4, set));
+  for (auto& material : scene.materials)
+    for (float& e : material.emission) e *= 3;
+  Frame moved = frame_of(scene, "", 24, 16, set);
+  moved.settings.camera.origin[0] += 0.1f;
+  const Rendered other = render(moved);
+  for (const char* name :
+       {"links.coarse_mesh", "links.coarse_probe", "links.mesh", "links.probe", "links.albedo", "links.make"}) {
+    EXPECT_EQ(one.specs.at(name).parameters, other.specs.at(name).parameters) << name;
+    EXPECT_EQ(one.results.at(name).records, other.results.at(name).records) << name;
+    EXPECT_TRUE(one.specs.at(name).output.reusable) << name;
+  }
+  EXPECT_NE(one.results.at("links.light").records, other.results.at("links.light").records);
+}
+
+TEST(Links, RefusesWhatIsOutOfRange) {
+  const Frame frame = frame_of(scene::make_scene("cornell-box", {}), "", 16, 1, {{"links.vertices", "100"}});
+  const Rendered made = render(frame);
+  worker::Executor& on = executor(frame.trace);
+  // One word of a parameter or input, changed.
+  const auto refused = [&](const char* stage, const char* input, std::size_t at, std::uint32_t value) {
+    worker::StageTask task = made.tasks.at(stage);
+    if (input) {
+      auto bytes = std::make_shared<scene::Bytes>(*task.inputs.at(input).load());
+      std::memcpy(bytes->data() + 4 * at, &value, 4);
+      const auto offsets = task.inputs.at(input).offsets;
+      task.inputs[input] = worker::TaskInput(std::move(bytes));
+      task.inputs[input].offsets = offsets;
+      task.inputs[input].own_items = made.tasks.at(stage).inputs.at(input).own_items;
+    } else {
+      std::memcpy(task.parameters.data() + 4 * at, &value, 4);
+    }
+    EXPECT_THROW(on.run(task, 0, 2), Error) << stage << ", " << (input ? input : "parameters") << "[" << at << "]";
+  };
+  const std::uint32_t elements = static_cast<std::uint32_t>(made.specs.at("links.make").items);
+  refused("links.make", nullptr, 0, elements + 2);
+  refused("links.make", nullptr, 1, 100);
+  refused("links.light", nullptr, 2, 8);
+  for (const unsigned at : {MESH_TRIANGLES, MESH_NODES, MESH_VERTICES, MESH_CORNERS, MESH_HEADER, MESH_HEADER + 1})
+    refused("links.make", "mesh", at, 0x7fffffffu);
+  const worker::BatchResult& mesh = made.results.at("links.mesh");
+  const std::size_t nodes = MESH_HEADER + std::size_t{MESH_TRIANGLE_WORDS} * word(mesh, MESH_TRIANGLES);
+  const std::size_t rings = nodes + word(mesh, MESH_NODES), corners = rings + word(mesh, MESH_VERTICES) + 1;
+  refused("links.make", "mesh", nodes, elements / 2);
+  refused("links.make", "mesh", rings + 1, 0);
+  refused("links.make", "mesh", corners + CORNER_TRIANGLE, word(mesh, MESH_TRIANGLES));
+  refused("links.make", "mesh", corners + CORNER_PLACE, CORNER_KINDS << 24);
+  refused("links.gather.1", "links", 0, elements);
+  refused("links.smooth", "mesh", MESH_HANGING, 0x7fffffffu);
+}
+
+}  // namespace
+}  // namespace gleaner::test

@@ -1,0 +1,549 @@
+// Method `photon` against the path tracer, the balance of its photons' power, and the limits in which it is a path
+// tracer.
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstdio>
+#include <functional>
+#include <numbers>
+#include <numeric>
+#include <set>
+
+#include "kernels/photon_records.h"
+#include "kernels/rays.h"
+#include "scene/library/library.h"
+#include "scene/model/error.h"
+#include "tests/radiometry/rendered_frame.h"
+#include "worker/stages/photon/illumination_cut.h"
+#include "worker/stages/photon/seeding.h"
+
+namespace gleaner::test {
+namespace {
+
+using kernels::PhotonMapParameters;
+using kernels::PhotonTraceParameters;
+
+constexpr double kFamily = 1e-3;  // chance of a false alarm of one test
+
+Frame frame_of(Scene scene, std::uint32_t size, std::uint32_t spp, const Settings& set) {
+  return square_frame("photon", std::move(scene), {}, size, spp, set);
+}
+
+// --- The balance of power ---
+
+worker::StageTask trace_task(const std::shared_ptr<const Scene>& scene, const PhotonTraceParameters& p) {
+  worker::StageTask task = task_of({}, load(executor(worker::TraceKind::automatic), scene));
+  task.kind = "photon_trace";
+  task.parameters.resize(sizeof p);
+  std::memcpy(task.parameters.data(), &p, sizeof p);
+  return task;
+}
+
+struct Row {
+  float position[3], power[3];
+  std::uint32_t direction, surface;
+  std::uint32_t kind() const { return surface >> PHOTON_CLASS_SHIFT & PHOTON_CLASS_MASK; }
+  std::uint32_t depth() const { return surface >> PHOTON_DEPTH_SHIFT; }
+};
+static_assert(sizeof(Row) == PHOTON_WORDS * 4);
+
+std::vector<Row> rows_of(const scene::Bytes& records) {
+  std::vector<Row> rows(records.size() / sizeof(Row));
+  std::memcpy(rows.data(), records.data(), records.size());
+  return rows;
+}
+
+// Power that the scene's triangles emit, W, of the green channel: pi times radiance times area.
+double emitted_power(const Scene& scene) {
+  double power = 0;
+  for (std::size_t t = 0; t < scene.triangle_material.size(); ++t) {
+    const double radiance = scene.materials[scene.triangle_material[t]].emission[1];
+    const auto corner = [&](std::size_t k) { return &scene.positions[std::size_t{3} * scene.indices[3 * t + k]]; };
+    double e1[3], e2[3];
+    for (int k = 0; k < 3; ++k) {
+      e1[k] = double{corner(1)[k]} - corner(0)[k];
+      e2[k] = double{corner(2)[k]} - corner(0)[k];
+    }
+    const double n[3] = {e1[1] * e2[2] - e1[2] * e2[1], e1[2] * e2[0] - e1[0] * e2[2], e1[0] * e2[1] - e1[1] * e2[0]};
+    power += std::numbers::pi * radiance * 0.5 * std::sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+  }
+  return power;
+}
+
+// Stored + absorbed + escaped = emitted, which the lamps' geometry tells.
+TEST(Photon, PowerIsBalanced) {
+  for (const char* name : {"cornell-box", "cornell-glass", "cornell-glossy", "cornell-mirror"}) {
+    const auto scene = std::make_shared<const Scene>(scene::make_scene(name, {}));
+    const double emitted = emitted_power(*scene);
+    for (const std::uint32_t depth : {0u, 2u, 8u}) {
+      PhotonTraceParameters p{};
+      p.items_low = 20'000;
+      p.most_depth = depth;
+      p.classes = PHOTON_ALL_CLASSES;
+      p.seed_low = 7;
+      p.balance = 1;
+      const auto result = executor(worker::TraceKind::automatic).run(trace_task(scene, p), 0, p.items_low);
+      double stored = 0, absorbed = 0, escaped = 0;
+      for (const Row& row : rows_of(result.records)) {
+        if (row.kind() == PHOTON_ABSORBED)
+          absorbed += row.power[1];
+        else if (row.kind() == PHOTON_ESCAPED)
+          escaped += row.power[1];
+        else if (row.depth() == depth)
+          stored += row.power[1];
+      }
+      std::printf("  %s, depth %u: stored %.6f + absorbed %.6f + escaped %.6f of %.6f\n", name, depth, stored, absorbed,
+                  escaped, emitted);
+      EXPECT_NEAR((stored + absorbed + escaped) / emitted, 1, 1e-5) << name << ", depth " << depth;
+      EXPECT_GT(stored, 0) << name;
+    }
+  }
+}
+
+// --- The map ---
+
+worker::BatchResult map_of(const std::string& scene, const scene::Bytes& photons, std::uint32_t classes) {
+  const PhotonMapParameters p{.classes = classes, .neighbours = 16};
+  worker::StageTask task;
+  task.kind = "photon_map";
+  task.scene = scene;
+  task.parameters.resize(sizeof p);
+  std::memcpy(task.parameters.data(), &p, sizeof p);
+  task.inputs["photons"] = std::make_shared<const scene::Bytes>(photons);
+  return executor(worker::TraceKind::automatic).run(task, 0, 1);
+}
+
+std::uint32_t word_of(const scene::Bytes& map, std::size_t row, unsigned word) {
+  std::uint32_t value;
+  std::memcpy(&value, map.data() + (row * PHOTON_WORDS + word) * 4, 4);
+  return value;
+}
+float real_of(const scene::Bytes& map, std::size_t row, unsigned word) {
+  const std::uint32_t value = word_of(map, row, word);
+  float real;
+  std::memcpy(&real, &value, 4);
+  return real;
+}
+
+// Every photon of the classes lies in one leaf, within the boxes of all nodes above it.
+TEST(Photon, MapHoldsEveryPhoton) {
+  PhotonTraceParameters p{};
+  p.items_low = 5000;
+  p.most_depth = GLEANER_NONE;
+  p.classes = PHOTON_ALL_CLASSES;
+  const auto scene = std::make_shared<const Scene>(scene::make_scene("cornell-glass", {}));
+  const worker::StageTask trace = trace_task(scene, p);
+  const auto photons = executor(worker::TraceKind::automatic).run(trace, 0, p.items_low).records;
+  for (const std::uint32_t classes : {PHOTON_ALL_CLASSES, PHOTON_CLASS_BIT(PHOTON_CAUSTIC)}) {
+    std::multiset<std::array<float, 3>> expected, found;
+    for (const Row& row : rows_of(photons))
+      if (classes >> row.kind() & 1) expected.insert({row.position[0], row.position[1], row.position[2]});
+    ASSERT_GT(expected.size(), 100u);
+    const scene::Bytes map = map_of(trace.scene, photons, classes).records;
+    const std::uint32_t nodes = word_of(map, 0, MAP_NODES), blocks = word_of(map, 0, MAP_BLOCKS);
+    EXPECT_EQ(word_of(map, 0, MAP_PHOTONS), expected.size());
+    ASSERT_EQ(map.size() / sizeof(Row), 1 + nodes + std::size_t{blocks} * RAY_BLOCK);
+    const auto photon = [&](std::uint32_t block, unsigned lane, unsigned word) {
+      const std::size_t at = (std::size_t{block} * PHOTON_WORDS + word) * RAY_BLOCK + lane;
+      return real_of(map, 1 + nodes + at / PHOTON_WORDS, static_cast<unsigned>(at % PHOTON_WORDS));
+    };
+    for (std::uint32_t node = 0; node < nodes; ++node) {
+      // The leaves below it are those between it and its skip.
+      for (std::uint32_t below = node; below < word_of(map, 1 + node, NODE_SKIP); ++below) {
+        const std::uint32_t block = word_of(map, 1 + below, NODE_BLOCK);
+        if (block == GLEANER_NONE) continue;
+        for (unsigned lane = 0; lane < RAY_BLOCK; ++lane) {
+          const std::array<float, 3> at = {photon(block, lane, 0), photon(block, lane, 1), photon(block, lane, 2)};
+          if (at[0] > 1e18f) continue;  // padding
+          if (below == node) found.insert(at);
+          for (unsigned k = 0; k < 3; ++k) {
+            ASSERT_GE(at[k], real_of(map, 1 + node, NODE_LOWER + k));
+            ASSERT_LE(at[k], real_of(map, 1 + node, NODE_UPPER + k));
+          }
+        }
+      }
+    }
+    EXPECT_EQ(found, expected);
+  }
+}
+
+// --- The path tracer ---
+
+// Paths alone, bit by bit, where both maps are switched off.
+TEST(Photon, WithoutPhotonsItIsThePathTracer) {
+  Frame photon =
+      frame_of(scene::make_scene("cornell-glass", {}), 24, 16, {{"photon.count", "0"}, {"photon.caustics", "0"}});
+  Frame path = photon;
+  path.settings.method = "path";
+  const Film a = render(photon).film, b = render(path).film;
+  for (const char* channel : {"R", "G", "B"}) EXPECT_EQ(a.find(channel)->values, b.find(channel)->values) << channel;
+}
+
+// Rough lobes on the boxes, one of bare metal.
+Scene rough_boxes() {
+  Scene scene = scene::make_scene("cornell-glossy", {});
+  for (auto& material : scene.materials)
+    if (material.roughness < 1) material.roughness = material.metallic > 0 ? 0.5f : 0.6f;
+  scene::finish_materials(scene);
+  return scene;
+}
+
+struct Meeting {
+  const char* scene;
+  const char* why;
+  Settings set{};
+};
+
+const Settings kClusters = {{"photon.clusters", "150"}};
+
+class PhotonMeetsPath : public testing::TestWithParam<Meeting> {};
+
+void PrintTo(const Meeting& meeting, std::ostream* out) { *out << meeting.scene << ", " << meeting.why; }
+
+TEST_P(PhotonMeetsPath, InTheMean) {
+  const Meeting& p = GetParam();
+  const bool rough = std::string(p.scene) == "rough-boxes";
+  Settings set = {{"photon.count", "100000"},
+                  {"photon.caustics", "50000"},
+                  {"photon.passes", "4"},
+                  {"photon.clusters", "0"},
+                  {"photon.gather_rays", "128"}};
+  for (const auto& [name, value] : p.set) set[name] = value;
+  Frame photon = frame_of(rough ? rough_boxes() : scene::make_scene(p.scene, {}), 24, 32, set);
+  Frame path = photon;
+  path.settings.method = "path";
+  path.settings.spp = 512;
+  const Sample truth = means_of(path, "indirect.G", 6);
+  // The truth's own noise, and what densities of so many photons lose at edges.
+  expect_mean(means_of(photon, "indirect.G", 6), truth.mean, std::string(p.scene) + ", " + p.why, sidak(kFamily, 17),
+              0.05, 3 * truth.standard_error() + 0.02 * truth.mean);
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Scenes, PhotonMeetsPath,
+    testing::Values(Meeting{"cornell-box", "diffuse"}, Meeting{"cornell-mirror", "mirrors and their caustics"},
+                    Meeting{"cornell-glass", "glass and its caustics"},
+                    Meeting{"cornell-glass", "caustics alone", {{"photon.count", "0"}}},
+                    Meeting{"cornell-glass", "paths find caustics", {{"photon.caustics", "0"}}},
+                    Meeting{"cornell-glass", "three scatterings", {{"depth", "3"}}},
+                    Meeting{"cornell-glossy", "lobes over layers"}, Meeting{"rough-boxes", "rough lobes"},
+                    Meeting{"cornell-box", "clusters", kClusters},
+                    Meeting{"cornell-mirror", "clusters seen in mirrors", kClusters},
+                    Meeting{"cornell-glass", "clusters behind glass", kClusters},
+                    Meeting{"cornell-glass",
+                            "clusters beside caustics that paths find",
+                            {{"photon.clusters", "150"}, {"photon.caustics", "0"}}},
+                    Meeting{"cornell-box", "clusters, three scatterings", {{"photon.clusters", "150"}, {"depth", "3"}}},
+                    Meeting{"cornell-glossy", "clusters under lobes", kClusters},
+                    Meeting{"rough-boxes", "clusters under rough lobes", kClusters},
+                    Meeting{"cornell-textured", "clusters on textures", kClusters},
+                    Meeting{"cornell-textured", "cut-outs, textured lobes, bent normals"}),
+    [](const auto& test) { return std::to_string(test.index); });
+
+// More photons: the picture goes to the path tracer's.
+TEST(Photon, BiasFallsWithMorePhotons) {
+  Frame truth = frame_of(scene::make_scene("cornell-box", {}), 24, 2048, {});
+  truth.settings.method = "path";
+  const Film reference = render(truth).film;
+  std::vector<double> off;
+  for (const char* count : {"2000", "16000", "128000"}) {
+    const Sample means = means_of(
+        frame_of(scene::make_scene("cornell-box", {}), 24, 64, {{"photon.count", count}, {"photon.clusters", "0"}}),
+        "indirect.G", 4);
+    off.push_back(1 - means.mean / mean_of(reference, "indirect.G"));
+    std::printf("  %6s light paths: indirect light short of %.4f +- %.4f\n", count, off.back(),
+                means.standard_error() / means.mean);
+  }
+  std::printf("  order %.2f\n", std::log(std::abs(off.front() / off.back())) / std::log(64.0));
+  EXPECT_LT(std::abs(off[1]), std::abs(off[0]));
+  EXPECT_LT(std::abs(off[2]), std::abs(off[0]) / 2);
+}
+
+// --- Shading clusters ---
+
+// As many clusters as points: each point gathers at its own place what its pixel's samples gather otherwise.
+TEST(Photon, AsManyClustersAsPointsGatherAtEveryPoint) {
+  const Settings plain = {{"photon.count", "20000"}, {"photon.clusters", "0"}};
+  const Settings every = {{"photon.count", "20000"}, {"photon.clusters", "100000"}, {"photon.gather_rays", "256"}};
+  // Seeds are the same: so are the photons. A scene without textures: points are at most 16 a pixel, too few for them.
+  const scene::Scene scene = scene::make_scene("cornell-box");
+  const Rendered found = render(frame_of(scene, 24, 16, every));
+  EXPECT_EQ(found.parameters["photon"]["places"], found.parameters["photon"]["points"]);
+  const double expected = mean_of(render(frame_of(scene, 24, 1024, plain)).film, "indirect.G");
+  const double mean = mean_of(found.film, "indirect.G");
+  std::printf("  %.6f at every point, %.6f by every sample\n", mean, expected);
+  EXPECT_NEAR(mean / expected, 1, 0.005);
+}
+
+TEST(Photon, ClustersMeanIsThePathTracers) {
+  const Scene scene = scene::make_scene("cornell-box", {});
+  const Film path = render(square_frame("path", scene, {}, 48, 2048, {})).film;
+  const Film film = render(frame_of(scene, 48, 64, {{"photon.clusters", "500"}, {"photon.gather_rays", "384"}})).film;
+  for (const char* channel : {"R", "G", "B"}) {
+    const double expected = mean_of(path, channel), mean = mean_of(film, channel);
+    std::printf("  %s: %.6f, expected %.6f\n", channel, mean, expected);
+    EXPECT_NEAR(mean / expected, 1, 0.005) << channel;
+  }
+}
+
+// Of the records that stage `stage` made: how far their irradiance is off in the mean (rms), over its mean.
+double records_off(const Rendered& found, const Rendered& expected, const char* stage) {
+  const auto irradiance = [&](const Rendered& made) {
+    const scene::Bytes& records = made.results.at(stage).records;
+    std::vector<float> words(records.size() / 4);
+    std::memcpy(words.data(), records.data(), records.size());
+    return words;
+  };
+  const std::vector<float> a = irradiance(found), b = irradiance(expected);
+  EXPECT_EQ(a.size(), b.size());
+  double squared = 0, sum = 0, count = 0;
+  for (std::size_t at = CACHE_IRRADIANCE + 1; at < std::min(a.size(), b.size()); at += CACHE_WORDS, ++count) {
+    squared += std::pow(double{a[at]} - b[at], 2);
+    sum += double{b[at]};
+  }
+  return std::sqrt(squared * count) / sum;
+}
+
+// Few rays against many at the same places: neighbours' means are nearer to what many rays find.
+TEST(Photon, SmoothingTakesNoiseOfRecords) {
+  const auto with_rays = [](const char* rays) {
+    return render(frame_of(scene::make_scene("cornell-box", {}), 32, 4,
+                           {{"photon.count", "20000"}, {"photon.clusters", "900"}, {"photon.gather_rays", rays}}));
+  };
+  const Rendered few = with_rays("128"), many = with_rays("2048");
+  const double gathered = records_off(few, many, "photon.cluster_gather"),
+               smoothed = records_off(few, many, "photon.cluster_smooth");
+  std::printf("  records of 128 rays are off by %.4f, smoothed by %.4f\n", gathered, smoothed);
+  EXPECT_LT(smoothed, 0.9 * gathered);
+  EXPECT_GT(smoothed, 0);
+}
+
+// Points on a grid: a floor whose right half is bumpy.
+struct Ground {
+  std::vector<float> rows;
+  std::vector<worker::ScreenPoint> screen;
+};
+
+Ground ground(std::uint32_t edge) {
+  Ground made;
+  for (std::uint32_t y = 0; y < edge; ++y)
+    for (std::uint32_t x = 0; x < edge; ++x) {
+      const bool bumpy = 2 * x >= edge;
+      const float tilt = bumpy ? 0.5f * std::sin(0.9f * static_cast<float>(x + 3 * y)) : 0;
+      made.screen.push_back({x, y, static_cast<std::uint32_t>(made.screen.size())});
+      for (const float word :
+           {static_cast<float>(x) / static_cast<float>(edge), static_cast<float>(y) / static_cast<float>(edge), 0.0f,
+            std::sin(tilt), 0.0f, std::cos(tilt), 0.0f, 0.0f})
+        made.rows.push_back(word);
+    }
+  return made;
+}
+
+TEST(Photon, SeedsLieWhereGeometryVaries) {
+  constexpr std::uint32_t edge = 37;
+  const Ground made = ground(edge);
+  for (const std::uint32_t wanted : {1u, 2u, 7u, 100u, 700u, edge * edge}) {
+    const auto seeds = worker::seeds_by_variation(made.rows, 8, made.screen, wanted, 5);
+    const std::set<std::uint32_t> distinct(seeds.begin(), seeds.end());
+    EXPECT_EQ(seeds.size(), wanted);
+    EXPECT_EQ(distinct.size(), wanted);
+    if (wanted != 100) continue;
+    const auto bumpy = std::ranges::count_if(seeds, [](std::uint32_t row) { return 2 * (row % edge) >= edge; });
+    std::printf("  %ld of %zu seeds on the bumpy half\n", static_cast<long>(bumpy), seeds.size());
+    EXPECT_GT(bumpy, 60) << "its area alone would give it 50";
+    EXPECT_LT(bumpy, 100) << "the flat half has none";
+  }
+}
+
+// --- The illumination cut ---
+
+std::vector<std::uint32_t> words_of(const scene::Bytes& bytes) {
+  std::vector<std::uint32_t> words(bytes.size() / 4);
+  std::memcpy(words.data(), bytes.data(), bytes.size());
+  return words;
+}
+
+// A cut has the nodes that were asked for, refinement opens those that are off, and the rows that are read hold the
+// cut's irradiance in the tree's order.
+TEST(Photon, CutIsRefinedWhereItIsOff) {
+  const Frame frame = frame_of(scene::make_scene("cornell-box", {}), 8, 1,
+                               {{"photon.count", "20000"}, {"photon.clusters", "0"}, {"photon.cut", "0"}});
+  const std::vector<std::uint32_t> map = words_of(render(frame).results.at("photon.map.global").records);
+  worker::IlluminationCut cut(map);
+  EXPECT_EQ(cut.size(), 1u);
+  cut.choose(100);
+  ASSERT_EQ(cut.size(), 100u);
+  const double radius = cut.median_radius();
+  // As bright as eq. 3 says, or ten times brighter.
+  const auto refined = [&](float times) {
+    worker::IlluminationCut other(map);
+    other.choose(100);
+    std::vector<std::array<float, 3>> irradiance;
+    for (std::size_t i = 0; i < other.size(); ++i)
+      irradiance.push_back({static_cast<float>(other.rough_irradiance(i)) * times, 0, 0});
+    const std::size_t opened = other.refine(irradiance, 1.2);
+    EXPECT_EQ(other.size(), 100 + opened);
+    return opened;
+  };
+  EXPECT_EQ(refined(10), 100u) << "all are off";
+  const std::size_t bent = refined(1);
+  EXPECT_GT(bent, 0u) << "nodes that straddle an edge";
+  EXPECT_LT(bent, 80u) << "the others are as eq. 3 says";
+  std::vector<std::array<float, 3>> irradiance;
+  cut.choose(map[MAP_NODES]);
+  EXPECT_EQ(cut.size(), map[MAP_BLOCKS]) << "all leaves";
+  EXPECT_LT(cut.median_radius(), radius);
+  irradiance.assign(cut.size(), {});
+  for (std::size_t i = 0; i < cut.size(); ++i) irradiance[i][1] = static_cast<float>(i);
+  const std::vector<std::uint32_t> rows = cut.rows(cut.places(), irradiance);
+  ASSERT_EQ(rows.size(), std::size_t{map[MAP_NODES]} * CUT_WORDS);
+  std::size_t leaves = 0;
+  for (std::size_t row = 0; row < rows.size() / CUT_WORDS; ++row) {
+    const auto real = [&](unsigned word) { return std::bit_cast<float>(rows[row * CUT_WORDS + word]); };
+    EXPECT_GT(rows[row * CUT_WORDS + NODE_SKIP], row);
+    if (real(CUT_NEARNESS) > 0) {
+      EXPECT_EQ(real(CUT_IRRADIANCE + 1), static_cast<float>(leaves++));
+    }
+  }
+  EXPECT_EQ(leaves, cut.size());
+}
+
+// The same photons and the same rays: what differs is the cut.
+TEST(Photon, CutStandsForTheMap) {
+  for (const char* name : {"cornell-box", "cornell-glossy"}) {
+    Settings set = {
+        {"photon.count", "100000"}, {"photon.clusters", "200"}, {"photon.gather_rays", "1024"}, {"photon.cut", "0"}};
+    const Film full = render(frame_of(scene::make_scene(name, {}), 32, 4, set)).film;
+    set["photon.cut"] = "4096";
+    const Rendered made = render(frame_of(scene::make_scene(name, {}), 32, 4, set));
+    const auto& expected = full.find("indirect.G")->values;
+    const auto& found = made.film.find("indirect.G")->values;
+    double squared = 0, mean = 0, sum = 0;
+    for (std::size_t i = 0; i < expected.size(); ++i) {
+      squared += std::pow(double{found[i]} - expected[i], 2);
+      mean += double{expected[i]};
+      sum += double{found[i]};
+    }
+    const double error = std::sqrt(squared * static_cast<double>(expected.size())) / mean;
+    std::printf("  %s: a cut of %s nodes is off by %.4f, %.4f in the mean\n", name,
+                made.parameters["photon"]["cut_nodes"].dump().c_str(), error, sum / mean - 1);
+    EXPECT_LT(error, 0.015) << name;
+    EXPECT_GT(error, 0) << name << ": the cut is not read";
+    EXPECT_NEAR(sum / mean, 1, 0.005) << name;
+  }
+}
+
+// --- Bits and malformed tasks ---
+
+TEST(Photon, RecordsDoNotDependOnBatches) {
+  worker::Executor two({.device = -1, .threads = 2, .trace = worker::TraceKind::automatic});
+  const Frame frame = frame_of(scene::make_scene("cornell-glass", {}), 24, 8,
+                               {{"photon.count", "3000"},
+                                {"photon.caustics", "3000"},
+                                {"photon.passes", "1"},
+                                {"photon.clusters", "100"},
+                                {"photon.cut", "300"},
+                                {"photon.gather_rays", "64"}});
+  const Rendered whole = render(frame);
+  two.load_scene("two", frame.scene, nullptr);
+  for (const char* name : {"photon.trace.global", "photon.caustics.0", "photon_gather.0", "photon.cut",
+                           "photon.clusters", "photon.cluster_gather", "photon.cluster_smooth", "photon.shade"}) {
+    const coordinator::StageSpec& spec = whole.specs.at(name);
+    const worker::BatchResult& all = whole.results.at(name);
+    worker::StageTask again = whole.tasks.at(name);
+    again.scene = "two";
+    for (auto& [input, to] : again.inputs) to.own_items = false;
+    std::size_t at = 0;
+    // Batches begin where tiles do.
+    const std::uint64_t step = spec.items < 144 ? 5 : 144;
+    for (std::uint64_t first = 0; first < spec.items; first += step) {
+      const std::uint64_t count = std::min<std::uint64_t>(step, spec.items - first);
+      const auto part = two.run(again, first, count);
+      ASSERT_LE(at + part.records.size(), all.records.size()) << name;
+      ASSERT_EQ(std::memcmp(part.records.data(), all.records.data() + at, part.records.size()), 0)
+          << name << " from " << first;
+      at += part.records.size();
+    }
+    EXPECT_EQ(at, all.records.size()) << name;
+  }
+}
+
+TEST(Photon, RefusesWhatIsOutOfRange) {
+  const Frame frame = frame_of(scene::make_scene("cornell-glass", {}), 8, 1,
+                               {{"photon.count", "500"},
+                                {"photon.caustics", "500"},
+                                {"photon.passes", "1"},
+                                {"photon.clusters", "10"},
+                                {"photon.cut", "20"},
+                                {"photon.gather_rays", "64"}});
+  const Rendered made = render(frame);
+  worker::Executor& on = executor(worker::TraceKind::automatic);
+  const auto refused = [&](const char* stage, const std::function<void(worker::StageTask&)>& change) {
+    worker::StageTask task = made.tasks.at(stage);
+    on.run(task, 0, 1);
+    change(task);
+    EXPECT_THROW(on.run(task, 0, 1), Error) << stage;
+  };
+  const auto set_word = [](std::size_t at, std::uint32_t value) {
+    return [=](worker::StageTask& task) { std::memcpy(task.parameters.data() + at, &value, 4); };
+  };
+  refused("photon.trace.global", set_word(offsetof(PhotonTraceParameters, classes), 16));
+  refused("photon_gather.0", set_word(offsetof(kernels::PhotonGatherParameters, estimate), 1000));
+  refused("photon_gather.0",
+          set_word(offsetof(kernels::PhotonGatherParameters, samples) + offsetof(kernels::PathParameters, filter),
+                   PATH_CLASS_CAUSTIC));
+  refused("photon.caustics.0", set_word(offsetof(kernels::PhotonCausticsParameters, shrink), 0));
+  refused("photon.caustics.0", set_word(offsetof(kernels::PhotonCausticsParameters, samples), 3));
+  using kernels::PhotonClusterGatherParameters;
+  refused("photon.clusters", set_word(offsetof(kernels::PhotonClusterParameters, clusters), 0));
+  refused("photon.clusters", set_word(offsetof(kernels::PhotonClusterParameters, width), 80));
+  refused("photon.cluster_gather", set_word(offsetof(PhotonClusterGatherParameters, estimate), 1000));
+  refused("photon.cluster_gather", set_word(offsetof(PhotonClusterGatherParameters, records.azimuthal), 8));
+  refused("photon.cluster_gather", set_word(offsetof(PhotonClusterGatherParameters, records.samples.filter), 32));
+  refused("photon.cluster_gather", set_word(offsetof(PhotonClusterGatherParameters, records.samples.clamp), 0));
+  refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, nodes), 0));
+  refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, ratio), 0xbf800000u));  // -1
+  refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, estimate), 1000));
+  // A cut whose walk would not end, or whose light is none.
+  for (const auto& [word, value] : {std::pair{NODE_SKIP, 0u}, {NODE_SKIP, 1u << 30}, {CUT_IRRADIANCE, 0xbf800000u}})
+    refused("photon.cluster_gather", [word = word, value = value](worker::StageTask& task) {
+      scene::Bytes cut = *task.inputs.at("cut").load();
+      std::memcpy(cut.data() + word * 4, &value, 4);
+      task.inputs["cut"] = std::make_shared<const scene::Bytes>(std::move(cut));
+    });
+  // A place without a reach, or that is nowhere.
+  for (const unsigned word : {SPLAT_RADIUS, SPLAT_ACCURACY, SPLAT_POSITION})
+    refused("photon.cluster_gather", [&](worker::StageTask& task) {
+      scene::Bytes places = *task.inputs.at("places").load();
+      const float bad = word == SPLAT_POSITION ? NAN : 0;
+      std::memcpy(places.data() + word * 4, &bad, 4);
+      task.inputs["places"] = std::make_shared<const scene::Bytes>(std::move(places));
+    });
+  // A record that reaches nowhere, or whose light is none.
+  for (const unsigned word : {CACHE_RADIUS, CACHE_IRRADIANCE, CACHE_SPARE, CACHE_SPARE + 1})
+    refused("photon.cluster_smooth", [word](worker::StageTask& task) {
+      scene::Bytes records = *task.inputs.at("records").load();
+      const float bad = word == CACHE_IRRADIANCE ? NAN : 0;
+      std::memcpy(records.data() + word * 4, &bad, 4);
+      task.inputs["records"] = std::make_shared<const scene::Bytes>(std::move(records));
+    });
+  // A map whose first node leads nowhere, has photons that are none, or whose walk would not end.
+  const auto broken = [&](std::size_t row, unsigned word, std::uint32_t value) {
+    return [=](worker::StageTask& task) {
+      scene::Bytes map = *task.inputs.at("map").load();
+      std::memcpy(map.data() + (row * PHOTON_WORDS + word) * 4, &value, 4);
+      task.inputs["map"] = std::make_shared<const scene::Bytes>(std::move(map));
+    };
+  };
+  for (const char* stage : {"photon_gather.0", "photon.caustics.0", "photon.cluster_gather"}) {
+    refused(stage, broken(0, MAP_NODES, 1));
+    refused(stage, broken(0, MAP_BLOCKS, 1u << 30));
+    refused(stage, broken(1, NODE_BLOCK, 1u << 30));
+    refused(stage, broken(1, NODE_SKIP, 0));
+    refused(stage, broken(1, NODE_SKIP, 1u << 30));
+  }
+}
+
+}  // namespace
+}  // namespace gleaner::test

@@ -1,0 +1,100 @@
+#pragma once
+// Tests' way to a whole frame of any method: its plan on one executor, with what each stage was asked for and answered.
+
+#include <gtest/gtest.h>
+
+#include <cstdint>
+#include <cstring>
+#include <map>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <numeric>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "cli/local_frame.h"
+#include "coordinator/plan/plan.h"
+#include "scene/model/error.h"
+#include "tests/radiometry/shot.h"
+
+namespace gleaner::test {
+
+using coordinator::Film;
+using Settings = std::map<std::string, std::string>;  // --set
+
+struct Frame {
+  std::shared_ptr<const Scene> scene;
+  coordinator::FrameSettings settings;
+  worker::TraceKind trace = worker::TraceKind::automatic;
+};
+
+// A square picture by the camera of that name, else by the scene's first.
+inline Frame square_frame(const std::string& method, Scene scene, const std::string& camera, std::uint32_t size,
+                          std::uint32_t spp, const Settings& set) {
+  Frame frame;
+  frame.scene = std::make_shared<const Scene>(std::move(scene));
+  frame.settings.method = method;
+  frame.settings.width = frame.settings.height = size;
+  frame.settings.spp = spp;
+  frame.settings.set = set;
+  frame.settings.camera = camera_of(*frame.scene, camera);
+  frame.settings.camera.half_width = frame.settings.camera.half_height;
+  return frame;
+}
+
+struct Rendered {
+  Film film;
+  nlohmann::json parameters;                           // that the plan settled on
+  std::map<std::string, worker::BatchResult> results;  // by stage
+  std::map<std::string, worker::StageTask> tasks;
+  std::map<std::string, coordinator::StageSpec> specs;
+
+  // A stage's records as numbers.
+  std::vector<float> floats(const std::string& stage) const {
+    const scene::Bytes& records = results.at(stage).records;
+    std::vector<float> values(records.size() / 4);
+    std::memcpy(values.data(), records.data(), records.size());
+    return values;
+  }
+};
+
+// No stage may leave out samples that are not finite.
+inline Rendered render(const Frame& frame) {
+  worker::Executor& on = executor(frame.trace);
+  const std::string id = load(on, frame.scene);
+  auto plan = coordinator::make_plan(frame.settings, coordinator::summarize(*frame.scene));
+  Rendered made;
+  cli::run_frame(
+      *plan, on, id,
+      [&](const auto& stage, const worker::StageTask& task) {
+        made.tasks[stage.name] = task;
+        made.specs[stage.name] = stage;
+        return true;
+      },
+      [&](const auto& stage, const worker::BatchResult& result) {
+        EXPECT_EQ(result.counters.nonfinite, 0u) << stage.name;
+        made.results[stage.name] = result;
+      });
+  made.film = plan->film();
+  made.parameters = nlohmann::json::parse(plan->parameters_json());
+  return made;
+}
+
+inline double mean_of(const Film& film, const std::string& channel) {
+  const auto* found = film.find(channel);
+  if (!found) throw Error::failed("no channel " + channel);
+  return std::accumulate(found->values.begin(), found->values.end(), 0.0) / static_cast<double>(found->values.size());
+}
+
+// Of pictures of seeds 1 to `seeds`.
+inline Sample means_of(Frame frame, const std::string& channel, unsigned seeds) {
+  Sample sample;
+  for (unsigned seed = 1; seed <= seeds; ++seed) {
+    frame.settings.seed = seed;
+    sample.add(mean_of(render(frame).film, channel));
+  }
+  return sample;
+}
+
+}  // namespace gleaner::test

@@ -1,0 +1,150 @@
+// Stage kind "links_gather": one bounce of light over the links (kernels/links/gather.cl).
+
+#include "scene/model/error.h"
+#include "worker/stages/links/stages.h"
+#include "worker/stages/links/waves.h"
+#include "worker/wavefront/host_threads.h"
+#include "worker/wavefront/input_rows.h"
+
+namespace gleaner::worker {
+namespace {
+
+using kernels::LinksGatherParameters;
+
+std::uint32_t gather_capacity(const Device& device) { return device.info().cpu ? 1u << 9 : 1u << 17; }
+
+// An input's bytes [offset, offset + bytes) as a buffer: where they lie already, on devices that share the host's
+// memory.
+cl::Buffer as_buffer(const StageRun& run, cl::CommandQueue& queue, const InputRows& rows, const TaskInput& input,
+                     std::uint64_t offset, std::uint64_t bytes) {
+  const std::span<const std::byte> whole = input.in_memory();
+  if (bytes == 0) return run.device.make_buffer(64);
+  if (run.device.info().cpu && !whole.empty() && reinterpret_cast<std::uintptr_t>(whole.data() + offset) % 16 == 0)
+    return cl::Buffer(run.device.context(), CL_MEM_READ_ONLY | CL_MEM_USE_HOST_PTR, bytes,
+                      const_cast<std::byte*>(whole.data() + offset));
+  cl::Buffer buffer = run.device.make_buffer(bytes);
+  rows.upload(queue, buffer, 0, offset / rows.row_bytes(), bytes / rows.row_bytes(), {});
+  return buffer;
+}
+
+// A batch's inputs, as its host threads read them.
+struct GatherBatch {
+  cl::Buffer parameters{}, words{}, starts{}, sent{}, light{}, albedo{}, records{}, faults{};
+};
+
+cl::Buffer own_rows(const StageRun& run, cl::CommandQueue& queue, const char* name, std::size_t row_bytes,
+                    std::uint64_t elements) {
+  const InputRows rows(run.task, name, row_bytes);
+  const std::uint64_t first = rows.first_row_of(run.first, run.count, elements);
+  return as_buffer(run, queue, rows, run.task.inputs.at(name), first * row_bytes, run.count * row_bytes);
+}
+
+// What all elements send, without the rest of their rows: half as much for links to look up.
+cl::Buffer sent_by_all(const StageRun& run, cl::CommandQueue& queue, std::uint64_t elements) {
+  constexpr std::size_t stride = RADIOSITY_WORDS * 4, part = (RADIOSITY_WORDS - RADIOSITY_SENT) * 4;
+  const InputRows rows(run.task, "radiosity", stride);
+  rows.expect_rows(elements);
+  cl::Buffer buffer = run.workspace.take("links.sent", elements * part);
+  auto* out = static_cast<std::byte*>(
+      queue.enqueueMapBuffer(buffer, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, elements * part));
+  rows.visit(0, elements, [&](std::uint64_t row, std::span<const std::byte> bytes) {
+    std::byte* to = out + row * part;
+    for (std::size_t at = 0; at < bytes.size(); at += stride, to += part)
+      std::memcpy(to, &bytes[at + std::size_t{RADIOSITY_SENT} * 4], part);
+  });
+  queue.enqueueUnmapMemObject(buffer, out);
+  queue.finish();
+  return buffer;
+}
+
+void put_links(const StageRun& run, cl::CommandQueue& queue, std::uint64_t elements, GatherBatch& batch) {
+  const InputRows rows(run.task, "links", 4);
+  const TaskInput& input = run.task.inputs.at("links");
+  const std::uint64_t at = input.own_items ? run.first - input.first_item : run.first;
+  const std::uint64_t held = input.offsets ? input.offsets->size() : 0;
+  if ((input.own_items && run.first < input.first_item) || at + run.count >= held ||
+      (!input.own_items && held != elements + 1) || input.offsets->back() > rows.rows())
+    throw Error::bad_input(
+        run.where(), "input links",
+        "links of elements " + std::to_string(run.first) + " + " + std::to_string(run.count),
+        "offsets of " + std::to_string(held) + " elements and " + std::to_string(rows.rows()) + " words");
+  const std::uint64_t* offset = input.offsets->data() + at;
+  const std::uint64_t words = offset[run.count] - offset[0];
+  if (words > 0xffffffffu)
+    throw Error::bad_input(run.where(), "input links", "fewer than 2^32 words a batch", std::to_string(words));
+  std::vector<cl_uint> starts(run.count + 1);
+  for (std::uint64_t k = 0; k <= run.count; ++k) starts[k] = static_cast<cl_uint>(offset[k] - offset[0]);
+  batch.starts = run.device.make_buffer(starts.size() * 4);
+  queue.enqueueWriteBuffer(batch.starts, CL_TRUE, 0, starts.size() * 4, starts.data());
+  batch.words = as_buffer(run, queue, rows, input, offset[0] * 4, words * 4);
+}
+
+class GatherThread : public HostThread {
+ public:
+  GatherThread(const StageRun& run, const GatherBatch& batch, const Program& program, WorkQueue& work, unsigned index)
+      : HostThread(run.device, run.workspace, run.scene.tracer(), work, index),
+        records_(batch.records),
+        gather_(run.device, program, "links_gather") {
+    gather_.set("parameters", batch.parameters)
+        .set("words", batch.words)
+        .set("starts", batch.starts)
+        .set("sent", batch.sent)
+        .set("light", batch.light)
+        .set("albedo", batch.albedo)
+        .set("records", batch.records)
+        .set("faults", batch.faults);
+  }
+
+  void run(BatchResult& result) {
+    constexpr std::size_t stride = RADIOSITY_WORDS * 4;
+    const std::uint32_t capacity = gather_capacity(device_);
+    while (const WorkQueue::Block block = work_.claim(capacity)) {
+      gather_.set("base", static_cast<cl_uint>(block.first))
+          .set("count", static_cast<cl_uint>(block.first + block.count));
+      // On CPU devices a work-item has vectors of its own: groups of one keep PoCL from taking these apart.
+      gather_.launch(queue_, {.work = block.count, .capacity = capacity, .group = device_.info().cpu ? 1u : 0u});
+      queue_.enqueueReadBuffer(records_, CL_TRUE, block.first * stride, block.count * stride,
+                               result.records.data() + block.first * stride);
+    }
+  }
+
+ private:
+  cl::Buffer records_;
+  Kernel gather_;
+};
+
+}  // namespace
+
+BatchResult run_links_gather_stage(const StageRun& run) {
+  const auto p = run.parameters<LinksGatherParameters>();
+  run.check_range(p.elements);
+  if (p.elements == 0) throw Error::bad_input(run.where(), "elements", "1 or more", "0");
+  const double start = seconds_now();
+  constexpr std::size_t stride = RADIOSITY_WORDS * 4;
+  cl::CommandQueue queue = run.device.make_queue();
+  GatherBatch batch;
+  batch.parameters = run.parameter_buffer(queue);
+  put_links(run, queue, p.elements, batch);
+  batch.light = own_rows(run, queue, "light", stride, p.elements);
+  batch.albedo = own_rows(run, queue, "albedo", ALBEDO_WORDS * 4, p.elements);
+  batch.sent = sent_by_all(run, queue, p.elements);
+  batch.records = run.workspace.take("links.gathered", run.count * stride);
+  batch.faults = run.workspace.take("links.faults", 64);
+  constexpr cl_uint none = 0;
+  queue.enqueueWriteBuffer(batch.faults, CL_TRUE, 0, sizeof none, &none);
+  BatchResult result;
+  result.records.resize(run.count * stride);
+  const Program program = run.build_plain("gather.cl");
+  WorkQueue work(run.count, host_threads(run.device), 0, run.task.given_up.get());
+  run_host_threads(work, result,
+                   [&](unsigned index) { return std::make_unique<GatherThread>(run, batch, program, work, index); });
+  cl_uint faults = 0;
+  queue.enqueueReadBuffer(batch.faults, CL_TRUE, 0, sizeof faults, &faults);
+  if (faults)
+    throw Error::bad_input(run.where(), "input links", "ends below " + std::to_string(p.elements),
+                           std::to_string(faults) + " elements with others");
+  result.counters.seconds = seconds_now() - start;
+  return result;
+}
+
+}  // namespace gleaner::worker

@@ -1,0 +1,118 @@
+// Stage kind "links_light": direct light of elements (kernels/links/light.cl).
+
+#include "kernels/path_layout.h"
+#include "worker/stages/links/mesh.h"
+#include "worker/stages/links/stages.h"
+#include "worker/stages/links/waves.h"
+#include "worker/stages/split_stage.h"
+#include "worker/wavefront/path_wave.h"
+
+namespace gleaner::worker {
+namespace {
+
+class LightThread : public HostThread {
+ public:
+  LightThread(const StageRun& run, const MeshTables& tables, const kernels::LinksParameters& p,
+              const cl::Buffer& parameters, const Program& program, WorkQueue& work, unsigned index)
+      : HostThread(run.device, run.workspace, run.scene.tracer(), work, index),
+        first_item_(run.first),
+        samples_(p.samples),
+        capacity_(elements_of_wave(run.device, p.samples)),
+        shadow_rows_(run.scene.shadow_rows()),
+        transparent_(run.scene.transparent_shadows()),
+        albedo_(tables.rows),
+        shadows_(take("shadows", PathWave::bytes(rays(), shadow_rows_))),
+        slots_(take("links.slots", std::size_t{rays() + RAY_BLOCK} * PLAIN_SLOT_WORDS * 4)),
+        own_albedo_(take("links.albedo", std::size_t{capacity_} * ALBEDO_WORDS * 4)),
+        records_(take("links.records", std::size_t{capacity_} * RADIOSITY_WORDS * 4)),
+        report_(take("report", FiniteReport::kWords * 4)),
+        make_rays_(run.device, program, "links_light_rays"),
+        connect_(run.device, program, transparent_ ? "shadow_pass" : "shadow_connect"),
+        sum_(run.device, program, "links_light_sum") {
+    run.scene.set_arguments(make_rays_);
+    make_rays_.set("parameters", parameters)
+        .set("mesh", tables.mesh)
+        .set("shadows", shadows_)
+        .set("slots", slots_)
+        .set("slot_count", rays())
+        .set("counters", device_counters());
+    connect_.set("shadows", shadows_).set("slots", slots_).set("slot_count", rays());
+    if (transparent_) {
+      run.scene.set_arguments(connect_);
+      connect_.set("counters", device_counters());
+    }
+    sum_.set("parameters", parameters)
+        .set("slots", slots_)
+        .set("albedo", own_albedo_)
+        .set("records", records_)
+        .set("report", report_.buffer());
+  }
+
+  void run(BatchResult& result) {
+    constexpr std::size_t stride = RADIOSITY_WORDS * 4, albedo_stride = ALBEDO_WORDS * 4;
+    while (const WorkQueue::Block block = work_.claim(capacity_)) {
+      const auto count = static_cast<std::uint32_t>(block.count);
+      clear_device_counters();
+      make_rays_.set("first", static_cast<cl_uint>(first_item_ + block.first)).set("count", count * samples_);
+      launch(make_rays_, count * samples_, rays());
+      const cl_uint asked = read_device_counters()[COUNTER_SHADOW];
+      counters.shadow += asked;
+      if (asked) connect(count * samples_);
+      queue_.enqueueCopyBuffer(albedo_, own_albedo_, (first_item_ + block.first) * albedo_stride, 0,
+                               count * albedo_stride);
+      report_.clear(queue_);
+      sum_.set("count", count);
+      launch(sum_, count, capacity_, 1);
+      report_.add_to(counters, queue_, first_item_ + block.first);
+      queue_.enqueueReadBuffer(records_, CL_TRUE, 0, count * stride, result.records.data() + block.first * stride);
+    }
+  }
+
+ private:
+  std::uint32_t rays() const { return capacity_ * samples_; }
+
+  // Shadow rays through what light passes straight take turns, one surface each, as those of camera paths.
+  void connect(std::uint32_t count) {
+    connect_.set("count", count);
+    if (!transparent_) {
+      rays_.any(shadows_, single_rays(shadow_rows_, count));
+      launch(connect_, count, rays());
+      return;
+    }
+    cl_uint left = count;
+    for (unsigned turn = 0; left && turn <= META_BOUNCE_MASK; ++turn) {
+      rays_.closest(shadows_, single_rays(shadow_rows_, count));
+      clear_device_counters();
+      launch(connect_, count, rays());
+      left = read_device_counters()[COUNTER_SHADOW];
+      counters.shadow += left;
+    }
+  }
+
+  std::uint64_t first_item_;
+  std::uint32_t samples_, capacity_;
+  unsigned shadow_rows_;
+  bool transparent_;
+  cl::Buffer albedo_, shadows_, slots_, own_albedo_, records_;
+  FiniteReport report_;
+  Kernel make_rays_, connect_, sum_;
+};
+
+}  // namespace
+
+BatchResult run_links_light_stage(const StageRun& run) {
+  const kernels::LinksParameters p = read_links_parameters(run);
+  const double start = seconds_now();
+  const auto tables = mesh_tables(run, "albedo", ALBEDO_WORDS);
+  check_elements(run, p.elements, tables->layout.elements());
+  BatchResult result;
+  result.records.resize(run.count * RADIOSITY_WORDS * 4);
+  run_split(run, "light.cl", result,
+            [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
+              return std::make_unique<LightThread>(run, *tables, p, parameters, program, work, index);
+            });
+  result.counters.seconds = seconds_now() - start;
+  return result;
+}
+
+}  // namespace gleaner::worker

@@ -1,0 +1,93 @@
+// Stage kind "links_make": links between elements (kernels/links/make.cl).
+
+#include <bit>
+
+#include "worker/stages/links/link_rays.h"
+#include "worker/stages/links/stages.h"
+#include "worker/wavefront/joined_records.h"
+
+namespace gleaner::worker {
+namespace {
+
+class MakeThread : public LinkRayThread {
+ public:
+  MakeThread(const LinkRayBatch& batch, WorkQueue& work, JoinedRecords& records, unsigned index)
+      : LinkRayThread(batch, work, index),
+        joined_(records),
+        slots_(std::bit_ceil(6 * directions_)),
+        ends_(take("links.ends", std::size_t{rays()} * 12)),
+        weights_(take("links.weights", std::size_t{rays()} * 12)),
+        table_(take("links.table", batch.p.compress ? std::size_t{capacity_} * slots_ * 4 : 4)),
+        packed_(take("links.packed", std::size_t{rays()} * 24)),
+        words_(take("links.words", std::size_t{capacity_} * 4)),
+        link_(batch.run.device, batch.program, "links_hits"),
+        compress_(batch.run.device, batch.program, "links_compress") {
+    batch.run.scene.set_arguments(link_);
+    link_.set("mesh", batch.tables->mesh)
+        .set("probe", batch.tables->rows)
+        .set("rays", hits_)
+        .set("ends", ends_)
+        .set("weights", weights_);
+    compress_.set("parameters", batch.parameters)
+        .set("slots", slots_)
+        .set("ends", ends_)
+        .set("weights", weights_)
+        .set("table", table_)
+        .set("packed", packed_)
+        .set("words", words_);
+  }
+
+  void run(BatchResult& result) {
+    while (const WorkQueue::Block block = work_.claim(capacity_)) {
+      const auto count = static_cast<std::uint32_t>(block.count);
+      const std::uint32_t traced = trace(block.first, count);
+      link_.set("count", traced);
+      launch(link_, traced, rays());
+      compress_.set("count", count);
+      compress_.launch(queue_, {.work = count, .capacity = capacity_, .group = device_.info().cpu ? 1u : 0u});
+      collect(block, result);
+    }
+  }
+
+ private:
+  void collect(const WorkQueue::Block& block, BatchResult& result) {
+    std::uint32_t* counts = &result.counts[block.first];
+    queue_.enqueueReadBuffer(words_, CL_TRUE, 0, block.count * 4, counts);
+    std::size_t all = 0;
+    for (std::uint64_t k = 0; k < block.count; ++k) all += counts[k];
+    scene::Bytes links(all * 4);
+    std::byte* to = links.data();
+    for (std::uint64_t k = 0; k < block.count; ++k) {
+      if (counts[k]) queue_.enqueueReadBuffer(packed_, CL_FALSE, k * directions_ * 24, std::size_t{counts[k]} * 4, to);
+      to += std::size_t{counts[k]} * 4;
+    }
+    queue_.finish();
+    joined_.add(block.first, std::move(links));
+  }
+
+  JoinedRecords& joined_;
+  std::uint32_t slots_;
+  cl::Buffer ends_, weights_, table_, packed_, words_;
+  Kernel link_, compress_;
+};
+
+}  // namespace
+
+BatchResult run_links_make_stage(const StageRun& run) {
+  LinkRayBatch batch{run, read_links_parameters(run), mesh_tables(run, "probe", PROBE_WORDS), run.build("make.cl")};
+  check_elements(run, batch.p.elements, batch.tables->layout.elements());
+  const double start = seconds_now();
+  BatchResult result;
+  result.counts.resize(run.count);
+  cl::CommandQueue queue = run.device.make_queue();
+  batch.parameters = run.parameter_buffer(queue);
+  WorkQueue work(run.count, host_threads(run.device), 0, run.task.given_up.get());
+  JoinedRecords records;
+  run_host_threads(work, result,
+                   [&](unsigned index) { return std::make_unique<MakeThread>(batch, work, records, index); });
+  result.records = records.take();
+  result.counters.seconds = seconds_now() - start;
+  return result;
+}
+
+}  // namespace gleaner::worker

@@ -1,0 +1,173 @@
+#include "worker/stages/links/mesh.h"
+
+#include <cmath>
+
+#include "scene/model/error.h"
+#include "worker/stages/links/stages.h"
+#include "worker/stages/vpl/rows.h"
+#include "worker/wavefront/counters.h"
+
+namespace gleaner::worker {
+namespace {
+
+// Checks words of a mesh section by section, as they pass.
+class MeshCheck {
+ public:
+  MeshCheck(const InputRows& input, const MeshLayout& layout, std::uint64_t triangles)
+      : input_(input), l_(layout), triangles_(triangles) {}
+
+  void word(std::uint64_t at, std::uint32_t value) {
+    if (at < MESH_HEADER) return;
+    if (at < l_.nodes_at())
+      triangle(at, value);
+    else if (at < l_.rings_at())
+      below(at, "node", value, l_.vertices);
+    else if (at < l_.corners_at())
+      ring(at, value);
+    else if (at < l_.areas_at())
+      corner(at, value);
+    else if (at >= l_.places_at())
+      place(at, value);
+  }
+
+ private:
+  void below(std::uint64_t at, const char* what, std::uint32_t value, std::uint64_t limit) const {
+    if (value >= limit) input_.fail(at, what, "below " + std::to_string(limit), std::to_string(value));
+  }
+  void triangle(std::uint64_t at, std::uint32_t value) {
+    if ((at - MESH_HEADER) % MESH_TRIANGLE_WORDS == 0) {
+      first_node_ = value;
+      return;
+    }
+    below(at, "level", value, MESH_MOST_LEVEL + 1);
+    if (first_node_ + nodes_of_level(value) > l_.nodes)
+      input_.fail(at, "nodes", "among " + std::to_string(l_.nodes), std::to_string(first_node_) + " and on");
+  }
+  // Every vertex has a corner: kernels read one without looking.
+  void ring(std::uint64_t at, std::uint32_t value) {
+    const std::uint64_t vertex = at - l_.rings_at();
+    const bool ok = vertex == 0 ? value == 0 : value > ring_ && (vertex < l_.vertices || value == l_.corners);
+    if (!ok) input_.fail(at, "first corner", "above the last vertex' and within all", std::to_string(value));
+    ring_ = value;
+  }
+  void corner(std::uint64_t at, std::uint32_t value) const {
+    const std::uint64_t word = (at - l_.corners_at()) % CORNER_WORDS;
+    if (word == CORNER_TRIANGLE) below(at, "triangle", value, triangles_);
+    if (word == CORNER_PLACE) below(at, "kind", value >> 24, CORNER_KINDS);
+  }
+
+  void place(std::uint64_t at, std::uint32_t value) const {
+    const bool hangs = at >= l_.hanging_at();
+    const std::uint64_t word = hangs ? (at - l_.hanging_at()) % HANGING_WORDS : (at - l_.places_at()) % PLACE_WORDS;
+    if (hangs ? word != HANGING_PART : word == PLACE_FIRST) below(at, "vertex", value, l_.vertices);
+  }
+
+  const InputRows& input_;
+  const MeshLayout& l_;
+  std::uint64_t triangles_;
+  std::uint64_t first_node_ = 0;
+  std::uint32_t ring_ = 0;
+};
+
+}  // namespace
+
+MeshLayout read_mesh_layout(const StageTask& task, const char* name) {
+  const InputRows input(task, name, 4);
+  MeshLayout layout;
+  if (input.rows() < MESH_HEADER)
+    throw Error::bad_input("stage " + task.kind, std::string("input ") + name, "a header",
+                           std::to_string(input.rows()) + " words");
+  input.visit(0, MESH_HEADER, [&](std::uint64_t, std::span<const std::byte> words) {
+    layout.triangles = row_word<std::uint32_t>(words.data(), MESH_TRIANGLES);
+    layout.nodes = row_word<std::uint32_t>(words.data(), MESH_NODES);
+    layout.vertices = row_word<std::uint32_t>(words.data(), MESH_VERTICES);
+    layout.corners = row_word<std::uint32_t>(words.data(), MESH_CORNERS);
+    layout.hanging = row_word<std::uint32_t>(words.data(), MESH_HANGING);
+  });
+  input.expect_rows(layout.words());
+  return layout;
+}
+
+cl::Buffer mesh_to_device(const StageRun& run, cl::CommandQueue& queue, MeshLayout* layout) {
+  *layout = read_mesh_layout(run.task, "mesh");
+  if (layout->triangles != run.scene.triangles())
+    throw Error::bad_input(run.where(), "input mesh", std::to_string(run.scene.triangles()) + " triangles",
+                           std::to_string(layout->triangles));
+  const InputRows input(run.task, "mesh", 4);
+  MeshCheck check(input, *layout, run.scene.triangles());
+  return input.to_device(run.device, queue, [&](std::uint64_t row, std::span<const std::byte> words) {
+    for (std::size_t at = 0; at < words.size(); at += 4) check.word(row++, row_word<std::uint32_t>(&words[at], 0));
+  });
+}
+
+HostMesh read_mesh(const StageTask& task, const char* name) {
+  HostMesh mesh{read_mesh_layout(task, name), {}};
+  const InputRows input(task, name, 4);
+  MeshCheck check(input, mesh.layout, mesh.layout.triangles);
+  mesh.words.resize(mesh.layout.words());
+  input.visit(0, mesh.words.size(), [&](std::uint64_t first, std::span<const std::byte> words) {
+    std::memcpy(&mesh.words[first], words.data(), words.size());
+    for (std::size_t at = 0; at < words.size(); at += 4) check.word(first++, row_word<std::uint32_t>(&words[at], 0));
+  });
+  return mesh;
+}
+
+std::size_t MeshTables::bytes() const {
+  std::size_t sum = mesh.getInfo<CL_MEM_SIZE>();
+  if (rows()) sum += rows.getInfo<CL_MEM_SIZE>();
+  return sum;
+}
+
+std::shared_ptr<const MeshTables> mesh_tables(const StageRun& run, const char* rows, unsigned words) {
+  return run.tables.get<MeshTables>(run.task, [&] {
+    MeshTables tables;
+    cl::CommandQueue queue = run.device.make_queue();
+    tables.mesh = mesh_to_device(run, queue, &tables.layout);
+    if (rows) {
+      const InputRows input(run.task, rows, std::size_t{words} * 4);
+      input.expect_rows(tables.layout.elements());
+      tables.rows = input.to_device(run.device, queue, {});
+    }
+    return tables;
+  });
+}
+
+namespace {
+
+std::vector<std::uint32_t> levels_of(const StageRun& run, const TriangleRows& triangles, std::uint32_t wanted) {
+  if (!run.task.inputs.contains("coarse")) return even_levels(triangles, wanted);
+  const HostMesh coarse = read_mesh(run.task, "coarse");
+  const std::vector<float> probe = input_rows(run.task, "probe", PROBE_WORDS);
+  if (coarse.layout.triangles != triangles.count || probe.size() != coarse.layout.elements() * PROBE_WORDS)
+    throw Error::bad_input(
+        run.where(), "inputs coarse and probe",
+        std::to_string(triangles.count) + " triangles, and a row for each of " +
+            std::to_string(coarse.layout.elements()) + " elements",
+        std::to_string(coarse.layout.triangles) + " and " + std::to_string(probe.size() / PROBE_WORDS));
+  return refined_levels(triangles, wanted, coarse, probe);
+}
+
+}  // namespace
+
+// Stage kind "links_mesh".
+BatchResult run_links_mesh_stage(const StageRun& run) {
+  const auto p = run.parameters<kernels::LinksMeshParameters>();
+  run.check_range(1);
+  const double start = seconds_now();
+  const TriangleRows triangles{nullptr, run.scene.triangle_words(), run.scene.triangles()};
+  cl::CommandQueue queue = run.device.make_queue();
+  std::vector<float> rows(triangles.count * triangles.words);
+  if (triangles.count) queue.enqueueReadBuffer(run.scene.triangle_rows(), CL_TRUE, 0, rows.size() * 4, rows.data());
+  const TriangleRows filled{rows.data(), triangles.words, triangles.count};
+  kernels::LinksMeshFacts facts{};
+  const std::vector<std::uint32_t> mesh = make_links_mesh(filled, levels_of(run, filled, p.vertices), &facts);
+  BatchResult result;
+  result.records.resize(mesh.size() * 4);
+  std::memcpy(result.records.data(), mesh.data(), result.records.size());
+  result.counts = {static_cast<std::uint32_t>(mesh.size())};
+  set_facts(result, facts);
+  result.counters.seconds = seconds_now() - start;
+  return result;
+}
+
+}  // namespace gleaner::worker

@@ -1,0 +1,75 @@
+#pragma once
+// The mesh of vertices (kernels/links_records.h), as stages make and read it.
+
+#include <cstdint>
+#include <vector>
+
+#include "kernels/links_records.h"
+#include "worker/stages/stage.h"
+#include "worker/wavefront/input_rows.h"
+
+namespace gleaner::worker {
+
+// Where the sections of a mesh begin, in words.
+struct MeshLayout {
+  std::uint64_t triangles = 0, nodes = 0, vertices = 0, corners = 0, hanging = 0;
+  std::uint64_t nodes_at() const { return MESH_HEADER + MESH_TRIANGLE_WORDS * triangles; }
+  std::uint64_t rings_at() const { return nodes_at() + nodes; }
+  std::uint64_t corners_at() const { return rings_at() + vertices + 1; }
+  std::uint64_t areas_at() const { return corners_at() + CORNER_WORDS * corners; }
+  std::uint64_t places_at() const { return areas_at() + vertices; }
+  std::uint64_t hanging_at() const { return places_at() + PLACE_WORDS * vertices; }
+  std::uint64_t words() const { return hanging_at() + HANGING_WORDS * hanging; }
+  std::uint64_t elements() const { return 2 * vertices; }
+};
+
+constexpr std::uint64_t nodes_of_level(std::uint32_t level) {
+  const std::uint64_t n = std::uint64_t{1} << level;
+  return (n + 1) * (n + 2) / 2;
+}
+
+// A task's input, a mesh. Throws Error::bad_input where its size is not what its header says.
+MeshLayout read_mesh_layout(const StageTask& task, const char* input = "mesh");
+
+// The same, checked: what its sections name exists. `triangles`: of the scene.
+cl::Buffer mesh_to_device(const StageRun& run, cl::CommandQueue& queue, MeshLayout* layout);
+
+// What stages on devices keep of a mesh, and of rows that they read with it.
+struct MeshTables {
+  MeshLayout layout;
+  cl::Buffer mesh{}, rows{};
+  std::size_t bytes() const;
+};
+// The rows come from input `rows`, `words` words an element; none where it is null.
+std::shared_ptr<const MeshTables> mesh_tables(const StageRun& run, const char* rows, unsigned words);
+
+// Rows of a scene's triangles (kernels/scene_layout.h).
+struct TriangleRows {
+  const float* rows = nullptr;
+  unsigned words = 0;  // of a row
+  std::uint64_t count = 0;
+};
+
+// A mesh, in memory.
+struct HostMesh {
+  MeshLayout layout;
+  std::vector<std::uint32_t> words;
+};
+// Checked as mesh_to_device() does.
+HostMesh read_mesh(const StageTask& task, const char* input);
+
+// The level of each triangle for about so many vertices (LinksMeshParameters), all edges about as long; and where
+// irradiance bends, by a probe of a coarser mesh.
+std::vector<std::uint32_t> even_levels(const TriangleRows& triangles, std::uint32_t wanted);
+std::vector<std::uint32_t> refined_levels(const TriangleRows& triangles, std::uint32_t wanted, const HostMesh& coarse,
+                                          const std::vector<float>& probe);
+
+// The mesh of these levels: its words. Throws Error::failed where there are too many.
+std::vector<std::uint32_t> make_links_mesh(const TriangleRows& triangles, const std::vector<std::uint32_t>& levels,
+                                           kernels::LinksMeshFacts* facts);
+
+inline std::uint32_t node_number(std::uint32_t i, std::uint32_t j, std::uint32_t n) {
+  return j * (n + 1) - (j * (j - 1)) / 2 + i;
+}
+
+}  // namespace gleaner::worker

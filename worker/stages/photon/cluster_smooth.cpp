@@ -1,0 +1,234 @@
+// Stage kind "photon_cluster_smooth": the records of shading clusters' samples, each averaged with those near it. Solo,
+// on the host.
+//
+// A sample's rays are few, and their noise shows as blotches as wide as its cluster. Where surfaces are far away,
+// irradiance changes slowly: a record takes the mean of what its neighbours say of its place, by their gradients (Ward
+// & Heckbert 1992). How far neighbours count is in proportion to R, so that corners and contact shadows keep their
+// detail. R is the harmonic mean distance, no more than R_j + |x_i - x_j| of any neighbour j (Krivanek, Bouatouch,
+// Pattanaik & Zara 2006, "Making radiance and irradiance caching practical"): a sample that does not see what is near
+// it through its few rays learns of it from others.
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <unordered_map>
+
+#include "kernels/photon_records.h"
+#include "worker/stages/photon/stages.h"
+#include "worker/stages/splat/points.h"
+#include "worker/stages/splat/scalar.h"
+#include "worker/stages/vpl/rows.h"
+#include "worker/wavefront/input_rows.h"
+
+namespace gleaner::worker {
+namespace {
+
+// A neighbour counts up to this part of the smaller R of both, and no farther away than so many times what its record
+// reaches. More: less noise, and less detail where light changes fast.
+constexpr float kSmoothing = 0.2f, kMostReach = 3;
+// Rounds in which R learns of R_j.
+constexpr int kClampRounds = 3;
+// Bounds of the radius that weighs a record: of its reach, and by normals that hardly turn.
+constexpr float kLeastRadius = 0.05f, kLeastTurn = 0.1f;
+
+struct Offset {
+  std::array<float, 3> to;
+  float distance, turn;
+};
+
+class Smoothing {
+ public:
+  explicit Smoothing(std::vector<CacheRecord> records) : records_(std::move(records)) {
+    cell_ = kMostReach * median_reach();
+    for (std::uint32_t i = 0; i < records_.size(); ++i) cells_[key_of(cell_at(i))].push_back(i);
+    radius_.reserve(records_.size());
+    for (const CacheRecord& record : records_) radius_.push_back(record.radius);
+    near_.resize(records_.size());
+    for (std::uint32_t i = 0; i < records_.size(); ++i) find_near(i);
+  }
+
+  void clamp_radii() {
+    for (int round = 0; round < kClampRounds; ++round) {
+      std::vector<float> clamped = radius_;
+      for (std::uint32_t i = 0; i < records_.size(); ++i)
+        for (const std::uint32_t j : near_[i]) clamped[i] = std::min(clamped[i], radius_[j] + offset(i, j).distance);
+      radius_ = std::move(clamped);
+    }
+  }
+
+  void smooth_gradients() {
+    std::vector<CacheRecord> result = records_;
+    for (std::uint32_t i = 0; i < records_.size(); ++i) {
+      std::array<double, 9> rotation{}, translation{};
+      double weights = 0;
+      const auto add = [&](std::uint32_t j, double w) {
+        for (std::size_t k = 0; k < 9; ++k) {
+          rotation[k] += w * records_[j].rotation[k];
+          translation[k] += w * records_[j].translation[k];
+        }
+        weights += w;
+      };
+      each_weighted(i, add);
+      for (std::size_t k = 0; k < 9; ++k) {
+        result[i].rotation[k] = static_cast<float>(rotation[k] / weights);
+        result[i].translation[k] = static_cast<float>(translation[k] / weights);
+      }
+    }
+    records_ = std::move(result);
+  }
+
+  std::vector<CacheRecord> smoothed() const {
+    std::vector<CacheRecord> result;
+    result.reserve(records_.size());
+    for (std::uint32_t i = 0; i < records_.size(); ++i) result.push_back(smoothed(i));
+    return result;
+  }
+
+ private:
+  using Cell = std::array<std::int64_t, 3>;
+
+  float reach(std::uint32_t i) const { return records_[i].spare[0]; }
+  float turn(std::uint32_t i) const { return records_[i].spare[1]; }
+
+  float median_reach() const {
+    std::vector<float> reaches{1e-6f};
+    for (const CacheRecord& record : records_) reaches.push_back(record.spare[0]);
+    const auto middle = reaches.begin() + static_cast<std::ptrdiff_t>(reaches.size() / 2);
+    std::nth_element(reaches.begin(), middle, reaches.end());
+    return *middle;
+  }
+
+  Cell cell_at(std::uint32_t i) const {
+    Cell cell;
+    for (std::size_t k = 0; k < 3; ++k)
+      cell[k] = static_cast<std::int64_t>(std::floor(records_[i].position[k] / cell_));
+    return cell;
+  }
+  static std::uint64_t key_of(const Cell& c) {
+    return static_cast<std::uint64_t>(c[0]) * 73856093u ^ static_cast<std::uint64_t>(c[1]) * 19349663u ^
+           static_cast<std::uint64_t>(c[2]) * 83492791u;
+  }
+
+  Offset offset(std::uint32_t from, std::uint32_t to) const {
+    const CacheRecord &a = records_[from], &b = records_[to];
+    Offset off{};
+    float squared = 0, turned = 0;
+    for (std::size_t k = 0; k < 3; ++k) {
+      off.to[k] = b.position[k] - a.position[k];
+      squared += off.to[k] * off.to[k];
+      turned += (b.normal[k] - a.normal[k]) * (b.normal[k] - a.normal[k]);
+    }
+    off.distance = std::sqrt(squared);
+    off.turn = std::sqrt(turned / 2);
+    return off;
+  }
+
+  bool hidden(std::uint32_t i, std::uint32_t j, const Offset& off) const {
+    const auto &n = records_[j].normal, &m = records_[i].normal;
+    const float height =
+        std::abs(off.to[0] * (n[0] + m[0]) + off.to[1] * (n[1] + m[1]) + off.to[2] * (n[2] + m[2])) / 2;
+    return height > SPLAT_MOST_DEPTH * 2 * off.distance;
+  }
+
+  void find_near(std::uint32_t i) {
+    const float most = std::min(kMostReach * reach(i), cell_);
+    const Cell middle = cell_at(i);
+    for (std::int64_t x = -1; x <= 1; ++x)
+      for (std::int64_t y = -1; y <= 1; ++y)
+        for (std::int64_t z = -1; z <= 1; ++z) {
+          const auto found = cells_.find(key_of({middle[0] + x, middle[1] + y, middle[2] + z}));
+          if (found == cells_.end()) continue;
+          for (const std::uint32_t j : found->second) {
+            if (j == i) continue;
+            const Offset off = offset(i, j);
+            if (off.distance > most || off.turn > std::min(turn(i), turn(j)) || hidden(i, j, off)) continue;
+            near_[i].push_back(j);
+          }
+        }
+    std::ranges::sort(near_[i]);
+    near_[i].erase(std::unique(near_[i].begin(), near_[i].end()), near_[i].end());
+  }
+
+  float weight(std::uint32_t i, std::uint32_t j, const Offset& off) const {
+    const float most =
+        std::min({kMostReach * reach(i), kMostReach * reach(j), kSmoothing * radius_[i], kSmoothing * radius_[j]});
+    const float away = off.distance / most, turned = off.turn / std::max(1e-6f, std::min(turn(i), turn(j)));
+    return std::max(0.0f, 1 - away * away) * std::max(0.0f, 1 - turned * turned);
+  }
+
+  // Calls add(record, weight) with the record itself and with those that count beside it.
+  template <typename Add>
+  void each_weighted(std::uint32_t i, const Add& add) const {
+    add(i, 1);
+    for (const std::uint32_t j : near_[i])
+      if (const float w = weight(i, j, offset(i, j)); w > 0) add(j, double{w});
+  }
+
+  CacheRecord smoothed(std::uint32_t i) const {
+    CacheRecord result = records_[i];
+    std::array<double, 3> e{};
+    double weights = 0;
+    const auto add = [&](std::uint32_t j, double w) {
+      const CacheRecord &b = records_[j], &a = records_[i];
+      const Offset off = offset(j, i);
+      const auto &m = b.normal, &n = a.normal;
+      const float turn[3] = {m[1] * n[2] - m[2] * n[1], m[2] * n[0] - m[0] * n[2], m[0] * n[1] - m[1] * n[0]};
+      for (std::size_t c = 0; c < 3; ++c) {
+        double value = b.irradiance[c];
+        for (std::size_t k = 0; k < 3; ++k)
+          value += turn[k] * (b.rotation[3 * c + k] + a.rotation[3 * c + k]) / 2 +
+                   off.to[k] * (b.translation[3 * c + k] + a.translation[3 * c + k]) / 2;
+        e[c] += w * std::max(0.0, value);
+      }
+      weights += w;
+    };
+    each_weighted(i, add);
+    for (std::size_t c = 0; c < 3; ++c) result.irradiance[c] = static_cast<float>(e[c] / weights);
+    const float most = reach(i) / std::max(turn(i), kLeastTurn);
+    const float r = std::clamp(radius_[i], kLeastRadius * reach(i), most);
+    result.radius = r;
+    result.accuracy = reach(i) / r + turn(i);
+    result.spare = {};
+    return result;
+  }
+
+  std::vector<CacheRecord> records_;
+  std::vector<float> radius_;
+  float cell_ = 1;
+  std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> cells_;
+  std::vector<std::vector<std::uint32_t>> near_;
+};
+
+std::vector<CacheRecord> read_records(const StageTask& task) {
+  const InputRows input(task, "records", sizeof(CacheRecord));
+  std::vector<CacheRecord> records(input.rows());
+  input.visit(0, input.rows(), [&](std::uint64_t first, std::span<const std::byte> piece) {
+    std::memcpy(&records[first], piece.data(), piece.size());
+  });
+  for (std::size_t i = 0; i < records.size(); ++i) {
+    float words[CACHE_WORDS];
+    std::memcpy(words, &records[i], sizeof words);
+    for (const float word : words)
+      if (!std::isfinite(word)) input.fail(i, "", "finite numbers", std::to_string(word));
+    if (!(records[i].radius > 0)) input.fail(i, "radius", "metres above 0", std::to_string(records[i].radius));
+    if (!(records[i].spare[0] > 0)) input.fail(i, "reach", "metres above 0", std::to_string(records[i].spare[0]));
+    if (!(records[i].spare[1] > 0)) input.fail(i, "turn", "a number above 0", std::to_string(records[i].spare[1]));
+  }
+  return records;
+}
+
+}  // namespace
+
+BatchResult smooth_photon_clusters(const StageTask& task) {
+  Smoothing smoothing(read_records(task));
+  smoothing.clamp_radii();
+  smoothing.smooth_gradients();
+  const std::vector<CacheRecord> rows = smoothing.smoothed();
+  BatchResult result;
+  result.records.resize(rows.size() * sizeof(CacheRecord));
+  std::memcpy(result.records.data(), rows.data(), result.records.size());
+  result.counts = {static_cast<std::uint32_t>(rows.size())};
+  return result;
+}
+
+}  // namespace gleaner::worker

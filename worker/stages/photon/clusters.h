@@ -1,0 +1,46 @@
+#pragma once
+// Which samples shading clusters have, and how far each of them is read (Wang et al. 2009, section 3.2).
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "worker/stages/photon/seeding.h"
+#include "worker/stages/splat/points.h"
+
+namespace gleaner::worker {
+
+// The pixels' points as kernels/splat_records.h lays them out, and a grid of every step-th pixel of both axes.
+struct PointScreen {
+  std::uint32_t width = 0, height = 0, samples = 0;
+  std::uint32_t step = 1;
+
+  std::uint32_t columns() const { return (width + step - 1) / step; }
+  std::uint32_t rows() const { return (height + step - 1) / step; }
+  // The first of a pixel's points.
+  std::size_t point_of(std::uint32_t x, std::uint32_t y) const {
+    const std::size_t tile = std::size_t{y / SPLAT_TILE} * splat_tiles(width) + x / SPLAT_TILE;
+    return (tile * SPLAT_TILE_PIXELS + std::size_t{y % SPLAT_TILE} * SPLAT_TILE + x % SPLAT_TILE) * samples;
+  }
+};
+
+// A point where light is gathered, and where it may be read: up to `reach` metres away, by points whose normals give
+// sqrt(1 - n.m) up to `turn`. `spacing`: of its cluster's members, m.
+struct ClusterSample {
+  std::uint32_t point = 0;
+  float reach = 0, turn = 0, spacing = 0;
+};
+
+// A point of the grid and the sample of its cluster.
+struct ClusterMember {
+  ScreenPoint screen{};
+  std::uint32_t point = 0, sample = 0;
+};
+
+// Gives the samples (whose points are set) their extents, such that each point that a pixel shows may read one: where
+// it is too unlike all near it, it becomes a sample itself, or reads one that did. Returns how many did.
+
+std::uint64_t extend_samples(const PointScreen& screen, std::span<const SplatPoint> points,
+                             std::span<const ClusterMember> members, std::vector<ClusterSample>& samples);
+
+}  // namespace gleaner::worker

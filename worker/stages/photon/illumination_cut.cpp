@@ -1,0 +1,232 @@
+#include "worker/stages/photon/illumination_cut.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <limits>
+#include <queue>
+#include <utility>
+
+#include "kernels/photon_records.h"
+#include "kernels/rays.h"
+
+namespace gleaner::worker {
+namespace {
+
+constexpr float kLeastRadius = 1e-6f;  // m
+constexpr float kFar = 1e18f;          // m: what lies farther away is no photon (kernels/photon_records.h)
+constexpr float kAlike = 0.7f;         // least cosine between normals of one surface: MAP_LEAST_COSINE of the kernels
+
+float cosine(const std::array<float, 3>& a, const std::array<float, 3>& b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+float component(std::uint32_t bits, unsigned width) {
+  const float most = static_cast<float>((1u << width) - 1u);
+  return static_cast<float>(bits & ((1u << width) - 1u)) / most * 2 - 1;
+}
+
+// As unpack_unit() of kernels/photon/pack.h.
+std::array<float, 3> unpack_unit(std::uint32_t packed, unsigned width) {
+  float x = component(packed, width), y = component(packed >> width, width);
+  const float z = 1 - std::abs(x) - std::abs(y), fold = std::max(-z, 0.0f);
+  x += x >= 0 ? -fold : fold;
+  y += y >= 0 ? -fold : fold;
+  const float length = std::sqrt(x * x + y * y + z * z);
+  return {x / length, y / length, z / length};
+}
+
+}  // namespace
+
+std::uint32_t IlluminationCut::word(std::size_t node, unsigned word) const {
+  return map_[(1 + node) * PHOTON_WORDS + word];
+}
+float IlluminationCut::real(std::size_t node, unsigned word) const {
+  return std::bit_cast<float>(this->word(node, word));
+}
+bool IlluminationCut::leaf(std::size_t node) const { return word(node, NODE_BLOCK) != GLEANER_NONE; }
+std::size_t IlluminationCut::right(std::size_t node) const { return word(node + 1, NODE_SKIP); }
+float IlluminationCut::photon(std::uint32_t block, unsigned lane, unsigned word) const {
+  const std::size_t first = (1 + std::size_t{nodes_}) * PHOTON_WORDS;
+  return std::bit_cast<float>(map_[first + (std::size_t{block} * PHOTON_WORDS + word) * RAY_BLOCK + lane]);
+}
+
+IlluminationCut::IlluminationCut(std::vector<std::uint32_t> map)
+    : map_(std::move(map)), nodes_(map_[MAP_NODES]), power_(nodes_, 0) {
+  // Children stand behind their node.
+  for (std::size_t node = nodes_; node-- > 0;) {
+    if (!leaf(node)) {
+      power_[node] = power_[node + 1] + power_[right(node)];
+      continue;
+    }
+    for (unsigned lane = 0; lane < RAY_BLOCK; ++lane)
+      for (unsigned k = 0; k < 3; ++k) power_[node] += double{photon(word(node, NODE_BLOCK), lane, PHOTON_POWER + k)};
+  }
+  cut_ = {0};
+}
+
+void IlluminationCut::choose(std::uint32_t nodes) {
+  // The first of equals is opened first.
+  using Candidate = std::pair<double, std::int64_t>;
+  std::priority_queue<Candidate> open;
+  std::vector<std::uint32_t> closed;
+  const auto add = [&](std::size_t node) {
+    if (leaf(node))
+      closed.push_back(static_cast<std::uint32_t>(node));
+    else
+      open.push({power_[node], -static_cast<std::int64_t>(node)});
+  };
+  add(0);
+  while (!open.empty() && open.size() + closed.size() < nodes) {
+    const auto node = static_cast<std::size_t>(-open.top().second);
+    open.pop();
+    add(node + 1);
+    add(right(node));
+  }
+  cut_ = std::move(closed);
+  for (; !open.empty(); open.pop()) cut_.push_back(static_cast<std::uint32_t>(-open.top().second));
+  std::ranges::sort(cut_);
+}
+
+float IlluminationCut::radius(std::size_t node) const {
+  float most = kLeastRadius;
+  for (unsigned k = 0; k < 3; ++k) most = std::max(most, real(node, NODE_UPPER + k) - real(node, NODE_LOWER + k));
+  return most;
+}
+
+// Eq. 3, without its cosine: photons lie the thinner on a surface the more it is turned away from them.
+double IlluminationCut::irradiance(std::size_t node) const {
+  const double r = radius(node);
+  return power_[node] / (r * r);
+}
+
+template <typename See>
+void IlluminationCut::each_photon(std::size_t node, See see) const {
+  for (std::size_t below = node; below < word(node, NODE_SKIP); ++below) {
+    if (!leaf(below)) continue;
+    for (unsigned lane = 0; lane < RAY_BLOCK; ++lane)
+      if (photon(word(below, NODE_BLOCK), lane, 0) < kFar) see(word(below, NODE_BLOCK), lane);
+  }
+}
+
+std::array<float, 3> IlluminationCut::normal(std::uint32_t block, unsigned lane) const {
+  return unpack_unit(std::bit_cast<std::uint32_t>(photon(block, lane, PHOTON_SURFACE)), 12);
+}
+
+CutPlace IlluminationCut::place(std::size_t node) const {
+  std::array<float, 3> middle{};
+  for (unsigned k = 0; k < 3; ++k) middle[k] = (real(node, NODE_LOWER + k) + real(node, NODE_UPPER + k)) / 2;
+  CutPlace best{};
+  double nearest = std::numeric_limits<double>::infinity();
+  each_photon(node, [&](std::uint32_t block, unsigned lane) {
+    double off = 0;
+    for (unsigned k = 0; k < 3; ++k) off += std::pow(double{photon(block, lane, k)} - middle[k], 2);
+    if (!(off < nearest)) return;
+    nearest = off;
+    best.position = {photon(block, lane, 0), photon(block, lane, 1), photon(block, lane, 2)};
+    best.normal = normal(block, lane);
+  });
+  return best;
+}
+
+std::vector<CutPlace> IlluminationCut::spread(std::size_t i, const CutPlace& place, std::uint32_t most) const {
+  std::vector<CutPlace> alike;
+  each_photon(cut_[i], [&](std::uint32_t block, unsigned lane) {
+    const CutPlace other = {{photon(block, lane, 0), photon(block, lane, 1), photon(block, lane, 2)},
+                            normal(block, lane)};
+    if (cosine(other.normal, place.normal) > kAlike && other.position != place.position) alike.push_back(other);
+  });
+  std::vector<CutPlace> places{place};
+  const std::size_t wanted = std::min<std::size_t>(most - 1, alike.size());
+  for (std::size_t k = 0; k < wanted; ++k) places.push_back(alike[(2 * k + 1) * alike.size() / (2 * wanted)]);
+  return places;
+}
+
+bool IlluminationCut::bent(std::size_t node) const {
+  bool first = true, unlike = false;
+  std::array<float, 3> one{};
+  each_photon(node, [&](std::uint32_t block, unsigned lane) {
+    const std::array<float, 3> n = normal(block, lane);
+    if (first) one = n;
+    first = false;
+    unlike = unlike || cosine(n, one) < kAlike;
+  });
+  return unlike;
+}
+
+std::vector<CutPlace> IlluminationCut::places() const {
+  std::vector<CutPlace> places;
+  places.reserve(cut_.size());
+  for (const std::uint32_t node : cut_) places.push_back(place(node));
+  return places;
+}
+
+std::size_t IlluminationCut::refine(const std::vector<std::array<float, 3>>& irradiance, double ratio) {
+  std::vector<std::uint32_t> refined;
+  for (std::size_t i = 0; i < cut_.size(); ++i) {
+    const std::size_t node = cut_[i];
+    const double rough = this->irradiance(node);
+    const double exact = double{irradiance[i][0]} + irradiance[i][1] + irradiance[i][2];
+    if (leaf(node) || !(std::abs(exact - rough) > ratio * rough || bent(node))) {
+      refined.push_back(cut_[i]);
+      continue;
+    }
+    refined.push_back(static_cast<std::uint32_t>(node + 1));
+    refined.push_back(static_cast<std::uint32_t>(right(node)));
+  }
+  const std::size_t opened = refined.size() - cut_.size();
+  cut_ = std::move(refined);
+  return opened;
+}
+
+double IlluminationCut::median_radius() const {
+  std::vector<float> radii;
+  for (const std::uint32_t node : cut_) radii.push_back(radius(node));
+  const auto middle = radii.begin() + static_cast<std::ptrdiff_t>(radii.size() / 2);
+  std::nth_element(radii.begin(), middle, radii.end());
+  return double{*middle};
+}
+
+std::vector<std::uint32_t> IlluminationCut::rows(const std::vector<CutPlace>& places,
+                                                 const std::vector<std::array<float, 3>>& irradiance) const {
+  std::vector<std::uint32_t> rows;
+  rows.reserve(2 * cut_.size() * CUT_WORDS);
+  std::size_t next = 0;
+  write(0, irradiance, places, next, rows);
+  return rows;
+}
+
+// Appends the tree below `node`; `next`: the cut's node that comes next. Returns the row.
+std::size_t IlluminationCut::write(std::size_t node, const std::vector<std::array<float, 3>>& irradiance,
+                                   const std::vector<CutPlace>& places, std::size_t& next,
+                                   std::vector<std::uint32_t>& rows) const {
+  const std::size_t row = rows.size() / CUT_WORDS;
+  rows.resize(rows.size() + CUT_WORDS, 0);
+  const auto put = [&](unsigned word, float value) {
+    rows[row * CUT_WORDS + word] = std::bit_cast<std::uint32_t>(value);
+  };
+  const auto get = [&](std::size_t at, unsigned word) { return std::bit_cast<float>(rows[at * CUT_WORDS + word]); };
+  if (cut_[next] == node) {
+    const CutPlace& place = places[next];
+    const float r = radius(node);
+    for (unsigned k = 0; k < 3; ++k) {
+      put(NODE_LOWER + k, place.position[k] - r);
+      put(NODE_UPPER + k, place.position[k] + r);
+      put(CUT_NORMAL + k, place.normal[k]);
+      put(CUT_IRRADIANCE + k, irradiance[next][k]);
+    }
+    put(CUT_NEARNESS, 1 / (r * r));
+    ++next;
+  } else {
+    const std::size_t one = write(node + 1, irradiance, places, next, rows),
+                      other = write(right(node), irradiance, places, next, rows);
+    for (unsigned k = 0; k < 3; ++k) {
+      put(NODE_LOWER + k, std::min(get(one, NODE_LOWER + k), get(other, NODE_LOWER + k)));
+      put(NODE_UPPER + k, std::max(get(one, NODE_UPPER + k), get(other, NODE_UPPER + k)));
+    }
+  }
+  rows[row * CUT_WORDS + NODE_SKIP] = static_cast<std::uint32_t>(rows.size() / CUT_WORDS);
+  return row;
+}
+
+}  // namespace gleaner::worker

@@ -1,0 +1,61 @@
+#pragma once
+// The illumination cut (Wang et al. 2009, section 3.3): nodes of a photon map's tree that stand for all its photons.
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+namespace gleaner::worker {
+
+// Where a node's irradiance is estimated: the place of the photon that is nearest to the middle of its box, and the
+// normal of that photon's surface.
+struct CutPlace {
+  std::array<float, 3> position, normal;
+};
+
+class IlluminationCut {
+ public:
+  // `map`: the words of a map's rows (kernels/photon_records.h), which have been checked.
+  explicit IlluminationCut(std::vector<std::uint32_t> map);
+
+  // The coarse cut: from the root on, the node of most power is opened, until there are `nodes`.
+  void choose(std::uint32_t nodes);
+  std::vector<CutPlace> places() const;  // of the cut's nodes, in the tree's order
+  // Of one of places(): places of photons on its surface all over the node, at most `most`, itself among them.
+  std::vector<CutPlace> spread(std::size_t i, const CutPlace& place, std::uint32_t most) const;
+  // Opens nodes whose irradiance, RGB of each of places(), differs from eq. 3's by more than `ratio` of that, and nodes
+  // of several surfaces that face elsewhere. Returns how many.
+  std::size_t refine(const std::vector<std::array<float, 3>>& irradiance, double ratio);
+
+  std::size_t size() const { return cut_.size(); }
+  // Of one of places(), by eq. 3, all colours.
+  double rough_irradiance(std::size_t i) const { return irradiance(cut_[i]); }
+  double median_radius() const;  // m
+  // Rows of CUT_WORDS: the tree down to the cut. `places`: places().
+  std::vector<std::uint32_t> rows(const std::vector<CutPlace>& places,
+                                  const std::vector<std::array<float, 3>>& irradiance) const;
+
+ private:
+  std::uint32_t word(std::size_t node, unsigned word) const;
+  float real(std::size_t node, unsigned word) const;
+  bool leaf(std::size_t node) const;
+  std::size_t right(std::size_t node) const;
+  float photon(std::uint32_t block, unsigned lane, unsigned word) const;
+  float radius(std::size_t node) const;  // r_p of eq. 3 and 4: the longest side of its box
+  double irradiance(std::size_t node) const;
+  CutPlace place(std::size_t node) const;
+  bool bent(std::size_t node) const;  // whether its photons' normals are unlike
+  std::array<float, 3> normal(std::uint32_t block, unsigned lane) const;
+  // Calls see(block, lane) for each photon of a node.
+  template <typename See>
+  void each_photon(std::size_t node, See see) const;
+  std::size_t write(std::size_t node, const std::vector<std::array<float, 3>>& irradiance,
+                    const std::vector<CutPlace>& places, std::size_t& next, std::vector<std::uint32_t>& rows) const;
+
+  std::vector<std::uint32_t> map_;
+  std::uint32_t nodes_ = 0;
+  std::vector<double> power_;       // of each node's photons, W, all colours
+  std::vector<std::uint32_t> cut_;  // rising
+};
+
+}  // namespace gleaner::worker

@@ -1,0 +1,210 @@
+// Stage kind "photon_map": the tree over photons (kernels/photon_records.h). A kd-tree split at medians: the widest
+// axis of each node's box is cut where half of its blocks of 16 photons lie on either side, so that all leaves are
+// whole blocks. Photons lie on surfaces, in clumps; a median tree's depth does not depend on that, a grid's cells do.
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numbers>
+
+#include "kernels/photon_records.h"
+#include "kernels/rays.h"
+#include "scene/model/error.h"
+#include "scene/model/limits.h"
+#include "worker/stages/photon/stages.h"
+#include "worker/stages/vpl/rows.h"
+#include "worker/wavefront/counters.h"
+#include "worker/wavefront/input_rows.h"
+
+namespace gleaner::worker {
+namespace {
+
+using kernels::PhotonMapFacts;
+using kernels::PhotonMapParameters;
+
+constexpr std::uint64_t kMostPhotons = std::uint64_t{1} << 28;
+constexpr float kFar = 3e18f;  // its square is still a float
+
+struct Photon {
+  std::array<std::uint32_t, PHOTON_WORDS> words;
+};
+static_assert(sizeof(Photon) == PHOTON_WORDS * 4);
+
+// What sorting moves about.
+struct Place {
+  std::array<float, 3> at;
+  std::uint32_t photon;
+};
+
+float as_float(std::uint32_t word) {
+  float value;
+  std::memcpy(&value, &word, 4);
+  return value;
+}
+std::uint32_t as_word(float value) {
+  std::uint32_t word;
+  std::memcpy(&word, &value, 4);
+  return word;
+}
+
+std::uint32_t class_of(const Photon& photon) {
+  return photon.words[PHOTON_SURFACE] >> PHOTON_CLASS_SHIFT & PHOTON_CLASS_MASK;
+}
+
+class MapBuilder {
+ public:
+  MapBuilder(std::vector<Photon> photons, std::uint32_t neighbours)
+      : photons_(std::move(photons)), neighbours_(std::max(neighbours, 1u)) {
+    places_.reserve(photons_.size());
+    for (const Photon& photon : photons_)
+      places_.push_back({{as_float(photon.words[0]), as_float(photon.words[1]), as_float(photon.words[2])},
+                         static_cast<std::uint32_t>(places_.size())});
+    const std::size_t blocks = std::max<std::size_t>(1, (photons_.size() + RAY_BLOCK - 1) / RAY_BLOCK);
+    nodes_.reserve(2 * blocks - 1);
+    rows_.resize(1 + 2 * blocks - 1 + blocks * RAY_BLOCK);
+    add_node(0, places_.size(), true);
+    write(blocks);
+  }
+
+  const std::vector<Photon>& rows() const { return rows_; }
+  PhotonMapFacts facts() {
+    PhotonMapFacts facts;
+    facts.photons = photons_.size();
+    facts.nodes = nodes_.size();
+    for (const Photon& photon : photons_)
+      for (unsigned k = 0; k < 3; ++k) facts.power[k] += double{as_float(photon.words[PHOTON_POWER + k])};
+    if (!radii_.empty()) {
+      const auto middle = radii_.begin() + static_cast<std::ptrdiff_t>(radii_.size() / 2);
+      std::nth_element(radii_.begin(), middle, radii_.end());
+      facts.radius = *middle;
+    }
+    return facts;
+  }
+
+ private:
+  struct Node {
+    std::array<float, 3> lower{kFar, kFar, kFar}, upper{-kFar, -kFar, -kFar};
+    std::uint32_t block = GLEANER_NONE, skip = 0;
+  };
+
+  // The node over places [first, last). `looks`: it, or one below it, tells how wide the nearest neighbours' disc is.
+  void add_node(std::size_t first, std::size_t last, bool looks) {
+    const std::size_t index = nodes_.size();
+    nodes_.emplace_back();
+    Node node;
+    for (std::size_t i = first; i < last; ++i)
+      for (unsigned k = 0; k < 3; ++k) {
+        node.lower[k] = std::min(node.lower[k], places_[i].at[k]);
+        node.upper[k] = std::max(node.upper[k], places_[i].at[k]);
+      }
+    if (first == last) node.upper = node.lower;  // of a map without photons: far away
+    const std::size_t blocks = (last - first + RAY_BLOCK - 1) / RAY_BLOCK;
+    if (looks && last > first && last - first <= std::max<std::size_t>(2 * neighbours_, RAY_BLOCK)) {
+      note_radius(node, last - first);
+      looks = false;
+    }
+    if (blocks <= 1) {
+      node.block = blocks_++;
+    } else {
+      const std::size_t middle = first + (blocks + 1) / 2 * RAY_BLOCK;
+      split(first, middle, last, node);
+      nodes_[index] = node;
+      add_node(first, middle, looks);
+      add_node(middle, last, looks);
+    }
+    node.skip = static_cast<std::uint32_t>(nodes_.size());
+    nodes_[index] = node;
+  }
+
+  void split(std::size_t first, std::size_t middle, std::size_t last, const Node& node) {
+    unsigned axis = 0;
+    for (unsigned k = 1; k < 3; ++k)
+      if (node.upper[k] - node.lower[k] > node.upper[axis] - node.lower[axis]) axis = k;
+    const auto begin = places_.begin();
+    // Equal places keep the photons' order: the same tree everywhere.
+    std::nth_element(begin + static_cast<std::ptrdiff_t>(first), begin + static_cast<std::ptrdiff_t>(middle),
+                     begin + static_cast<std::ptrdiff_t>(last), [axis](const Place& a, const Place& b) {
+                       return a.at[axis] != b.at[axis] ? a.at[axis] < b.at[axis] : a.photon < b.photon;
+                     });
+  }
+
+  // A surface's piece in a box is about as large as the box's largest face.
+  void note_radius(const Node& node, std::size_t photons) {
+    std::array<double, 3> edge{};
+    for (unsigned k = 0; k < 3; ++k) edge[k] = double{node.upper[k]} - node.lower[k];
+    std::ranges::sort(edge);
+    const double area = edge[1] * edge[2] * neighbours_ / static_cast<double>(photons);
+    radii_.push_back(std::sqrt(area / std::numbers::pi));
+  }
+
+  void write(std::size_t blocks) {
+    rows_[0].words = {};
+    rows_[0].words[MAP_NODES] = static_cast<std::uint32_t>(nodes_.size());
+    rows_[0].words[MAP_BLOCKS] = static_cast<std::uint32_t>(blocks);
+    rows_[0].words[MAP_PHOTONS] = static_cast<std::uint32_t>(photons_.size());
+    for (std::size_t i = 0; i < nodes_.size(); ++i) {
+      auto& words = rows_[1 + i].words;
+      for (unsigned k = 0; k < 3; ++k) {
+        words[NODE_LOWER + k] = as_word(nodes_[i].lower[k]);
+        words[NODE_UPPER + k] = as_word(nodes_[i].upper[k]);
+      }
+      words[NODE_BLOCK] = nodes_[i].block;
+      words[NODE_SKIP] = nodes_[i].skip;
+    }
+    auto* to = reinterpret_cast<std::uint32_t*>(&rows_[1 + nodes_.size()]);
+    for (std::size_t i = 0; i < blocks * RAY_BLOCK; ++i) {
+      Photon photon{};
+      for (unsigned k = 0; k < 3; ++k) photon.words[PHOTON_POSITION + k] = as_word(kFar);
+      if (i < places_.size()) photon = photons_[places_[i].photon];
+      for (unsigned word = 0; word < PHOTON_WORDS; ++word)
+        to[(i / RAY_BLOCK * PHOTON_WORDS + word) * RAY_BLOCK + i % RAY_BLOCK] = photon.words[word];
+    }
+  }
+
+  std::vector<Photon> photons_, rows_;
+  std::size_t neighbours_;
+  std::vector<Place> places_;
+  std::vector<Node> nodes_;
+  std::vector<double> radii_;
+  std::uint32_t blocks_ = 0;
+};
+
+std::vector<Photon> read_photons(const StageTask& task, std::uint32_t classes) {
+  const InputRows input(task, "photons", sizeof(Photon));
+  if (input.rows() > kMostPhotons)
+    throw Error::bad_input("stage " + task.kind, "input photons", "at most " + std::to_string(kMostPhotons) + " rows",
+                           std::to_string(input.rows()));
+  std::vector<Photon> photons;
+  photons.reserve(input.rows());
+  input.visit(0, input.rows(), [&](std::uint64_t row, std::span<const std::byte> piece) {
+    for (std::size_t at = 0; at < piece.size(); at += sizeof(Photon), ++row) {
+      Photon photon;
+      std::memcpy(&photon, &piece[at], sizeof photon);
+      if (class_of(photon) >= PHOTON_CLASSES || !(classes & PHOTON_CLASS_BIT(class_of(photon)))) continue;
+      for (unsigned k = 0; k < 3; ++k) {
+        const float x = as_float(photon.words[PHOTON_POSITION + k]);
+        const float power = as_float(photon.words[PHOTON_POWER + k]);
+        if (!(std::abs(x) <= 2 * scene::kMaxCoordinate) || !(power >= 0) || !std::isfinite(power))
+          input.fail(row, "position and power", "finite numbers of a scene's size",
+                     std::to_string(x) + " and " + std::to_string(power));
+      }
+      photons.push_back(photon);
+    }
+  });
+  return photons;
+}
+
+}  // namespace
+
+BatchResult build_photon_map(const StageTask& task) {
+  const auto p = host_parameters<PhotonMapParameters>(task);
+  MapBuilder builder(read_photons(task, p.classes), p.neighbours);
+  BatchResult result;
+  result.records.resize(builder.rows().size() * sizeof(Photon));
+  std::memcpy(result.records.data(), builder.rows().data(), result.records.size());
+  result.counts = {static_cast<std::uint32_t>(builder.rows().size())};
+  set_facts(result, builder.facts());
+  return result;
+}
+
+}  // namespace gleaner::worker

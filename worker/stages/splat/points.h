@@ -1,0 +1,65 @@
+#pragma once
+// Rows of kernels/splat_records.h on the host.
+
+#include <array>
+#include <cstdint>
+#include <limits>
+#include <span>
+
+#include "kernels/splat_records.h"
+
+namespace gleaner::worker {
+
+struct SplatPoint {
+  std::array<float, 3> position, normal, geometric;
+  std::array<float, 3> factor;  // of a place: its radius, accuracy and spacing
+  float footprint;              // 0: no point
+  std::uint32_t table;
+  float row;
+  std::uint32_t key;
+  bool exists() const { return footprint > 0; }
+};
+static_assert(sizeof(SplatPoint) == SPLAT_POINT_WORDS * 4);
+
+struct CacheRecord {
+  std::array<float, 3> position, normal;
+  float radius;
+  std::array<float, 3> irradiance;
+  std::array<float, 9> rotation, translation;  // a colour after the other
+  float accuracy;
+  std::array<float, 3> spare;
+};
+static_assert(sizeof(CacheRecord) == CACHE_WORDS * 4);
+
+inline std::uint32_t splat_tiles(std::uint32_t pixels) { return (pixels + SPLAT_TILE - 1) / SPLAT_TILE; }
+
+// The box about points; empty as long as none was added.
+struct PointBox {
+  std::array<float, 3> lower = filled(std::numeric_limits<float>::infinity()), upper = filled(-lower[0]);
+
+  void add(const std::array<float, 3>& p) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      lower[k] = p[k] < lower[k] ? p[k] : lower[k];
+      upper[k] = p[k] > upper[k] ? p[k] : upper[k];
+    }
+  }
+  void add(const PointBox& other) {
+    if (!other.empty()) add(other.lower), add(other.upper);
+  }
+  bool empty() const { return lower[0] > upper[0]; }
+  // Whether a sphere reaches it; a little more than that, for rounding.
+  bool meets(const std::array<float, 3>& center, float radius) const {
+    float squared = 0;
+    for (std::size_t k = 0; k < 3; ++k) {
+      const float below = lower[k] - center[k], above = center[k] - upper[k];
+      const float off = below > 0 ? below : above > 0 ? above : 0;
+      squared += off * off;
+    }
+    return squared <= radius * radius * 1.01f;
+  }
+
+ private:
+  static std::array<float, 3> filled(float value) { return {value, value, value}; }
+};
+
+}  // namespace gleaner::worker

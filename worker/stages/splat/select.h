@@ -1,0 +1,43 @@
+#pragma once
+// Where records are needed: the cache's filling (Gautron et al. 2005, algorithm 2, steps 3 and 4) in rounds.
+//
+// The paper visits pixels one after the other, and computes a record where the weights of those before do not suffice.
+// Which pixels these are depends on the records' places and mean distances alone, not on their light. So places are
+// chosen first, by a few rays each; the light is gathered later, by all workers at once. Blocks of pixels are visited
+// side by side: each round takes the next uncovered point of every block, looks how far the surfaces about them are,
+// and keeps those, in the blocks' order, that the ones before them do not cover. Rounds end when every point is
+// covered.
+
+#include <cstdint>
+#include <functional>
+#include <span>
+#include <vector>
+
+#include "worker/stages/splat/points.h"
+
+namespace gleaner::worker {
+
+struct SelectSettings {
+  std::uint32_t width = 0, height = 0, samples = 0;  // of the picture; points of a pixel
+  float accuracy = 0;                                // a of eq. 3, above 0
+  float least_radius = 0, most_radius = 0;           // of R_k, in pixels
+  std::uint32_t most_records = 0;                    // gives up beyond so many; 0: never
+};
+
+struct Selection {
+  struct Place {
+    std::uint32_t point = 0;
+    float radius = 0;  // R_k, m
+  };
+  std::vector<Place> places;
+  std::uint64_t points = 0, rounds = 0, probes = 0;
+  bool whole = false;  // every point is covered
+};
+
+// The harmonic mean distance to the surfaces about each of these points, m; 0: none is in sight.
+using ProbePoints = std::function<std::vector<float>(std::span<const std::uint32_t> points)>;
+
+// `points`: of whole tiles, as kernels/splat_records.h has them.
+Selection select_places(const SelectSettings& settings, std::span<const SplatPoint> points, const ProbePoints& probe);
+
+}  // namespace gleaner::worker

@@ -1,0 +1,23 @@
+#pragma once
+// Stage kinds of radiance cache splatting (kernels/splat/). Each throws Error::bad_input on a malformed task,
+// cl::Error, Error::failed.
+
+#include "worker/stages/splat/points.h"
+#include "worker/stages/stage.h"
+
+namespace gleaner::worker {
+
+BatchResult run_splat_points_stage(const StageRun& run);
+BatchResult run_splat_select_stage(const StageRun& run);
+BatchResult run_splat_gather_stage(const StageRun& run);
+BatchResult run_splat_shade_stage(const StageRun& run);
+
+// Throws Error::bad_input for a number of samples of a pixel that is out of range.
+void check_splat_samples(const StageRun& run, std::uint32_t samples);
+// The same, and for a picture of no or too many points.
+void check_splat_points(const StageRun& run, std::uint32_t width, std::uint32_t height, std::uint32_t samples);
+// The input "points", of whole tiles. Throws Error::bad_input for other numbers of them, and such as are not finite.
+std::vector<SplatPoint> read_splat_points(const StageRun& run, std::uint32_t width, std::uint32_t height,
+                                          std::uint32_t samples);
+
+}  // namespace gleaner::worker
