@@ -382,7 +382,7 @@ TEST(Photon, CutIsRefinedWhereItIsOff) {
     std::vector<std::array<float, 3>> irradiance;
     for (std::size_t i = 0; i < other.size(); ++i)
       irradiance.push_back({static_cast<float>(other.rough_irradiance(i)) * times, 0, 0});
-    const std::size_t opened = other.refine(irradiance, 1.2);
+    const std::size_t opened = other.refine(irradiance, 1.2).size() - 100;
     EXPECT_EQ(other.size(), 100 + opened);
     return opened;
   };
@@ -396,7 +396,9 @@ TEST(Photon, CutIsRefinedWhereItIsOff) {
   EXPECT_LT(cut.median_radius(), radius);
   irradiance.assign(cut.size(), {});
   for (std::size_t i = 0; i < cut.size(); ++i) irradiance[i][1] = static_cast<float>(i);
-  const std::vector<std::uint32_t> rows = cut.rows(cut.places(), irradiance);
+  std::vector<worker::CutPlace> places;
+  for (std::size_t i = 0; i < cut.size(); ++i) places.push_back(cut.place(i));
+  const std::vector<std::uint32_t> rows = cut.rows(places, irradiance);
   ASSERT_EQ(rows.size(), std::size_t{map[MAP_NODES]} * CUT_WORDS);
   std::size_t leaves = 0;
   for (std::size_t row = 0; row < rows.size() / CUT_WORDS; ++row) {

@@ -63,6 +63,7 @@ IlluminationCut::IlluminationCut(std::vector<std::uint32_t> map)
       for (unsigned k = 0; k < 3; ++k) power_[node] += double{photon(word(node, NODE_BLOCK), lane, PHOTON_POWER + k)};
   }
   cut_ = {0};
+  closed_ = {false};
 }
 
 void IlluminationCut::choose(std::uint32_t nodes) {
@@ -86,6 +87,7 @@ void IlluminationCut::choose(std::uint32_t nodes) {
   cut_ = std::move(closed);
   for (; !open.empty(); open.pop()) cut_.push_back(static_cast<std::uint32_t>(-open.top().second));
   std::ranges::sort(cut_);
+  closed_.assign(cut_.size(), false);
 }
 
 float IlluminationCut::radius(std::size_t node) const {
@@ -113,7 +115,8 @@ std::array<float, 3> IlluminationCut::normal(std::uint32_t block, unsigned lane)
   return unpack_unit(std::bit_cast<std::uint32_t>(photon(block, lane, PHOTON_SURFACE)), 12);
 }
 
-CutPlace IlluminationCut::place(std::size_t node) const {
+CutPlace IlluminationCut::place(std::size_t i) const {
+  const std::size_t node = cut_[i];
   std::array<float, 3> middle{};
   for (unsigned k = 0; k < 3; ++k) middle[k] = (real(node, NODE_LOWER + k) + real(node, NODE_UPPER + k)) / 2;
   CutPlace best{};
@@ -136,8 +139,8 @@ std::vector<CutPlace> IlluminationCut::spread(std::size_t i, const CutPlace& pla
                             normal(block, lane)};
     if (cosine(other.normal, place.normal) > kAlike && other.position != place.position) alike.push_back(other);
   });
-  std::vector<CutPlace> places{place};
-  const std::size_t wanted = std::min<std::size_t>(most - 1, alike.size());
+  std::vector<CutPlace> places;
+  const std::size_t wanted = std::min<std::size_t>(most, alike.size());
   for (std::size_t k = 0; k < wanted; ++k) places.push_back(alike[(2 * k + 1) * alike.size() / (2 * wanted)]);
   return places;
 }
@@ -154,29 +157,28 @@ bool IlluminationCut::bent(std::size_t node) const {
   return unlike;
 }
 
-std::vector<CutPlace> IlluminationCut::places() const {
-  std::vector<CutPlace> places;
-  places.reserve(cut_.size());
-  for (const std::uint32_t node : cut_) places.push_back(place(node));
-  return places;
-}
-
-std::size_t IlluminationCut::refine(const std::vector<std::array<float, 3>>& irradiance, double ratio) {
-  std::vector<std::uint32_t> refined;
+std::vector<std::uint32_t> IlluminationCut::refine(const std::vector<std::array<float, 3>>& irradiance, double ratio) {
+  std::vector<std::uint32_t> refined, from;
+  std::vector<bool> closed;
+  const auto add = [&](std::size_t node, std::uint32_t number) {
+    refined.push_back(static_cast<std::uint32_t>(node));
+    from.push_back(number);
+    closed.push_back(number != GLEANER_NONE);
+  };
   for (std::size_t i = 0; i < cut_.size(); ++i) {
     const std::size_t node = cut_[i];
     const double rough = this->irradiance(node);
     const double exact = double{irradiance[i][0]} + irradiance[i][1] + irradiance[i][2];
-    if (leaf(node) || !(std::abs(exact - rough) > ratio * rough || bent(node))) {
-      refined.push_back(cut_[i]);
-      continue;
+    if (closed_[i] || leaf(node) || !(std::abs(exact - rough) > ratio * rough || bent(node))) {
+      add(node, static_cast<std::uint32_t>(i));
+    } else {
+      add(node + 1, GLEANER_NONE);
+      add(right(node), GLEANER_NONE);
     }
-    refined.push_back(static_cast<std::uint32_t>(node + 1));
-    refined.push_back(static_cast<std::uint32_t>(right(node)));
   }
-  const std::size_t opened = refined.size() - cut_.size();
   cut_ = std::move(refined);
-  return opened;
+  closed_ = std::move(closed);
+  return from;
 }
 
 double IlluminationCut::median_radius() const {
