@@ -28,7 +28,7 @@ using Irradiance = std::vector<std::array<float, 3>>;
 // Places a launch.
 constexpr std::uint32_t kPlaces = 1u << 12;
 // Photons of a node at which its irradiance is estimated.
-constexpr std::uint32_t kNodePlaces = 8;
+constexpr std::uint32_t kNodePlaces = 4;
 constexpr std::size_t kSlotWords = FILTERED_SLOT_WORDS;
 
 // Of the clusters' gather, as that stage builds it: compiled once for both.
