@@ -259,7 +259,7 @@ Artifact PhotonPlan::ask_cut(const Artifact& map) {
                      .items = 1,
                      .solo = true,
                      .priority = kFirst,
-                     .output = {.record_bytes = CUT_WORDS * 4,
+                     .output = {.record_bytes = PHOTON_WORDS * 4,
                                 .counted = true,
                                 .most_records = 0xffffffffu,
                                 .placement = Placement::retain,

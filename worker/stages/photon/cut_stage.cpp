@@ -218,7 +218,7 @@ BatchResult run_photon_cut_stage(const StageRun& run) {
   facts.radius = cut.median_radius();
   result.records.resize(rows.size() * 4);
   std::memcpy(result.records.data(), rows.data(), result.records.size());
-  result.counts = {static_cast<std::uint32_t>(rows.size() / CUT_WORDS)};
+  result.counts = {static_cast<std::uint32_t>(rows.size() / PHOTON_WORDS)};
   set_facts(result, facts);
   result.counters.seconds = seconds_now() - start;
   result.counters.kernel_seconds = result.counters.seconds;

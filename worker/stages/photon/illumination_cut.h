@@ -33,7 +33,7 @@ class IlluminationCut {
   // Of the i-th node, by eq. 3, all colours.
   double rough_irradiance(std::size_t i) const { return irradiance(cut_[i]); }
   double median_radius() const;  // m
-  // Rows of CUT_WORDS: the tree down to the cut. Of each node its place and the irradiance that it stands for.
+  // Words of the cut's rows (kernels/photon_records.h). Of each node its place and the irradiance that it stands for.
   std::vector<std::uint32_t> rows(const std::vector<CutPlace>& places,
                                   const std::vector<std::array<float, 3>>& irradiance) const;
 
@@ -50,8 +50,11 @@ class IlluminationCut {
   // Calls see(block, lane) for each photon of a node.
   template <typename See>
   void each_photon(std::size_t node, See see) const;
-  std::size_t write(std::size_t node, const std::vector<std::array<float, 3>>& irradiance,
-                    const std::vector<CutPlace>& places, std::size_t& next, std::vector<std::uint32_t>& rows) const;
+  struct CutTree {
+    std::vector<std::uint32_t> nodes, blocks;  // words; a header before the nodes
+  };
+  std::size_t write(std::size_t node, std::size_t first, std::size_t end, const std::vector<CutPlace>& places,
+                    const std::vector<std::array<float, 3>>& irradiance, CutTree& tree) const;
 
   std::vector<std::uint32_t> map_;
   std::uint32_t nodes_ = 0;
