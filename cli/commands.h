@@ -30,6 +30,7 @@ void add_replay(CLI::App& app, Run& run);
 void add_explain(CLI::App& app, Run& run);
 void add_methods(CLI::App& app, Run& run);
 void add_info(CLI::App& app, Run& run);
+void add_denoise(CLI::App& app, Run& run);
 void add_compare(CLI::App& app, Run& run);
 void add_scene(CLI::App& app, Run& run);
 void add_devices(CLI::App& app, Run& run);

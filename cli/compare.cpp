@@ -111,12 +111,18 @@ int tell_noise(const Options& options) {
   const auto film = coordinator::read_exr(options.test);
   const auto noise = coordinator::own_noise({film, options.test});
   if (options.as_json) {
-    std::cout << json{{"mean", noise.mean}, {"standard_error", or_null(noise.standard_error)}}.dump(2) << '\n';
+    std::cout << json{{"mean", noise.mean},
+                      {"standard_error", or_null(noise.standard_error)},
+                      {"denoised", noise.denoised}}
+                     .dump(2)
+              << '\n';
     return 0;
   }
   fmt::print("mean           {:>13.6g}\n", noise.mean);
   if (noise.standard_error)
-    fmt::print("standard error {:>11.4f} %   of the mean, as the variance layer tells\n", 100 * *noise.standard_error);
+    fmt::print("{} {:>11.4f} %   of the mean, as the {} layer tells\n",
+               noise.denoised ? "expected error" : "standard error", 100 * *noise.standard_error,
+               noise.denoised ? "error" : "variance");
   else
     fmt::print("standard error   not known: there is no variance layer\n");
   return 0;

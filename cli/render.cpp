@@ -23,6 +23,7 @@
 #include "scene/import/sequence.h"
 #include "scene/model/error.h"
 #include "scene/model/names.h"
+#include "worker/denoise/denoiser.h"
 
 namespace gleaner::cli {
 
@@ -169,6 +170,9 @@ int render(const RenderOptions& options) {
   settings.device.trace = worker::parse_trace_kind(options.trace);
   settings.device.compiler = kernel_compiler();
   settings.batch_items = options.batch_items;
+
+  // Before the scene is rendered, not after.
+  if (coordinator::parse_denoise(options.frame.denoise) != coordinator::Denoise::off) worker::denoiser_version();
 
   Signals signals;
   bool number = false;

@@ -63,6 +63,7 @@ json worker_json(const WorkerStatus& status) {
           {"device", status.device.name},
           {"platform", status.device.platform},
           {"tracer", status.device.tracer},
+          {"denoiser", status.device.denoiser},
           {"cpu", status.device.cpu},
           {"threads", status.device.threads},
           {"memory_bytes", status.device.memory_bytes},

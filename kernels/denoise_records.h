@@ -8,7 +8,8 @@ namespace gleaner::kernels {
 
 // Solo stage kind "denoise". An item is a pixel. Its input "film" holds planes one behind the other, of width * height
 // pixels each: radiance of the first half of the samples (RGB a pixel), of the second half (RGB), albedo (RGB), normal
-// (XYZ), and the first half's share of the samples (one float).
+// (XYZ), and the first half's share of the samples (one float). Where the samples have no halves, the first plane is
+// the picture, and the second and the last are not read.
 constexpr gl_uint kDenoiseWords = 13;  // floats a pixel
 
 constexpr gl_uint kDenoiseFast = 0, kDenoiseHigh = 1;
@@ -16,25 +17,27 @@ constexpr gl_uint kDenoiseFast = 0, kDenoiseHigh = 1;
 struct DenoiseParameters {
   gl_uint width, height;  // pixels
   gl_uint quality;        // kDenoiseFast or kDenoiseHigh
-  gl_uint reserved;
+  gl_uint halves;         // whether the samples have halves; else 0, and no error is known
 };
 GLEANER_SIZE(DenoiseParameters, 16);
 
 struct DenoiseRecord {
   gl_float color[3];       // radiance
-  gl_float squared_error;  // that `color` is expected to have, mean over the channels, smoothed over neighbours
+  gl_float squared_error;  // that `color` is expected to have, mean over the channels, smoothed over neighbours; or 0
 };
 GLEANER_SIZE(DenoiseRecord, 16);
 
 // What the plan is told.
 struct DenoiseFacts {
-  char version[16];      // of the library, ends with 0
+  char version[16];      // of the library, ends with 0; empty: the picture is not denoised
   char device[16];       // that it ran on: "CPU", "CUDA", ...
+  char why[256];         // it is not denoised; ends with 0
   double squared_error;  // mean over pixels and channels
+  double deviation;      // standard deviation of that estimate
   double mean;           // radiance, mean over pixels and channels
   double denoised;       // share of the picture that is denoised, the rest is as it was sampled
 };
-GLEANER_SIZE(DenoiseFacts, 56);
+GLEANER_SIZE(DenoiseFacts, 320);
 
 }  // namespace gleaner::kernels
 

@@ -206,6 +206,12 @@ Film Accumulator::preview() const {
 
 Film Accumulator::film() const { return Accumulator(*this).take_film(); }
 
+Film Accumulator::film_of_samples() const {
+  Accumulator samples(*this);
+  samples.passes_ = 0;
+  return samples.take_film();
+}
+
 Film Accumulator::take_film() {
   if (!sampled()) {
     for (auto* sums : {&direct_, &indirect_, &first_}) resize(*sums, pixel_count());
@@ -282,19 +288,25 @@ void Accumulator::take_features(Film& film) {
 void Accumulator::add_passes(Film& film) {
   const auto n = static_cast<float>(passes_);
   for (std::size_t k = 0; k < 3; ++k) {
-    if (halves_) {
-      // A single pass is in both halves: what it is off by, they do not tell.
-      const auto of_half = static_cast<float>((passes_ + 1) / 2);
-      std::vector<float>& half = film.channel(std::string("half.") + kColor[k]).values;
-      for (std::size_t i = 0; i < half.size(); ++i) half[i] += pass_half_[3 * i + k] / of_half;
-    }
+    std::vector<float>* half = halves_ ? &film.channel(std::string("half.") + kColor[k]).values : nullptr;
+    const std::vector<float>* share = halves_ ? &film.channel("half.A").values : nullptr;
     std::vector<float>& indirect = film.channel(std::string("indirect.") + kColor[k]).values;
     const std::vector<float>& direct = film.channel(std::string("direct.") + kColor[k]).values;
     std::vector<float>& all = film.channel(kColor[k]).values;
     std::vector<float>& variance = film.channel(std::string("variance.") + kColor[k]).values;
     for (std::size_t i = 0; i < all.size(); ++i) {
       const float sum = pass_sum_[3 * i + k];
-      indirect[i] += sum / n;
+      if (half && passes_ > 1) {
+        // Halves of the passes have the shares that the samples' have, so that nothing of one is in the other.
+        const auto even = static_cast<float>((passes_ + 1) / 2), odd = static_cast<float>(passes_ / 2);
+        const float first = pass_half_[3 * i + k] / even, second = (sum - pass_half_[3 * i + k]) / odd;
+        (*half)[i] += first;
+        indirect[i] += (*share)[i] * first + (1 - (*share)[i]) * second;
+      } else {
+        // A single pass is in both halves: what it is off by, they do not tell.
+        if (half) (*half)[i] += sum;
+        indirect[i] += sum / n;
+      }
       all[i] = direct[i] + indirect[i];
       // Between the passes; a single one tells nothing of itself.
       if (passes_ > 1) {

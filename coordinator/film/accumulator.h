@@ -66,7 +66,9 @@ class Accumulator {
   // depth.Z; where add_clamped() was called, clamped.* (a part of indirect.*); where halves are kept, half.* (radiance
   // by the first half alone) and half.A (its share of the samples, in [0, 1]).
   Film film() const;
-  // The same. The layers take the place of what they are made of: afterwards nothing is left here.
+  // The same without the passes.
+  Film film_of_samples() const;
+  // film(). The layers take the place of what they are made of: afterwards nothing is left here.
   Film take_film();
 
  private:

@@ -56,9 +56,9 @@ struct Comparison {
   std::vector<LayerComparison> layers;    // what else both have: direct, indirect, variance, ...
   double reference_noise = 0;             // mean square of the reference's standard error
   std::optional<BlockComparison> blocks;  // where a standard error of either is known
-  // Mean of the picture's variance layer over its squared error as seen less the reference's noise: 1 where the
-  // variance is told truly. Robust: without the 0.1 % of the pixels that differ most. None where there is no such
-  // layer, or mse <= 0.
+  // Mean of the picture's variance layer (of a denoised one, its error layer) over its squared error as seen less the
+  // reference's noise: 1 where the variance is told truly. Robust: without the 0.1 % of the pixels that differ most.
+  // None where there is no such layer, or mse <= 0.
   std::optional<double> variance_ratio, variance_ratio_robust;
 };
 
@@ -66,7 +66,8 @@ struct Comparison {
 // `error` counts (root of the mean variance, over the mean). Throws like compare().
 struct OwnNoise {
   double mean = 0;
-  std::optional<double> standard_error;  // none without a variance layer
+  std::optional<double> standard_error;  // none without a variance layer; of a denoised picture, its expected error
+  bool denoised = false;                 // that was told by its error layer
 };
 OwnNoise own_noise(const Picture& picture);
 

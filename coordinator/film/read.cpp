@@ -4,6 +4,7 @@
 #include <ImfFrameBuffer.h>
 #include <ImfHeader.h>
 #include <ImfInputFile.h>
+#include <ImfStringAttribute.h>
 
 #include <cstdint>
 #include <exception>
@@ -48,16 +49,30 @@ Film read_channels(const std::string& path) {
   return film;
 }
 
-}  // namespace
-
-Film read_exr(const std::string& path) {
+// Runs call(path): what OpenEXR throws becomes an error that names the file.
+template <typename Call>
+auto readable(const std::string& path, Call call) {
   try {
-    return read_channels(path);
+    return call(path);
   } catch (const Error&) {
     throw;
   } catch (const std::exception& error) {
     throw Error::bad_input(path, "", "a readable OpenEXR image", error.what());
   }
+}
+
+}  // namespace
+
+Film read_exr(const std::string& path) { return readable(path, read_channels); }
+
+std::map<std::string, std::string> read_exr_texts(const std::string& path) {
+  return readable(path, [](const std::string& name) {
+    std::map<std::string, std::string> texts;
+    const Imf::InputFile file(name.c_str());
+    for (auto a = file.header().begin(); a != file.header().end(); ++a)
+      if (const auto* text = dynamic_cast<const Imf::StringAttribute*>(&a.attribute())) texts[a.name()] = text->value();
+    return texts;
+  });
 }
 
 }  // namespace gleaner::coordinator

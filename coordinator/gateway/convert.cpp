@@ -235,6 +235,7 @@ pb::Device to_proto(const DeviceDescription& device) {
   out.set_compute_units(device.compute_units);
   out.set_threads(device.threads);
   out.set_memory_bytes(device.memory_bytes);
+  out.set_denoiser(device.denoiser);
   return out;
 }
 
@@ -245,6 +246,7 @@ DeviceDescription from_proto(const pb::Device& device) {
           .driver = text(device.driver()),
           .version = text(device.version()),
           .tracer = text(device.tracer()),
+          .denoiser = text(device.denoiser()),
           .cpu = device.cpu(),
           .compute_units = device.compute_units(),
           .threads = device.threads(),

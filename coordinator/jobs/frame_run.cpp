@@ -167,7 +167,11 @@ Film Farm::Impl::render(const std::shared_ptr<Frame>& frame) {
       continue;
     }
     std::optional<FinishedStage> finished = await_stage(*frame);
-    if (!finished) break;  // the time limit; the plan has made do with what there is
+    if (!finished) {  // the time limit; the plan has made do with what there is
+      step = timed([](Plan& plan) { return plan.after_conclude(); });
+      to_come = 0;
+      continue;
+    }
     // What the threads that received the stage's results have freed, glibc keeps in their arenas.
     if (frame->memory > large_plan) ::malloc_trim(0);
     step = next_step(&*finished);
@@ -214,7 +218,7 @@ void Farm::Impl::reuse(Frame& frame, std::uint32_t rendered) {
 
 std::optional<FinishedStage> Farm::Impl::await_stage(Frame& frame) {
   const double limit = frame.job->request.time_limit;
-  bool concludes = limit > 0;
+  bool concludes = limit > 0 && !frame.report.time_limit_reached;
   std::unique_lock lock(mutex);
   for (;;) {
     if (frame.job->cancel || stopping) throw Cancelled{};
@@ -314,7 +318,13 @@ bool Farm::Impl::conclude(Frame& frame, std::unique_lock<std::mutex>& lock) {
   for (std::size_t i = 0; i < cut.size(); ++i) {
     stages[i]->report.items = 0;  // what the picture is made of
     for (const ItemRange& range : cut[i].whole) stages[i]->report.items += range.count;
+    // Nobody waits for it any more, and what the picture still wants needs its workers.
+    revoke(scheduler.remove_stage(stages[i]->id));
+    active_stages.erase(stages[i]->id);
+    stages[i]->delivered = true;
+    release_followers(*stages[i]);
   }
+  frame.finished.clear();
   return true;
 }
 

@@ -36,7 +36,8 @@ std::string words_of(const Recheck& recheck) {
 
 std::string device_kind(const DeviceDescription& device) {
   std::string kind;
-  for (const std::string* word : {&device.name, &device.platform, &device.driver, &device.version, &device.tracer})
+  for (const std::string* word :
+       {&device.name, &device.platform, &device.driver, &device.version, &device.tracer, &device.denoiser})
     kind += *word + "\n";
   return kind;
 }

@@ -60,6 +60,7 @@ std::string report_json(const FrameReport& report) {
                        {"driver", device.driver},
                        {"version", device.version},
                        {"tracer", device.tracer},
+                       {"denoiser", device.denoiser},
                        {"cpu", device.cpu},
                        {"compute_units", device.compute_units},
                        {"threads", device.threads},

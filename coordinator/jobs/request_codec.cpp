@@ -99,6 +99,7 @@ Bytes encode_request(const JobRequest& request) {
                {"seed", settings.seed},
                {"camera", cameras({&settings.camera, 1})},
                {"target_error", settings.target_error},
+               {"denoise", word_of(settings.denoise)},
                {"set", set},
                {"first_frame", request.first_frame},
                {"last_frame", request.last_frame},
@@ -135,6 +136,7 @@ JobRequest decode_request(std::span<const std::byte> bytes) {
     if (camera.size() != 1) throw Error::failed("the journal's record of the job's request has no camera");
     settings.camera = camera.front();
     settings.target_error = value.at("target_error").get<double>();
+    settings.denoise = parse_denoise(value.value("denoise", "off"));  // of before it was there: none
     for (const json& entry : value.at("set")) settings.set[text_of(entry.at(0))] = text_of(entry.at(1));
     request.first_frame = value.at("first_frame").get<std::uint32_t>();
     request.last_frame = value.at("last_frame").get<std::uint32_t>();

@@ -17,6 +17,7 @@ namespace gleaner::coordinator {
 
 struct DeviceDescription {
   std::string name, platform, driver, version, tracer;
+  std::string denoiser{};  // version of Open Image Denoise; empty: it cannot denoise
   bool cpu = false;
   std::uint32_t compute_units = 0, threads = 0;
   std::uint64_t memory_bytes = 0;

@@ -213,6 +213,9 @@ void Farm::Impl::start(const std::shared_ptr<RunningStage>& stage) {
                            .only = {},
                            .avoid = stage->avoid,
                            .near = {}};
+  if (spec.denoises)
+    for (const auto& [id, worker] : workers)
+      if (worker.hello.device.denoiser.empty()) scheduled.avoid.push_back(id);
   use_held(*stage);
   for (const ItemRange& range : stage->missing) scheduled.only.push_back({range.first, range.count});
   if (!stage->held.empty() && stage->missing.empty()) scheduled.only.push_back({0, 0});

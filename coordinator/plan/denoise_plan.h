@@ -3,11 +3,19 @@
 
 #include <memory>
 #include <optional>
+#include <span>
+#include <string>
 
 #include "coordinator/plan/graph.h"
 #include "kernels/denoise_records.h"
 
 namespace gleaner::coordinator {
+
+// Asks for a film to be denoised: a solo stage, whose facts and records the next two functions read. Throws as
+// denoiser_input() does.
+Graph::Artifact ask_denoising(Graph& graph, const std::string& name, const Film& film, Denoise quality);
+kernels::DenoiseFacts denoise_facts(const Graph::Artifact& stage);
+std::span<const kernels::DenoiseRecord> denoise_records(const Graph::Artifact& stage);
 
 class DenoisePlan final : public Plan {
  public:
@@ -19,19 +27,19 @@ class DenoisePlan final : public Plan {
   double predicted_work() const override;
   void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override;
   Film preview_film() const override;
-  // The picture is then as it was sampled.
+  // What there is of the samples is denoised all the same.
   bool conclude(const std::vector<CutStage>& cut) override;
+  Step after_conclude() override;
   // The method's layers; R G B denoised, and noisy.* and error.Y beside them.
   Film film() const override;
   Film take_film() override;
   std::vector<Skip> skips() const override;
-  std::vector<std::string> warnings() const override { return method_->warnings(); }
+  std::vector<std::string> warnings() const override;
   std::string parameters_json() const override;
   std::vector<std::string> outline() const override;
 
  private:
   Step ask();
-  void absorb(const Bytes& records);
 
   FrameSettings settings_;
   std::unique_ptr<Plan> method_;
@@ -39,7 +47,6 @@ class DenoisePlan final : public Plan {
   Graph::Artifact stage_;
   std::optional<Film> film_;  // once the method is done
   std::optional<kernels::DenoiseFacts> facts_;
-  bool cut_ = false;  // the time limit came first
 };
 
 // What the stage's input, its records and the layers of its own take.

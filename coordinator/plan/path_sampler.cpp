@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "coordinator/plan/allocation.h"
+#include "coordinator/plan/denoise_plan.h"
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {
@@ -144,6 +145,13 @@ void PathSampler::spend(std::uint64_t samples) {
   const std::uint64_t items = whole + (rest ? 1 : 0);
   PixelNoise noise = film_.noise();
   noise.chunk_samples = static_cast<float>(chunk_samples_);
+  if (!denoised_error_.empty()) {
+    // What is left of a pixel's error once it is denoised, as if it fell with one over the chunks.
+    for (std::size_t i = 0; i < noise.chunks.size(); ++i)
+      noise.chunk_variance[i] = denoised_error_[i] * static_cast<float>(noise.chunks[i]);
+    noise.mean = std::vector<float>();
+    denoised_error_ = std::vector<float>();
+  }
   const auto [more, used] = allocate_by_noise(std::move(noise), items, kNoiseRadius);
   auto list = std::make_shared<Bytes>(items * sizeof(PathItem));
   auto* item = reinterpret_cast<PathItem*>(list->data());
@@ -179,7 +187,7 @@ void PathSampler::absorb(std::uint64_t first, std::uint64_t count, const Bytes& 
 
 // Samples that the target error still asks for; 0: it is met.
 std::uint64_t PathSampler::wanted_for_target() {
-  const double error = std::sqrt(film_.squared_error_bound());
+  const double error = std::sqrt(denoised_bound_ ? *denoised_bound_ : film_.squared_error_bound());
   // A black picture has no mean to be relative to.
   const double mean = film_.mean_radiance() + complement_.mean, whole = mean > 0 ? mean : 1;
   // Whatever the VPLs are off by, samples are not asked for more than four times what they would be alone.
@@ -195,20 +203,42 @@ std::uint64_t PathSampler::wanted_for_target() {
                                  chunk_samples_);
 }
 
+void PathSampler::ask_judgement() {
+  // The fast model errs a little more than the one that the picture may get.
+  judgement_ = ask_denoising(graph_, numbered("denoise", stages_.size() - 1), film_.film_of_samples(), Denoise::fast);
+  graph_.when({judgement_}, [this] { take_judgement(); });
+}
+
+void PathSampler::take_judgement() {
+  const kernels::DenoiseFacts facts = denoise_facts(judgement_);
+  denoised_bound_ = facts.squared_error + 2 * facts.deviation;
+  const std::span<const kernels::DenoiseRecord> records = denoise_records(judgement_);
+  denoised_error_.resize(records.size());
+  for (std::size_t i = 0; i < records.size(); ++i) {
+    denoised_error_[i] = records[i].squared_error;
+    if (!(denoised_error_[i] >= 0) || !std::isfinite(denoised_error_[i]))
+      throw Error::failed("stage " + judgement_.stage() + ", item " + std::to_string(i) +
+                          ": an error that is no number");
+  }
+  judgement_ = {};
+  reach_for_target();
+}
+
+void PathSampler::reach_for_target() {
+  const std::uint64_t left = budget() - spent_, wanted = wanted_for_target();
+  done_ = wanted == 0 || left == 0;
+  if (wanted > 0 && left == 0)
+    warnings_.push_back("the target error was not reached with " + std::to_string(kMostSamplesForTarget) +
+                        " samples a pixel, the most that are taken for one");
+  if (done_) return program_.inputs.clear();
+  graph_.when_released([this, samples = std::min(wanted, left)] { spend(samples); });
+}
+
 void PathSampler::continue_or_end() {
   // Lists are large: the next one is made when this one's memory is free.
   stages_.back().list.reset();
+  if (settings_.target_error > 0) return settings_.denoise == Denoise::off ? reach_for_target() : ask_judgement();
   const std::uint64_t left = budget() - spent_;
-  if (settings_.target_error > 0) {
-    const std::uint64_t wanted = wanted_for_target();
-    done_ = wanted == 0 || left == 0;
-    if (wanted > 0 && left == 0)
-      warnings_.push_back("the target error was not reached with " + std::to_string(kMostSamplesForTarget) +
-                          " samples a pixel, the most that are taken for one");
-    if (done_) return program_.inputs.clear();
-    graph_.when_released([this, samples = std::min(wanted, left)] { spend(samples); });
-    return;
-  }
   done_ = left == 0;
   if (done_) return program_.inputs.clear();
   // A first look at two chunks is a noisy guide for a long way: half now, and the rest once more is known. Not for a
@@ -222,10 +252,12 @@ bool PathSampler::conclude(const std::vector<CutStage>& cut, std::vector<Skip>& 
   // The first stage gives every pixel its first samples: before it is whole there are holes.
   if (stages_.size() < 2) return false;
   const Asked& asked = stages_.back();
-  std::uint64_t taken = 0;
-  if (const CutStage* part = find_cut(cut, asked.artifact))
+  // A stage of samples runs, or what it brought is being judged.
+  if (const CutStage* part = find_cut(cut, asked.artifact)) {
+    std::uint64_t taken = 0;
     for (const ItemRange& range : part->whole) taken += samples_of(asked, range);
-  spent_ -= samples_of(asked, {0, asked.items}) - taken;
+    spent_ -= samples_of(asked, {0, asked.items}) - taken;
+  }
   stages_.back().list.reset();
   program_.inputs.clear();
   skips.push_back({"samples", "the time limit ended the frame", budget() - spent_});

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <memory>
 #include <nlohmann/json_fwd.hpp>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -73,6 +74,10 @@ class PathSampler {
   void spend(std::uint64_t samples);
   void absorb(std::uint64_t first, std::uint64_t count, const Bytes& records);
   void continue_or_end();
+  // What the picture of these samples will be once it is denoised: asked for, then told.
+  void ask_judgement();
+  void take_judgement();
+  void reach_for_target();
   std::uint64_t wanted_for_target();
 
   Graph& graph_;
@@ -85,6 +90,11 @@ class PathSampler {
   std::vector<Asked> stages_;  // the last one runs
   std::vector<std::string> warnings_;
   std::uint64_t target_samples_ = 0;  // that the target error is predicted to take in all
+  // Where the picture is denoised and has a target error: what its last look said. Only the samples are looked at, not
+  // the passes of the method's own, of which there are more or fewer at any moment.
+  Graph::Artifact judgement_;             // while it is asked for
+  std::optional<double> denoised_bound_;  // as Accumulator::squared_error_bound()
+  std::vector<float> denoised_error_;     // squared, a pixel
   bool done_ = false;
 };
 

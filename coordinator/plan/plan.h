@@ -85,6 +85,12 @@ class Plan {
     static_cast<void>(cut);
     return false;
   }
+  // After conclude() said yes: what the picture still wants, however late it is; little, and nothing for most plans.
+  virtual Step after_conclude() {
+    Step step;
+    step.done = true;
+    return step;
+  }
   // After `done`, or after conclude() said yes: the layers.
   virtual Film film() const = 0;
   // The same for who needs the plan no more: it may give its memory to the film. Afterwards only skips(), warnings()

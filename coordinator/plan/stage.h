@@ -107,6 +107,7 @@ struct StageSpec {
   std::uint32_t tile = 1;              // batches begin and end at multiples of it (or at `items`)
   bool solo = false;                   // runs whole on one worker
   unsigned scene_parts = kWholeScene;  // that it reads
+  bool denoises = false;               // workers that have a denoiser get it, while there are any
   int priority = 0;                    // of the frame's stages that wait, the highest goes first; equal: the oldest
   Bytes parameters{};                  // little-endian struct of the kind's header in kernels/
   double work = 0;                     // predicted cost of all items, in samples of a path tracer; 0: one an item

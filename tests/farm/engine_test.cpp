@@ -764,5 +764,68 @@ TEST_F(FarmEngine, AFrameWhoseExrCannotBeWrittenLeavesNoPng) {
   EXPECT_FALSE(std::filesystem::exists(png));
 }
 
+TEST_F(FarmEngine, DenoisingIsRefusedWhereNobodyCan) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  JobRequest denoised = request();
+  denoised.settings.denoise = Denoise::high;
+  try {
+    farm.submit(denoised);
+    FAIL();
+  } catch (const Error& error) {
+    EXPECT_THAT(error.what(), testing::HasSubstr("none of 1 workers has Open Image Denoise"));
+  }
+  ScriptedWorker able;
+  WorkerHello hello;
+  hello.name = "able";
+  hello.device.denoiser = "2.5.1";
+  able.LeasedWorker::join(farm, hello);
+  const std::string job = farm.submit(denoised);
+  serve(farm, worker, job);
+  EXPECT_EQ(end_of(farm, job).state, JobState::done);
+}
+
+// A plan of one solo stage that denoises.
+class DenoisingPlan final : public Plan {
+ public:
+  Step next(const FinishedStage* finished) override {
+    Step step;
+    step.done = finished != nullptr;
+    if (finished) return step;
+    StageSpec stage{.name = "denoise", .kind = "denoise", .items = 16, .solo = true, .denoises = true, .output = {}};
+    stage.output.record_bytes = 4;
+    step.stages.push_back(stage);
+    return step;
+  }
+  void preview(const std::string&, std::uint64_t, std::uint64_t, const Bytes&) override {}
+  Film preview_film() const override { return film(); }
+  Film film() const override {
+    return {4, 4, {{"R", std::vector<float>(16)}, {"G", std::vector<float>(16)}, {"B", std::vector<float>(16)}}};
+  }
+  std::vector<Skip> skips() const override { return {}; }
+  std::string parameters_json() const override { return "{}"; }
+  std::vector<std::string> outline() const override { return {}; }
+};
+
+TEST_F(FarmEngine, WhoCanDenoiseDoes) {
+  FarmSettings farm_settings = settings();
+  farm_settings.plan = [](const FrameSettings&, const SceneSummary&) { return std::make_unique<DenoisingPlan>(); };
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker without[2], able;
+  without[0].join(farm, "first");
+  WorkerHello hello;
+  hello.name = "able";
+  hello.device.denoiser = "2.5.1";
+  able.LeasedWorker::join(farm, hello);
+  without[1].join(farm, "last");
+  const std::string job = farm.submit(request());
+  const auto offer = able.next(5);
+  ASSERT_TRUE(offer);
+  EXPECT_EQ(able.deliver(*offer, Bytes(64)), Verdict::accepted);
+  EXPECT_EQ(end_of(farm, job).state, JobState::done);
+  for (ScriptedWorker& worker : without) EXPECT_FALSE(worker.next(0.01));
+}
+
 }  // namespace
 }  // namespace gleaner::test

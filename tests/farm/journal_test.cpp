@@ -409,6 +409,7 @@ TEST(RequestCodec, EveryFieldComesBack) {
   request.settings.depth = 3;
   request.settings.seed = ~std::uint64_t{0};
   request.settings.target_error = 0.1;
+  request.settings.denoise = Denoise::fast;
   request.settings.set = {{"vpl.count", "12"}, {"odd\xfe", ""}};
   request.first_frame = 5;
   request.last_frame = 8;
@@ -440,6 +441,7 @@ TEST(RequestCodec, EveryFieldComesBack) {
   EXPECT_EQ(back.settings.seed, request.settings.seed);
   EXPECT_EQ(back.settings.set, request.settings.set);
   EXPECT_EQ(back.settings.target_error, request.settings.target_error);
+  EXPECT_EQ(back.settings.denoise, request.settings.denoise);
   EXPECT_EQ(back.settings.depth, 3u);
   EXPECT_EQ(back.settings.spp, 7u);
   EXPECT_EQ(back.time_limit, request.time_limit);

@@ -53,6 +53,7 @@ pb::Device describe(const DeviceInfo& info) {
   device.set_compute_units(info.compute_units);
   device.set_threads(info.threads);
   device.set_memory_bytes(info.memory_bytes);
+  device.set_denoiser(info.denoiser);
   return device;
 }
 

@@ -1,13 +1,26 @@
+#include "scene/model/error.h"
 #include "worker/agent/runner.h"
+#include "worker/denoise/denoiser.h"
 
 namespace gleaner::worker {
 
 namespace {
 
+// A worker without the library does all else.
+std::string denoiser_or_none() {
+  try {
+    return denoiser_version();
+  } catch (const Error&) {
+    return {};
+  }
+}
+
 class DeviceRunner final : public Runner {
  public:
-  explicit DeviceRunner(const DeviceChoice& choice) : executor_(choice) {}
-  const DeviceInfo& info() const override { return executor_.info(); }
+  explicit DeviceRunner(const DeviceChoice& choice) : executor_(choice), info_(executor_.info()) {
+    info_.denoiser = denoiser_or_none();
+  }
+  const DeviceInfo& info() const override { return info_; }
   bool needs_bvh() const override { return executor_.needs_bvh(); }
   bool holds_scene(const std::string& id) const override { return executor_.holds_scene(id); }
   void load_scene(const std::string& id, std::shared_ptr<const scene::Scene> scene,
@@ -28,6 +41,7 @@ class DeviceRunner final : public Runner {
 
  private:
   Executor executor_;
+  DeviceInfo info_;
 };
 
 }  // namespace

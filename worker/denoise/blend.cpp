@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 namespace gleaner::worker {
 namespace {
@@ -9,6 +10,8 @@ namespace {
 // Pixels. Squared errors of single pixels have a standard deviation larger than themselves: the choice rests on
 // some hundred neighbours, and what is told of the picture on more.
 constexpr double kChoiceRadius = 4, kErrorRadius = 8;
+// What a denoiser is off by, its neighbours share: blocks of this size are taken for independent of each other.
+constexpr std::uint32_t kBlock = 32;
 
 using Plane = std::vector<float>;
 
@@ -88,6 +91,27 @@ double denoised_share(double denoised, double raw) {
   return 1 / (1 + ratio * ratio * ratio * ratio);
 }
 
+// The deviation of the mean of `values`, from how blocks differ from the next one: what changes slowly over the picture
+// is no noise.
+double deviation_of_mean(const Plane& values, std::uint32_t width, std::uint32_t height) {
+  const std::uint32_t columns = (width + kBlock - 1) / kBlock, rows = (height + kBlock - 1) / kBlock;
+  std::vector<double> sums(std::size_t{columns} * rows);
+  for (std::uint32_t y = 0; y < height; ++y)
+    for (std::uint32_t x = 0; x < width; ++x)
+      sums[std::size_t{y / kBlock} * columns + x / kBlock] += values[std::size_t{y} * width + x];
+  double squares = 0;
+  std::size_t pairs = 0;
+  for (std::uint32_t y = 0; y < rows; ++y)
+    for (std::uint32_t x = 0; x + 1 < columns; ++x, ++pairs) {
+      const double step = sums[std::size_t{y} * columns + x + 1] - sums[std::size_t{y} * columns + x];
+      squares += step * step / 2;
+    }
+  const auto pixels = static_cast<double>(values.size());
+  // A single column of blocks has no neighbours: the estimate may be off by itself.
+  if (pairs == 0) return std::abs(std::accumulate(sums.begin(), sums.end(), 0.0)) / pixels;
+  return std::sqrt(squares / static_cast<double>(pairs) * static_cast<double>(sums.size())) / pixels;
+}
+
 }  // namespace
 
 BlendedPicture blend(const Halves& h) {
@@ -96,7 +120,7 @@ BlendedPicture blend(const Halves& h) {
   Plane denoised = errors.denoised, raw = errors.raw;
   smooth(denoised, h.width, h.height, kChoiceRadius);
   smooth(raw, h.width, h.height, kChoiceRadius);
-  BlendedPicture picture{std::vector<float>(3 * pixels), Plane(pixels), 0};
+  BlendedPicture picture{std::vector<float>(3 * pixels), Plane(pixels)};
   for (std::size_t i = 0; i < pixels; ++i) {
     const double w = denoised_share(denoised[i], raw[i]), a = h.share[i], b = 1 - a;
     picture.denoised += w;
@@ -107,6 +131,9 @@ BlendedPicture blend(const Halves& h) {
                                                   2 * w * (1 - w) * errors.both[i]);
   }
   picture.denoised /= static_cast<double>(pixels);
+  picture.error =
+      std::accumulate(picture.squared_error.begin(), picture.squared_error.end(), 0.0) / static_cast<double>(pixels);
+  picture.deviation = deviation_of_mean(picture.squared_error, h.width, h.height);
   smooth(picture.squared_error, h.width, h.height, kErrorRadius);
   for (float& error : picture.squared_error) error = std::max(error, 0.0f);
   return picture;

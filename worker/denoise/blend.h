@@ -20,6 +20,7 @@ struct Halves {
 struct BlendedPicture {
   std::vector<float> color;          // 3 a pixel
   std::vector<float> squared_error;  // that it is expected to have, mean over the channels, smoothed; one a pixel
+  double error = 0, deviation = 0;   // mean of the squared error before it is smoothed, and that estimate's deviation
   double denoised = 0;               // share of the picture that is denoised
 };
 

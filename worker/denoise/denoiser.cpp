@@ -53,17 +53,30 @@ std::filesystem::path own_folder() {
   return code ? std::filesystem::path() : program.parent_path().parent_path() / "oidn";
 }
 
-// A file that was named must be there; the others may.
+void* open_library(const std::filesystem::path& path) { return dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL); }
+
+// The library's own parts look for each other in ../lib from where they lie (their RPATH).
+std::vector<std::filesystem::path> files_of(const std::filesystem::path& folder) {
+  return {folder / "lib" / kFile, folder / kFile};
+}
+
+// A library that was named must be there, and one that is there must load.
 void* load_library() {
-  if (const char* named = std::getenv("GLEANER_OIDN"); named && *named) {
-    std::error_code code;
-    std::filesystem::path path(named);
-    if (std::filesystem::is_directory(path, code)) path /= kFile;
-    if (void* library = dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL)) return library;
-    throw Error::failed(std::string("GLEANER_OIDN: ") + dlerror());
+  const char* named = std::getenv("GLEANER_OIDN");
+  const bool is_named = named && *named;
+  const std::filesystem::path folder = is_named ? std::filesystem::path(named) : own_folder();
+  std::vector<std::filesystem::path> files = files_of(folder);
+  files.push_back(folder);
+  std::error_code code;
+  for (const std::filesystem::path& file : files) {
+    if (!std::filesystem::is_regular_file(file, code)) continue;
+    if (void* library = open_library(file)) return library;
+    throw Error::failed("the denoiser's library " + file.string() + ": " + dlerror());
   }
-  for (const std::filesystem::path& path : {own_folder() / kFile, std::filesystem::path(kFile)})
-    if (void* library = dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL)) return library;
+  if (is_named)
+    throw Error::failed("GLEANER_OIDN: expected the file " + std::string(kFile) + " or a folder that holds it, found " +
+                        folder.string());
+  if (void* library = open_library(kFile)) return library;
   throw Error::failed(std::string("the denoiser's library ") + kFile +
                       " (Open Image Denoise 2) is not there: " + kAdvice);
 }
@@ -196,6 +209,11 @@ struct Denoiser::Impl {
   }
 };
 
+std::string denoiser_version() {
+  static const std::string version = Denoiser(DenoiserDevice::cpu).version();
+  return version;
+}
+
 Denoiser::Denoiser(DenoiserDevice device) : impl_(std::make_unique<Impl>(device)) {}
 Denoiser::~Denoiser() = default;
 
@@ -204,13 +222,12 @@ const std::string& Denoiser::device() const { return impl_->device_name; }
 
 std::vector<float> Denoiser::prefilter(std::string_view guide, const DenoiserImage& image) {
   const std::string name(guide);
-  return impl_->run({{name.c_str(), &image}}, {}, DenoiseQuality::high);
+  return impl_->run({{name.c_str(), &image}}, {}, DenoiseQuality::fast);
 }
 
 std::vector<float> Denoiser::denoise(const DenoiserImage& color, const DenoiserImage& albedo,
-                                     const DenoiserImage& normal, bool clean, DenoiseQuality quality) {
-  const std::initializer_list<NamedImage> images = {{"color", &color}, {"albedo", &albedo}, {"normal", &normal}};
-  return clean ? impl_->run(images, {"hdr", "cleanAux"}, quality) : impl_->run(images, {"hdr"}, quality);
+                                     const DenoiserImage& normal, DenoiseQuality quality) {
+  return impl_->run({{"color", &color}, {"albedo", &albedo}, {"normal", &normal}}, {"hdr", "cleanAux"}, quality);
 }
 
 }  // namespace gleaner::worker

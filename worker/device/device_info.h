@@ -30,6 +30,8 @@ struct DeviceInfo {
   std::uint64_t memory_bytes = 0;
   TraceKind trace = TraceKind::automatic;  // what it traces with (never automatic)
   std::string tracer;                      // e.g. "Embree 3.13.5 (AVX512)" or "OpenCL BVH2"
+  // Version of the library beside it that denoises; empty: none. A worker says so (worker/denoise).
+  std::string denoiser{};
 };
 
 // What launches of one kernel took, by the device's own clock.

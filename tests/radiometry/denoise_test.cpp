@@ -1,0 +1,122 @@
+// Denoised frames by the real library: nearer to the truth than what was sampled, by an error that they know.
+
+#include <sys/stat.h>
+
+#include <cmath>
+#include <cstdlib>
+
+#include "coordinator/film/write.h"
+#include "scene/library/library.h"
+#include "tests/radiometry/rendered_frame.h"
+#include "worker/denoise/denoiser.h"
+
+namespace gleaner::test {
+namespace {
+
+using coordinator::Denoise;
+
+class DenoisedFrames : public testing::Test {
+ protected:
+  void SetUp() override {
+    if (struct stat found; ::stat(GLEANER_BUILT_OIDN, &found) == 0) ::setenv("GLEANER_OIDN", GLEANER_BUILT_OIDN, 0);
+    try {
+      std::printf("  Open Image Denoise %s\n", worker::denoiser_version().c_str());
+    } catch (const Error& error) {
+      GTEST_SKIP() << error.what();
+    }
+  }
+};
+
+Frame frame_of(const std::string& method, std::uint32_t spp, Denoise denoise) {
+  Frame frame = square_frame(method, scene::make_scene("cornell-box", {}), {}, 64, spp, {});
+  frame.settings.denoise = denoise;
+  return frame;
+}
+
+const Film& truth() {
+  static const Film film = [] {
+    Frame frame = frame_of("path", 4096, Denoise::off);
+    frame.settings.seed = 99;
+    return render(frame).film;
+  }();
+  return film;
+}
+
+// Mean over pixels and channels.
+double squared_error(const Film& film, const std::string& layer) {
+  double sum = 0;
+  for (const char* color : {"R", "G", "B"}) {
+    const std::vector<float>&is = film.find(layer + color)->values, &should = truth().find(color)->values;
+    for (std::size_t i = 0; i < is.size(); ++i) sum += std::pow(double{is[i]} - should[i], 2);
+  }
+  return sum / (3.0 * 64 * 64);
+}
+
+TEST_F(DenoisedFrames, AreNearerToTheTruthAndKnowHowNear) {
+  for (const char* method : {"path", "vpl"})
+    for (const std::uint32_t spp : {8u, 64u}) {
+      double raw = 0, denoised = 0, told = 0;
+      constexpr unsigned kSeeds = 4;
+      for (unsigned seed = 1; seed <= kSeeds; ++seed) {
+        Frame frame = frame_of(method, spp, Denoise::high);
+        frame.settings.seed = seed;
+        const Film film = render(frame).film;
+        raw += squared_error(film, "noisy.") / kSeeds;
+        denoised += squared_error(film, "") / kSeeds;
+        told += mean_of(film, "error.Y") / kSeeds;
+      }
+      std::printf("  %s, %u samples: raw %.4f, denoised %.4f, told %.4f (roots)\n", method, spp, std::sqrt(raw),
+                  std::sqrt(denoised), std::sqrt(told));
+      EXPECT_LT(std::sqrt(denoised), (std::string(method) == "path" ? 0.5 : 1.0) * std::sqrt(raw)) << method;
+      EXPECT_NEAR(std::log(told / denoised), 0, std::log(2.25)) << method;  // a factor of 1.5 in the error
+    }
+}
+
+TEST_F(DenoisedFrames, RepeatTheirBitsAndKeepTheSamples) {
+  const Rendered first = render(frame_of("path", 8, Denoise::fast)),
+                 second = render(frame_of("path", 8, Denoise::fast));
+  const Rendered raw = render(frame_of("path", 8, Denoise::off));
+  EXPECT_EQ(coordinator::pixels_sha256(first.film), coordinator::pixels_sha256(second.film));
+  for (const char* color : {"R", "G", "B"})
+    EXPECT_EQ(first.film.find(std::string("noisy.") + color)->values, raw.film.find(color)->values);
+  EXPECT_EQ(first.parameters["denoise"]["quality"], "fast");
+  EXPECT_EQ(first.parameters["denoise"]["library"], "Open Image Denoise " + worker::denoiser_version());
+}
+
+TEST_F(DenoisedFrames, ATargetErrorIsTheDenoisedPictures) {
+  Frame frame = frame_of("path", 64, Denoise::fast);
+  frame.settings.target_error = 0.03;
+  const Rendered denoised = render(frame);
+  frame.settings.denoise = Denoise::off;
+  const Rendered raw = render(frame);
+  const double mean = (mean_of(truth(), "R") + mean_of(truth(), "G") + mean_of(truth(), "B")) / 3;
+  const double error = std::sqrt(squared_error(denoised.film, "")) / mean;
+  std::printf("  %.4f of the mean, with %.3g of the samples\n", error,
+              denoised.parameters["samples"].get<double>() / raw.parameters["samples"].get<double>());
+  EXPECT_LT(error, 0.03);
+  EXPECT_LT(denoised.parameters["samples"].get<double>(), 0.5 * raw.parameters["samples"].get<double>());
+}
+
+TEST_F(DenoisedFrames, WhatIsConcludedIsDenoised) {
+  const Frame frame = frame_of("path", 64, Denoise::fast);
+  worker::Executor& on = executor(frame.trace);
+  const std::string id = load(on, frame.scene);
+  auto plan = coordinator::make_plan(frame.settings, coordinator::summarize(*frame.scene));
+  std::vector<coordinator::CutStage> cut;
+  // The second stage is asked for, and brings nothing.
+  EXPECT_FALSE(cli::run_frame(*plan, on, id, [&](const coordinator::StageSpec& stage, const worker::StageTask&) {
+    if (stage.name != "path.1") return true;
+    cut.push_back({{stage.name, nullptr}, {}});
+    return false;
+  }));
+  ASSERT_TRUE(plan->conclude(cut));
+  const coordinator::Step step = plan->after_conclude();
+  ASSERT_FALSE(step.done);
+  ASSERT_EQ(step.stages.size(), 1u);
+  EXPECT_EQ(step.stages[0].kind, "denoise");
+  EXPECT_TRUE(step.stages[0].denoises);
+  EXPECT_FALSE(plan->conclude({})) << "a picture that is being denoised is finished";
+}
+
+}  // namespace
+}  // namespace gleaner::test

@@ -1,0 +1,92 @@
+// The choice between a denoised and a raw picture, and the error that it tells, on pictures whose truth is known.
+
+#include "worker/denoise/blend.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <random>
+
+namespace gleaner::worker {
+namespace {
+
+constexpr std::uint32_t kSize = 128;
+constexpr std::size_t kFloats = 3 * kSize * kSize;
+
+// Truth 1. Both halves have noise of this deviation; what they are denoised to is off by `bias` on the right half of
+// the picture, and by a quarter of their own noise, which a real denoiser would spread.
+struct Case {
+  std::vector<float> first, second, denoised_first, denoised_second, share;
+
+  Case(float noise, float bias, float of_first, unsigned seed) : share(kSize * kSize, of_first) {
+    std::mt19937 random(seed);
+    std::normal_distribution<float> normal;
+    const auto half = [&](float part, std::vector<float>& raw, std::vector<float>& denoised) {
+      for (std::size_t i = 0; i < kFloats; ++i) {
+        const float off = noise / std::sqrt(part) * normal(random);
+        raw.push_back(1 + off);
+        denoised.push_back(1 + off / 4 + (right(i / 3) ? bias : 0.0f));
+      }
+    };
+    half(of_first, first, denoised_first);
+    half(1 - of_first, second, denoised_second);
+  }
+  static bool right(std::size_t pixel) { return pixel % kSize >= kSize / 2; }
+  BlendedPicture blended() const {
+    return blend({kSize, kSize, first, second, denoised_first, denoised_second, share});
+  }
+};
+
+double true_error(const BlendedPicture& picture) {
+  double sum = 0;
+  for (const float value : picture.color) sum += (value - 1.0) * (value - 1.0);
+  return sum / kFloats;
+}
+
+TEST(Blend, TellsItsErrorWithoutBias) {
+  for (const float of_first : {0.5f, 0.25f})
+    for (const float bias : {0.0f, 0.05f, 0.1f, 0.4f}) {
+      double told = 0, is = 0;
+      for (unsigned seed = 1; seed <= 8; ++seed) {
+        const BlendedPicture picture = Case(0.1f, bias, of_first, seed).blended();
+        told += picture.error / 8;
+        is += true_error(picture) / 8;
+      }
+      std::printf("  share %.2f, bias %.2f: told %.3g, is %.3g\n", of_first, bias, told, is);
+      EXPECT_NEAR(told / is, 1, 0.08) << "share " << of_first << ", bias " << bias;
+    }
+}
+
+TEST(Blend, TakesWhatIsBetter) {
+  const Case biased(0.1f, 0.4f, 0.5f, 1);
+  const BlendedPicture picture = biased.blended();
+  double left = 0, right = 0;  // squared errors
+  for (std::size_t i = 0; i < kFloats; ++i) {
+    const double off = picture.color[i] - 1.0;
+    (Case::right(i / 3) ? right : left) += off * off / (kFloats / 2.0);
+  }
+  EXPECT_NEAR(picture.denoised, 0.5, 0.05);
+  EXPECT_LT(left, 1.3 * 0.01 / 16);  // denoised, but for some pixels beside the border
+  EXPECT_LT(right, 1.02 * 0.01);     // as it was sampled
+}
+
+TEST(Blend, KnowsHowSureItIs) {
+  double square = 0, deviation = 0;
+  constexpr unsigned kSeeds = 24;
+  for (unsigned seed = 1; seed <= kSeeds; ++seed) {
+    const BlendedPicture picture = Case(0.1f, 0.0f, 0.5f, seed).blended();
+    square += std::pow(picture.error - true_error(picture), 2) / kSeeds;
+    deviation += picture.deviation / kSeeds;
+  }
+  EXPECT_NEAR(deviation / std::sqrt(square), 1, 0.5);
+}
+
+TEST(Blend, LeavesAloneWhatHasNoNoise) {
+  const BlendedPicture picture = Case(0.0f, 0.1f, 0.5f, 1).blended();
+  EXPECT_EQ(picture.denoised, 0);
+  EXPECT_EQ(picture.error, 0);
+  EXPECT_EQ(picture.color.front(), 1);
+}
+
+}  // namespace
+}  // namespace gleaner::worker

@@ -1,0 +1,12 @@
+if(TARGET gleaner_plan AND TARGET gleaner_device)
+  # What is loaded instead of Open Image Denoise: a double of its interface, and one that lacks a part of it.
+  foreach(double fake_oidn fake_oidn_part)
+    add_library(${double} SHARED ${CMAKE_CURRENT_SOURCE_DIR}/fake_oidn.cpp)
+    target_link_libraries(${double} PRIVATE gleaner_options)
+    set_target_properties(${double} PROPERTIES LIBRARY_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/tests)
+  endforeach()
+  target_compile_definitions(fake_oidn_part PRIVATE FAKE_OIDN_PART)
+  gleaner_test(NAME denoise SOURCES blend_test.cpp denoised_film_test.cpp denoiser_test.cpp LIBRARIES gleaner_plan gleaner_device gleaner_model ${CMAKE_DL_LIBS})
+  target_compile_definitions(test_denoise PRIVATE FAKE_OIDN="$<TARGET_FILE:fake_oidn>" FAKE_OIDN_PART="$<TARGET_FILE:fake_oidn_part>")
+  add_dependencies(test_denoise fake_oidn fake_oidn_part)
+endif()
