@@ -14,7 +14,7 @@ const std::vector<Recipe>& recipes() {
   static const std::vector<Recipe> all = [] {
     std::vector<Recipe> result;
     for (const auto& some : {cornell_recipes(), furnace_recipes(), form_factor_recipes(), light_recipes(),
-                             material_recipes(), hall_recipes(), stress_recipes(), moving_recipes()})
+                             material_recipes(), hall_recipes(), room_recipes(), stress_recipes(), moving_recipes()})
       result.insert(result.end(), some.begin(), some.end());
     return result;
   }();

@@ -41,6 +41,7 @@ std::vector<Recipe> form_factor_recipes();
 std::vector<Recipe> light_recipes();
 std::vector<Recipe> material_recipes();
 std::vector<Recipe> hall_recipes();
+std::vector<Recipe> room_recipes();
 std::vector<Recipe> stress_recipes();
 std::vector<Recipe> moving_recipes();
 

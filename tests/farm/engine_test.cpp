@@ -780,7 +780,7 @@ TEST_F(FarmEngine, DenoisingIsRefusedWhereNobodyCan) {
   WorkerHello hello;
   hello.name = "able";
   hello.device.denoiser = "2.5.1";
-  able.LeasedWorker::join(farm, hello);
+  able.join_as(farm, hello);
   const std::string job = farm.submit(denoised);
   serve(farm, worker, job);
   EXPECT_EQ(end_of(farm, job).state, JobState::done);
@@ -817,7 +817,7 @@ TEST_F(FarmEngine, WhoCanDenoiseDoes) {
   WorkerHello hello;
   hello.name = "able";
   hello.device.denoiser = "2.5.1";
-  able.LeasedWorker::join(farm, hello);
+  able.join_as(farm, hello);
   without[1].join(farm, "last");
   const std::string job = farm.submit(request());
   const auto offer = able.next(5);

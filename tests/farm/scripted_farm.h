@@ -35,6 +35,7 @@ class ScriptedWorker final : public LeasedWorker {
     hello.device.name = "a script";
     LeasedWorker::join(farm, hello);
   }
+  void join_as(Farm& farm, const WorkerHello& hello) { LeasedWorker::join(farm, hello); }
 
   // The right records, from the blobs that the farm names.
   Bytes compute(const Offered& offer, BlobStore& blobs) const {

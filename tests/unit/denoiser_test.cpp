@@ -58,7 +58,7 @@ TEST_F(DenoiserOfADouble, IsAskedInOrder) {
   EXPECT_THAT(denoiser.denoise(kImage, kImage, kImage, DenoiseQuality::high), testing::ElementsAre(2, 3, 4, 5, 6, 7));
   EXPECT_EQ(calls(),
             "new filter RT\nnew buffer\nimage color 3 2x1\nnew buffer\nimage albedo 3 2x1\nnew buffer\nimage normal 3 "
-            "2x1\nnew buffer\nimage output 3 2x1\nhdr on\ncleanAux on\nquality 6\nmaxMemoryMB 2048\ncommit "
+            "2x1\nnew buffer\nimage output 3 2x1\nhdr on\ncleanAux on\nquality 6\nmaxMemoryMB 1024\ncommit "
             "filter\nexecute filter\nread buffer\n");
   EXPECT_THAT(denoiser.prefilter("normal", kImage), testing::ElementsAre(0.5, 1, 1.5, 2, 2.5, 3));
 }

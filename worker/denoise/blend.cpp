@@ -1,7 +1,9 @@
 #include "worker/denoise/blend.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <numbers>
 #include <numeric>
 
 namespace gleaner::worker {
@@ -83,12 +85,61 @@ Errors errors_of(const Halves& h) {
   return errors;
 }
 
-// The share of the denoised picture: nearly all or nothing, since the estimates say which of the two is better with
-// more certainty than how much of each were best.
+// The share of the denoised picture: all or nothing, since the estimates say which of the two is better with more
+// certainty than how much of each were best, and with a way between, so that no border is seen.
 double denoised_share(double denoised, double raw) {
   if (!(raw > 0)) return 0;  // no noise was seen
-  const double ratio = std::max(denoised, 0.0) / raw;
-  return 1 / (1 + ratio * ratio * ratio * ratio);
+  const double t = std::clamp(2 - denoised / raw / 0.75, 0.0, 1.0);
+  return t * t * (3 - 2 * t);
+}
+
+// Which pixels speak for each other: those of like brightness. A window and the bars in it, or a lamp and the ceiling
+// beside it, are off by amounts of other sizes, and what is best for one is not for the other.
+constexpr std::array kBrightness = {0.125, 0.5, 2.0, 8.0};  // of the picture's mean
+
+std::vector<std::uint8_t> classes_of(const Halves& h) {
+  std::vector<double> brightness(h.share.size());
+  double sum = 0;
+  for (std::size_t i = 0; i < brightness.size(); ++i) {
+    for (std::size_t k = 3 * i; k < 3 * i + 3; ++k)
+      brightness[i] += h.share[i] * h.denoised_first[k] + (1 - h.share[i]) * h.denoised_second[k];
+    sum += brightness[i];
+  }
+  const double mean = sum / static_cast<double>(brightness.size());
+  std::vector<std::uint8_t> classes(brightness.size());
+  for (std::size_t i = 0; i < brightness.size(); ++i)
+    classes[i] = static_cast<std::uint8_t>(
+        std::ranges::count_if(kBrightness, [&](double bound) { return brightness[i] >= bound * mean; }));
+  return classes;
+}
+
+// Pixels that a smoothed plane sums, and as how many of a class its ratio all over the picture counts: where few
+// neighbours are of a pixel's class, they say little.
+constexpr double kNeighbours = 4 * std::numbers::pi * kChoiceRadius * kChoiceRadius, kPrior = 32;
+
+// A pixel's share, by what its neighbours of its class say.
+Plane denoised_shares(const Halves& h, const Errors& errors) {
+  const std::vector<std::uint8_t> classes = classes_of(h);
+  Plane shares(classes.size());
+  for (std::size_t number = 0; number <= kBrightness.size(); ++number) {
+    Plane denoised(classes.size()), raw(classes.size()), members(classes.size());
+    double all_denoised = 0, all_raw = 0, all = 0;
+    for (std::size_t i = 0; i < classes.size(); ++i) {
+      if (classes[i] != number) continue;
+      all_denoised += denoised[i] = errors.denoised[i];
+      all_raw += raw[i] = errors.raw[i];
+      all += members[i] = 1;
+    }
+    if (!(all > 0)) continue;
+    for (Plane* plane : {&denoised, &raw, &members}) smooth(*plane, h.width, h.height, kChoiceRadius);
+    const double prior = all_raw > 0 ? std::clamp(all_denoised / all_raw, 0.0, 1.0) : 1;
+    for (std::size_t i = 0; i < classes.size(); ++i)
+      if (classes[i] == number) {
+        const double others = kPrior / (kNeighbours * members[i]) * raw[i];
+        shares[i] = static_cast<float>(denoised_share(denoised[i] + prior * others, raw[i] + others));
+      }
+  }
+  return shares;
 }
 
 // The deviation of the mean of `values`, from how blocks differ from the next one: what changes slowly over the picture
@@ -117,12 +168,10 @@ double deviation_of_mean(const Plane& values, std::uint32_t width, std::uint32_t
 BlendedPicture blend(const Halves& h) {
   const std::size_t pixels = std::size_t{h.width} * h.height;
   const Errors errors = errors_of(h);
-  Plane denoised = errors.denoised, raw = errors.raw;
-  smooth(denoised, h.width, h.height, kChoiceRadius);
-  smooth(raw, h.width, h.height, kChoiceRadius);
+  const Plane shares = denoised_shares(h, errors);
   BlendedPicture picture{std::vector<float>(3 * pixels), Plane(pixels)};
   for (std::size_t i = 0; i < pixels; ++i) {
-    const double w = denoised_share(denoised[i], raw[i]), a = h.share[i], b = 1 - a;
+    const double w = shares[i], a = h.share[i], b = 1 - a;
     picture.denoised += w;
     for (std::size_t k = 3 * i; k < 3 * i + 3; ++k)
       picture.color[k] = static_cast<float>(w * (a * h.denoised_first[k] + b * h.denoised_second[k]) +

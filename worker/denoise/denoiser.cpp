@@ -20,7 +20,7 @@ constexpr const char* kAdvice = "run ./farm denoiser, or set GLEANER_OIDN to the
 constexpr int kDeviceTypeDefault = 0, kDeviceTypeCpu = 1, kFormatFloat3 = 3, kQualityFast = 4, kQualityHigh = 6;
 constexpr const char* kDeviceTypes[] = {"default", "CPU", "SYCL", "CUDA", "HIP", "Metal"};
 // Above this the library works in tiles.
-constexpr int kMostMemoryMb = 2048;
+constexpr int kMostMemoryMb = 1024;
 
 using Device = struct OIDNDeviceImpl*;
 using Buffer = struct OIDNBufferImpl*;
