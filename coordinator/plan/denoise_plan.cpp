@@ -65,12 +65,15 @@ Step DenoisePlan::next(const FinishedStage* finished) {
     Step step = method_->next(finished);
     if (!step.done) return step;
     Step last = ask();
+    // What was judged for a target error may be the very same film.
     last.released = std::move(step.released);
+    std::erase_if(last.released, [&](const ArtifactId& id) { return last.artifacts.contains(id); });
     return last;
   }
   graph_.finish(*finished);
   facts_ = denoise_facts(stage_);
   show_denoised(*film_, denoise_records(stage_), true);
+  for (float& error : film_->channel("error.Y").values) error += static_cast<float>(shared_);
   stage_ = {};
   Step step = graph_.take_step();
   step.done = true;
@@ -78,6 +81,7 @@ Step DenoisePlan::next(const FinishedStage* finished) {
 }
 
 Step DenoisePlan::ask() {
+  shared_ = method_->shared_squared_error();
   film_ = method_->take_film();
   stage_ = ask_denoising(graph_, "denoise", *film_, settings_.denoise);
   return graph_.take_step();
@@ -128,7 +132,7 @@ std::string DenoisePlan::parameters_json() const {
       denoise["device"] = facts_->device;
     }
     denoise["share"] = facts_->denoised;
-    if (facts_->mean > 0) denoise["expected_error"] = std::sqrt(facts_->squared_error) / facts_->mean;
+    if (facts_->mean > 0) denoise["expected_error"] = std::sqrt(facts_->squared_error + shared_) / facts_->mean;
   }
   json["denoise"] = std::move(denoise);
   return json.dump();

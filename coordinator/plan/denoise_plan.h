@@ -47,6 +47,7 @@ class DenoisePlan final : public Plan {
   Graph::Artifact stage_;
   std::optional<Film> film_;  // once the method is done
   std::optional<kernels::DenoiseFacts> facts_;
+  double shared_ = 0;  // Plan::shared_squared_error()
 };
 
 // What the stage's input, its records and the layers of its own take.

@@ -85,6 +85,8 @@ class Plan {
     static_cast<void>(cut);
     return false;
   }
+  // Mean squared error that all samples of the picture share, as predicted: what no comparison of them can tell.
+  virtual double shared_squared_error() const { return 0; }
   // After conclude() said yes: what the picture still wants, however late it is; little, and nothing for most plans.
   virtual Step after_conclude() {
     Step step;

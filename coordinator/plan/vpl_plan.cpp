@@ -94,6 +94,8 @@ class VplPlan final : public GraphPlan {
   VplPlan(const FrameSettings& settings, const SceneSummary& scene);
 
   bool conclude(const std::vector<CutStage>& cut) override;
+  // A single pass is in both halves of the samples; several tell of each other.
+  double shared_squared_error() const override { return prediction_ && film_.passes() == 1 ? prediction_->vpl() : 0; }
   double predicted_work() const override {
     return paths_.predicted_work() + work_to_come(own_work(), paths_.asked_work());
   }
