@@ -56,7 +56,7 @@ stand_in tools/ninja <<<'true'
 stand_in tools/sudo <<<'[[ $1 == -v ]] || exec "$@"'
 stand_in build/bin/gleaner <<'E2'
 case $1 in
-  submit) echo job-1 ;;
+  submit) echo "$*" >>"$SUBMITTED"; echo job-1 ;;
   fetch)
     mkdir -p "$4"
     touch "$4/frame_0001.exr" "$4/frame_0001.png"
@@ -75,16 +75,31 @@ stand_in build/bin/gleaner-worker <<E2
 (exec -a "stand-in $place child" sleep 1000) &
 (exec -a "stand-in $place worker" sleep 1000)
 E2
-export PATH="$place/tools:$PATH"
+export PATH="$place/tools:$PATH" SUBMITTED="$place/submitted"
 log=$place/log
 farm=$place/farm
 
+# denoiser: an error where it cannot be fetched; all else only says so.
+echo 'wanted==1' >"$place/deploy/denoiser.txt"
+stand_in deploy/fetch-denoiser.sh <<<'echo "no such host" >&2; exit 1'
+status=0
+"$farm" denoiser >"$log" 2>&1 || status=$?
+((status == 1)) || fail "denoiser: exit status $status where PyPI is not reached"
+expect_text denoiser "$log" 'no such host'
+"$farm" demo >"$log" 2>&1 || fail "demo without a denoiser: exit status $?"
+expect_text 'demo without a denoiser' "$log" 'the denoiser could not be fetched'
+grep -q -- --denoise "$SUBMITTED" && fail "demo without a denoiser: asks for one"
+
 # demo: from start to end.
+stand_in deploy/fetch-denoiser.sh <<<'mkdir -p "$1" && cp deploy/denoiser.txt "$1"'
 "$farm" demo >"$log" 2>&1 || fail "demo: exit status $?"
-expect_text demo "$log" 'rendered in 1.50 s: 3.0 million rays, 2.0 million a second; standard error 1.25 % of the mean'
+expect_text demo "$log" 'rendered in 1.50 s: 3.0 million rays, 2.0 million a second; expected error 1.25 % of the mean'
 expect_text demo "$log" "$place/demo-output/frame_0001.png"
+expect_text demo "$SUBMITTED" '--denoise'
 expect_nothing_left demo
 expect_no_scratch demo
+stand_in deploy/fetch-denoiser.sh <<<'exit 1'
+"$farm" denoiser >"$log" 2>&1 || fail "denoiser: fetched again"
 
 # up: until it is told to end, in whatever way.
 set -m # else background processes ignore SIGINT

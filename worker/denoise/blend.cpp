@@ -12,8 +12,11 @@ namespace {
 // Pixels. Squared errors of single pixels have a standard deviation larger than themselves: the choice rests on
 // some hundred neighbours, and what is told of the picture on more.
 constexpr double kChoiceRadius = 4, kErrorRadius = 8;
-// What a denoiser is off by, its neighbours share: blocks of this size are taken for independent of each other.
-constexpr std::uint32_t kBlock = 32;
+// What a denoiser is off by, its neighbours share: blocks of this size are taken for independent of each other. Small
+// pictures have smaller ones, so that there are some.
+std::uint32_t block_of(std::uint32_t width, std::uint32_t height) {
+  return std::clamp(std::min(width, height) / 8, 8u, 32u);
+}
 
 using Plane = std::vector<float>;
 
@@ -145,11 +148,12 @@ Plane denoised_shares(const Halves& h, const Errors& errors) {
 // The deviation of the mean of `values`, from how blocks differ from the next one: what changes slowly over the picture
 // is no noise.
 double deviation_of_mean(const Plane& values, std::uint32_t width, std::uint32_t height) {
-  const std::uint32_t columns = (width + kBlock - 1) / kBlock, rows = (height + kBlock - 1) / kBlock;
+  const std::uint32_t block = block_of(width, height);
+  const std::uint32_t columns = (width + block - 1) / block, rows = (height + block - 1) / block;
   std::vector<double> sums(std::size_t{columns} * rows);
   for (std::uint32_t y = 0; y < height; ++y)
     for (std::uint32_t x = 0; x < width; ++x)
-      sums[std::size_t{y / kBlock} * columns + x / kBlock] += values[std::size_t{y} * width + x];
+      sums[std::size_t{y / block} * columns + x / block] += values[std::size_t{y} * width + x];
   double squares = 0;
   std::size_t pairs = 0;
   for (std::uint32_t y = 0; y < rows; ++y)

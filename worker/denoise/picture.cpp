@@ -50,9 +50,10 @@ DenoisedPicture picture_of(const BlendedPicture& blended) {
     const float* const color = &blended.color[3 * i];
     picture.pixels[i] = {{color[0], color[1], color[2]}, blended.squared_error[i]};
     facts.mean += (static_cast<double>(color[0]) + color[1] + color[2]) / 3;
+    facts.squared_error += blended.squared_error[i];
   }
   facts.mean /= static_cast<double>(pixels);
-  facts.squared_error = std::max(0.0, blended.error);
+  facts.squared_error /= static_cast<double>(pixels);
   facts.deviation = blended.deviation;
   facts.denoised = blended.denoised;
   return picture;
