@@ -88,27 +88,37 @@ Errors errors_of(const Halves& h) {
   return errors;
 }
 
-// The share of the denoised picture: all or nothing, since the estimates say which of the two is better with more
-// certainty than how much of each were best, and with a way between, so that no border is seen.
-double denoised_share(double denoised, double raw) {
-  if (!(raw > 0)) return 0;  // no noise was seen
-  const double t = std::clamp(2 - denoised / raw / 0.75, 0.0, 1.0);
+double smooth_step(double t) {
+  t = std::clamp(t, 0.0, 1.0);
   return t * t * (3 - 2 * t);
+}
+
+// The share of the denoised picture: all or nothing, since the estimates say which of the two is better with more
+// certainty than how much of each were best, and with a way between, so that no border is seen. Among pixels as noisy
+// as they are bright the samples must be far better (four times): there they are specks, which people see before they
+// see what a denoiser is off by. `noise`: raw deviation over brightness.
+double denoised_share(double denoised, double raw, double noise) {
+  if (!(raw > 0)) return 0;  // no noise was seen
+  const double patience = 1 + 3 * smooth_step((noise - 0.1) / 0.2);
+  return smooth_step(2 - denoised / (0.75 * patience * raw));
+}
+
+// Mean over the channels of the denoised picture, which is less noisy.
+Plane brightness_of(const Halves& h) {
+  Plane brightness(h.share.size());
+  for (std::size_t i = 0; i < brightness.size(); ++i)
+    for (std::size_t k = 3 * i; k < 3 * i + 3; ++k)
+      brightness[i] += (h.share[i] * h.denoised_first[k] + (1 - h.share[i]) * h.denoised_second[k]) / 3;
+  return brightness;
 }
 
 // Which pixels speak for each other: those of like brightness. A window and the bars in it, or a lamp and the ceiling
 // beside it, are off by amounts of other sizes, and what is best for one is not for the other.
 constexpr std::array kBrightness = {0.125, 0.5, 2.0, 8.0};  // of the picture's mean
 
-std::vector<std::uint8_t> classes_of(const Halves& h) {
-  std::vector<double> brightness(h.share.size());
-  double sum = 0;
-  for (std::size_t i = 0; i < brightness.size(); ++i) {
-    for (std::size_t k = 3 * i; k < 3 * i + 3; ++k)
-      brightness[i] += h.share[i] * h.denoised_first[k] + (1 - h.share[i]) * h.denoised_second[k];
-    sum += brightness[i];
-  }
-  const double mean = sum / static_cast<double>(brightness.size());
+std::vector<std::uint8_t> classes_of(const Plane& brightness) {
+  const double mean =
+      std::accumulate(brightness.begin(), brightness.end(), 0.0) / static_cast<double>(brightness.size());
   std::vector<std::uint8_t> classes(brightness.size());
   for (std::size_t i = 0; i < brightness.size(); ++i)
     classes[i] = static_cast<std::uint8_t>(
@@ -122,24 +132,27 @@ constexpr double kNeighbours = 4 * std::numbers::pi * kChoiceRadius * kChoiceRad
 
 // A pixel's share, by what its neighbours of its class say.
 Plane denoised_shares(const Halves& h, const Errors& errors) {
-  const std::vector<std::uint8_t> classes = classes_of(h);
+  const Plane brightness = brightness_of(h);
+  const std::vector<std::uint8_t> classes = classes_of(brightness);
   Plane shares(classes.size());
   for (std::size_t number = 0; number <= kBrightness.size(); ++number) {
-    Plane denoised(classes.size()), raw(classes.size()), members(classes.size());
+    Plane denoised(classes.size()), raw(classes.size()), light(classes.size()), members(classes.size());
     double all_denoised = 0, all_raw = 0, all = 0;
     for (std::size_t i = 0; i < classes.size(); ++i) {
       if (classes[i] != number) continue;
       all_denoised += denoised[i] = errors.denoised[i];
       all_raw += raw[i] = errors.raw[i];
+      light[i] = brightness[i];
       all += members[i] = 1;
     }
     if (!(all > 0)) continue;
-    for (Plane* plane : {&denoised, &raw, &members}) smooth(*plane, h.width, h.height, kChoiceRadius);
+    for (Plane* plane : {&denoised, &raw, &light, &members}) smooth(*plane, h.width, h.height, kChoiceRadius);
     const double prior = all_raw > 0 ? std::clamp(all_denoised / all_raw, 0.0, 1.0) : 1;
     for (std::size_t i = 0; i < classes.size(); ++i)
       if (classes[i] == number) {
         const double others = kPrior / (kNeighbours * members[i]) * raw[i];
-        shares[i] = static_cast<float>(denoised_share(denoised[i] + prior * others, raw[i] + others));
+        const double noise = light[i] > 0 ? std::sqrt(raw[i] * members[i]) / light[i] : 0;
+        shares[i] = static_cast<float>(denoised_share(denoised[i] + prior * others, raw[i] + others, noise));
       }
   }
   return shares;
@@ -188,7 +201,12 @@ BlendedPicture blend(const Halves& h) {
       std::accumulate(picture.squared_error.begin(), picture.squared_error.end(), 0.0) / static_cast<double>(pixels);
   picture.deviation = deviation_of_mean(picture.squared_error, h.width, h.height);
   smooth(picture.squared_error, h.width, h.height, kErrorRadius);
-  for (float& error : picture.squared_error) error = std::max(error, 0.0f);
+  double told = 0;
+  for (float& error : picture.squared_error) told += error = std::max(error, 0.0f);
+  // What is cut off at 0 would be missed below: the layer's mean is not far above what is known of the whole.
+  const double most = (std::max(picture.error, 0.0) + picture.deviation) * static_cast<double>(pixels);
+  if (told > most)
+    for (float& error : picture.squared_error) error *= static_cast<float>(most / told);
   return picture;
 }
 
