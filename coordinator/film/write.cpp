@@ -89,6 +89,26 @@ scene::Bytes encode_png(const Film& film, double exposure_stops) {
   return bytes;
 }
 
+scene::Bytes encode_rgb8(const Film& film, double exposure_stops) {
+  constexpr std::size_t steps = 16384;  // sRGB is steepest at black: 0.2 of a value a step
+  static const std::vector<std::uint8_t> table = [] {
+    std::vector<std::uint8_t> values(steps + 1);
+    for (std::size_t k = 0; k <= steps; ++k) values[k] = srgb8(static_cast<double>(k) / steps);
+    return values;
+  }();
+  const auto planes = rgb(film);
+  const auto scale = static_cast<float>(std::exp2(exposure_stops) * steps);
+  const std::size_t pixels = std::size_t{film.width} * film.height;
+  scene::Bytes bytes(3 * pixels);
+  for (std::size_t i = 0; i < pixels; ++i)
+    for (std::size_t c = 0; c < 3; ++c) {
+      const float x = scale * planes[c][i];
+      const std::size_t at = x > 0 ? x < static_cast<float>(steps) ? static_cast<std::size_t>(x + 0.5f) : steps : 0;
+      bytes[3 * i + c] = static_cast<std::byte>(table[at]);
+    }
+  return bytes;
+}
+
 void write_png(const Film& film, const std::string& path, double exposure_stops) {
   write_atomically(path, encode_png(film, exposure_stops));
 }

@@ -34,6 +34,8 @@ class FarmService final : public pb::Farm::Service {
   grpc::Status DrainWorker(grpc::ServerContext*, const pb::DrainWorkerRequest*, pb::DrainWorkerReply*) override;
   grpc::Status WatchJob(grpc::ServerContext*, const pb::WatchJobRequest*, grpc::ServerWriter<pb::Job>*) override;
   grpc::Status GetPreview(grpc::ServerContext*, const pb::GetPreviewRequest*, pb::GetPreviewReply*) override;
+  grpc::Status Session(grpc::ServerContext*,
+                       grpc::ServerReaderWriter<pb::SessionPicture, pb::SessionRequest>*) override;
   grpc::Status Why(grpc::ServerContext*, const pb::WhyRequest*, pb::WhyReply*) override;
   grpc::Status ListFiles(grpc::ServerContext*, const pb::ListFilesRequest*, pb::ListFilesReply*) override;
   grpc::Status FetchFile(grpc::ServerContext*, const pb::FetchFileRequest*,
@@ -53,7 +55,7 @@ class FarmService final : public pb::Farm::Service {
   coordinator::BlobStore& blobs_;
   SilenceWatch& silence_;
   const ServerSettings settings_;
-  std::atomic<unsigned> uploads_{0};
+  std::atomic<unsigned> uploads_{0}, sessions_{0};
   std::mutex summaries_mutex_;
   std::map<std::string, coordinator::SceneSummary> summaries_;  // by scene blob
   std::mutex previews_mutex_;

@@ -20,6 +20,7 @@ struct ServerSettings {
   double hello_seconds = 10;   // in which a worker must say who it is
   double silent_seconds = 60;  // in which a peer that uploads or fetches must send or take a piece
   unsigned most_uploads = 256;
+  unsigned most_sessions = 16;
   std::shared_ptr<const Keys> keys;  // null: in the clear
 };
 

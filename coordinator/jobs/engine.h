@@ -187,6 +187,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void end_frame(Frame& frame);
   JobRemains withdraw(Frame& frame);  // mutex held; as end_frame()
   void write(Frame& frame, const Film& film);
+  void give_picture(Frame& frame, Film film);  // to Farm::show()
 
   // Stages (stages.cpp).
   // Hands a step's stages to the scheduler. The memory for their results is taken while the first batches run.

@@ -99,7 +99,8 @@ std::optional<JobStatus> Farm::status(const std::string& id) const {
 std::vector<JobStatus> Farm::list() const {
   std::lock_guard lock(impl_->mutex);
   std::vector<JobStatus> all;
-  for (const auto& job : impl_->order) all.push_back(status_of(*job, impl_->now()));
+  for (const auto& job : impl_->order)
+    if (!job->showing) all.push_back(status_of(*job, impl_->now()));
   return all;
 }
 
