@@ -103,9 +103,9 @@ SessionWords::Meaning SessionWords::read(const std::string& line) const {
   if (words.size() == 1 && is(0, "quit")) return SessionEnd{};
   pb::SessionChange change;
   if (is(0, "camera")) {
-    std::string look_at;
-    for (const double value : Numbers(words, 1, line).expect(6, 7))
-      look_at += (look_at.empty() ? "" : ",") + std::to_string(value);
+    Numbers(words, 1, line).expect(6, 7);
+    std::string look_at = words[1];
+    for (std::size_t k = 2; k < words.size(); ++k) look_at.append(",").append(words[k]);
     *change.mutable_camera() = gateway::to_proto(look_at_camera(look_at, names_, settings_));
     return change;
   }

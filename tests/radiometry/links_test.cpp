@@ -147,6 +147,50 @@ TEST(Links, CompressionChangesNothing) {
   EXPECT_GT(rounded, 0);
 }
 
+// Of the light from vertices alone: root of the mean squared difference, over the mean.
+double error_of(const Rendered& made, const Rendered& reference) {
+  const std::vector<float> x = made.floats("links.shade"), y = reference.floats("links.shade");
+  double squares = 0, sum = 0;
+  for (std::size_t i = 0; i < x.size(); ++i) {
+    squares += (double{x[i]} - y[i]) * (double{x[i]} - y[i]);
+    sum += y[i];
+  }
+  const auto count = static_cast<double>(x.size());
+  return std::sqrt(squares / count) / (sum / count);
+}
+
+// The error falls as directions and vertices grow. Their limit is the path tracer's light: LinksMeetPath.
+TEST(Links, ErrorFallsWithDirectionsAndVertices) {
+  Frame frame = frame_of(scene::make_scene("cornell-box", {}), "", 48, 16,
+                         {{"links.bounces", "2"}, {"links.light_samples", "64"}, {"links.refine", "0"}});
+  const auto with = [&](const char* vertices, const char* directions) {
+    frame.settings.set["links.vertices"] = vertices;
+    frame.settings.set["links.directions"] = directions;
+    return render(frame);
+  };
+  const Rendered finest = with("16000", "1024");
+  const auto falls = [&](const char* what, double step, const std::vector<double>& errors) {
+    for (std::size_t k = 1; k < errors.size(); ++k) EXPECT_LT(errors[k], errors[k - 1]) << what;
+    const double order =
+        std::log(errors.front() / errors.back()) / (static_cast<double>(errors.size() - 1) * std::log(step));
+    std::printf("  %s: error %.4f to %.4f, order %.2f\n", what, errors.front(), errors.back(), order);
+    return order;
+  };
+  // Rays of a stratified hemisphere: between those of independent ones and of smooth integrands.
+  const double directions = falls("directions 16 to 256", 4,
+                                  {error_of(with("16000", "16"), finest), error_of(with("16000", "64"), finest),
+                                   error_of(with("16000", "256"), finest)});
+  EXPECT_GT(directions, 0.45);
+  EXPECT_LT(directions, 1.1);
+  // Spacing is the root of the vertices' number: its first power at the edges of shadows, its second where light is
+  // smooth.
+  const double vertices = falls("vertices 250 to 4000", 4,
+                                {error_of(with("250", "1024"), finest), error_of(with("1000", "1024"), finest),
+                                 error_of(with("4000", "1024"), finest)});
+  EXPECT_GT(vertices, 0.25);
+  EXPECT_LT(vertices, 1.1);
+}
+
 // --- Smoothing, and edges ---
 
 // What the mesh of a frame says of each vertex, and a smoothing stage of it whose irradiance is made up.
