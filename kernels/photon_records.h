@@ -61,12 +61,13 @@ GLEANER_SIZE(PhotonTraceParameters, 32);
 #define NODE_BLOCK 6u  // uint: of a leaf; GLEANER_NONE: an inner node
 #define NODE_SKIP 7u   // uint: the first node behind all below this one
 
-// An illumination cut: rows of CUT_WORDS words, a tree in depth-first order as a map's nodes are. Of each its box; of
-// the cut's nodes the box that they reach, with their place in its middle.
-#define CUT_WORDS 16u
-#define CUT_NEARNESS 6u     // 1/m^2: one over r_p^2 of eq. 4; 0: a node above the cut
-#define CUT_NORMAL 8u       // of the surface there
-#define CUT_IRRADIANCE 11u  // W/m^2, RGB: E_p
+// An illumination cut: rows of PHOTON_WORDS words. Header and nodes are as a map's, but a leaf's block holds up to 16
+// of the cut's nodes, of CUT_WORDS words each, and a tree node's box is what all cut nodes below it reach.
+#define CUT_WORDS 10u
+#define CUT_PLACE 0u       // m
+#define CUT_NORMAL 3u      // of the surface there
+#define CUT_NEARNESS 6u    // 1/m^2: one over r_p^2 of eq. 4; 0: no node
+#define CUT_IRRADIANCE 7u  // W/m^2, RGB: E_p
 // Nodes that a coarse cut may have.
 #define PHOTON_MOST_CUT (1u << 22)
 

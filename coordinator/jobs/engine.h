@@ -232,6 +232,9 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void compute_again(Frame& frame, const ArtifactId& id, const std::vector<Gap>& gaps);
   void start_again(Frame& frame, const ArtifactId& id, std::vector<ItemRange> items, const Gap* special);
   void require_inputs(const RunningStage& stage);
+  // What a repetition reads exists for as long as it runs, though the plan may have released it.
+  void hold_inputs(const RunningStage& stage);
+  void release_inputs(const RunningStage& stage);
   bool is_computed(const ArtifactId& id, const ItemRange& items) const;
   void end_again(const std::shared_ptr<RunningStage>& stage);
   static bool fits(const RunningStage& stage, const Lease& lease, const BatchOutput::Retained& part);
@@ -252,7 +255,10 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void recheck(const std::shared_ptr<RunningStage>& stage, WorkerId maker, const Lease& lease, std::string digest);
   // False: there is nobody to ask.
   bool ask_another(Frame& frame, const RunningStage& like, std::unique_ptr<Recheck> what);
-  void take_recheck(const std::shared_ptr<RunningStage>& stage, const Worker& worker, std::string digest);
+  // `part`: of a retained output, what the worker keeps of its answer.
+  void take_recheck(const std::shared_ptr<RunningStage>& stage, Worker& worker, const std::string& digest,
+                    const std::optional<BatchOutput::Retained>& part);
+  void compare_answers(const std::shared_ptr<RunningStage>& stage, const Worker& worker, std::string digest);
   void end_recheck(const std::shared_ptr<RunningStage>& stage);
   void disagree(Frame& frame, const Recheck& recheck);
   void drop_hopeless_rechecks();  // a worker is gone
@@ -271,7 +277,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   // What of a batch needs its digest: the journal, and what is computed again. The lock is held before and after.
   // Returns where the batch lies in the stage's file, if it does.
   std::optional<std::uint64_t> put_on_record(const std::shared_ptr<RunningStage>& stage, WorkerId id,
-                                             const Lease& lease, const Bytes& image, bool rechecked,
+                                             const Lease& lease, const BatchOutput& output, bool rechecked,
                                              std::unique_lock<std::mutex>& lock);
   // Mutex held. Puts an accepted batch where its stage's records go.
   void collect(const std::shared_ptr<RunningStage>& stage, const Lease& lease, const Bytes& records,

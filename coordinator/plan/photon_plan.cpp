@@ -9,6 +9,7 @@
 
 #include "coordinator/plan/graph.h"
 #include "coordinator/plan/path_sampler.h"
+#include "coordinator/plan/photon_choice.h"
 #include "coordinator/plan/pixel_cache.h"
 #include "kernels/photon_records.h"
 
@@ -27,31 +28,29 @@ constexpr double kMostRadius = 0.05;
 constexpr double kShrinkage = 2.0 / 3;
 // The guide's photons are those of a pass that is none.
 constexpr std::uint32_t kGlobalPass = 0, kGuidePass = 1, kFirstPass = 2;
-// Rays of a shading cluster's sample, and turns of k-means.
-constexpr std::uint32_t kUsualRays = 1024, kIterations = 6;
+// Turns of k-means.
+constexpr std::uint32_t kIterations = 6;
 // Photons of the estimates at a cut's nodes, rounds of its refinement, and the ratio of section 3.3.
-constexpr std::uint32_t kUsualCut = 0, kCutNeighbours = 24, kCutRounds = 4;
+constexpr std::uint32_t kCutNeighbours = 24, kCutRounds = 4;
 constexpr float kCutRatio = 1.2f;
 // Maps wait for each other, paths that read none for nothing: these fill what the others leave free.
 constexpr int kFirst = 1;
 
-struct PhotonSettings {
-  std::uint32_t count, caustics, passes, samples, clusters, rays, cut;
-  double radius;  // m; 0: by the nearest photons
+struct PhotonSettings : PhotonCounts {
+  std::uint32_t samples;  // of a pixel and pass of caustics
+  double radius;          // m; 0: by the nearest photons
 };
 
 PhotonSettings read_settings(const FrameSettings& settings) {
-  const auto whole = [&](const char* name, std::uint32_t usual) {
-    return whole_setting(settings, name).value_or(usual);
-  };
-  PhotonSettings p{};
-  p.count = whole("photon.count", 200'000);
-  p.caustics = whole("photon.caustics", 200'000);
-  p.passes = whole("photon.passes", std::clamp<std::uint32_t>(settings.spp / 8, 1, 64));
-  p.clusters = whole("photon.clusters", 0);
-  p.cut = whole("photon.cut", kUsualCut);
-  p.rays = whole("photon.gather_rays", kUsualRays);
-  p.radius = real_setting(settings, "photon.radius").value_or(0);
+  const GivenPhotonCounts given = {.count = whole_setting(settings, "photon.count"),
+                                   .caustics = whole_setting(settings, "photon.caustics"),
+                                   .passes = whole_setting(settings, "photon.passes"),
+                                   .clusters = whole_setting(settings, "photon.clusters"),
+                                   .rays = whole_setting(settings, "photon.gather_rays"),
+                                   .cut = whole_setting(settings, "photon.cut")};
+  PhotonSettings p{choose_photon_counts(std::uint64_t{settings.width} * settings.height, settings.spp,
+                                        settings.target_error, PixelCache::holds(settings), given),
+                   1, real_setting(settings, "photon.radius").value_or(0)};
   // As many places of caustics in a pixel as samples, but a few of each pass.
   p.samples = std::bit_floor(std::clamp<std::uint32_t>(settings.spp / std::max(1u, p.passes), 1, 16));
   return p;
@@ -98,9 +97,7 @@ class PhotonPlan final : public GraphPlan {
   bool indirect() const { return settings_.depth != 1; }
   bool gathers() const { return indirect() && photon_.count > 0; }
   bool has_caustics() const { return indirect() && photon_.caustics > 0 && sharp_; }
-  bool has_clusters() const {
-    return gathers() && photon_.clusters > 0 && photon_.rays > 0 && PixelCache::holds(settings_);
-  }
+  bool has_clusters() const { return gathers() && photon_.clusters > 0 && photon_.rays > 0; }
   std::uint32_t classes() const {
     return (gathers() ? PATH_CLASS_DIFFUSE | PATH_CLASS_MIXED : 0) | (has_caustics() ? PATH_CLASS_CAUSTIC : 0) |
            (has_clusters() ? PATH_CLASS_LAYER : 0);
@@ -259,7 +256,7 @@ Artifact PhotonPlan::ask_cut(const Artifact& map) {
                      .items = 1,
                      .solo = true,
                      .priority = kFirst,
-                     .output = {.record_bytes = CUT_WORDS * 4,
+                     .output = {.record_bytes = PHOTON_WORDS * 4,
                                 .counted = true,
                                 .most_records = 0xffffffffu,
                                 .placement = Placement::retain,
@@ -484,20 +481,19 @@ Method photon_method() {
       // light, all RGB.
       .bytes_a_pixel = kPathBytesAPixel + 7 * 3 * sizeof(float),
       .settings = {
-          {"photon.count", whole, 0, 1u << 24, "200000",
+          {"photon.count", whole, 0, 1u << 24, "an eighth of the samples, 100,000 to 1,000,000",
            "light paths of the map that paths read behind their first surface; 0: no such map, paths go on"},
           {"photon.caustics", whole, 0, 1u << 24, "200000",
            "light paths of each pass of caustics; 0: paths find the caustics"},
           {"photon.passes", whole, 1, 4096, "`--spp` / 8, 1 to 64",
            "independent passes of caustics, each of a smaller radius; their mean is the picture"},
-          {"photon.clusters", whole, 0, 1u << 20, "0",
+          {"photon.clusters", whole, 0, 1u << 20, "4 to 16 times the root of the number of pixels",
            "clusters of the points that pixels show, at whose sample points indirect light on diffuse layers is "
-           "gathered "
-           "and between which it is interpolated; 0: each sample of a pixel gathers by itself"},
-          {"photon.cut", whole, 0, PHOTON_MOST_CUT, "0",
+           "gathered and between which it is interpolated; 0: each sample of a pixel gathers by itself"},
+          {"photon.cut", whole, 0, PHOTON_MOST_CUT, "4096 for more than 200,000 rays, else 0",
            "nodes of the map's tree that are read in place of its photons, before they are refined; 0: photons are "
            "read"},
-          {"photon.gather_rays", whole, 0, SPLAT_MOST_RAYS / 2, "1024",
+          {"photon.gather_rays", whole, 0, SPLAT_MOST_RAYS / 2, "24 times `--spp`, 96 to 1024",
            "rays of each cluster's sample point; 0: no clusters"},
           {"photon.radius", real, 0, 1e9, "0",
            "metres: of density estimates (of caustics: of the first pass); 0: as wide as the nearest photons lie"},

@@ -5,44 +5,47 @@
 
 #include "kernels/photon/map.h"
 
+FN vf cut_word(const PhotonMap* cut, uint block, uint part, uint word) {
+  return row_f(cut->photons, CUT_WORDS, block * MAP_PARTS + part, word);
+}
+
 // W/m^2, RGB, in `to`; the sum of the weights: 0 where no node is near. As in a map, what is off the surface's plane is
 // farther away.
-FN float cut_irradiance(global const float* cut, uint nodes, const MapPlace* p, float* to) {
-  float weights = 0.0f, r = 0.0f, g = 0.0f, b = 0.0f;
+FN float cut_irradiance(global const float* rows, uint nodes, const MapPlace* p, float* to) {
+  PhotonMap cut = photon_map(rows, nodes);
+  vf weights = zero_f(), r = zero_f(), g = zero_f(), b = zero_f();
   uint at = 0u;
-  while (at < nodes) {
-    global const float* n = cut + CUT_WORDS * at;
-    if (p->x < n[NODE_LOWER] || p->y < n[NODE_LOWER + 1u] || p->z < n[NODE_LOWER + 2u] || p->x > n[NODE_UPPER] ||
-        p->y > n[NODE_UPPER + 1u] || p->z > n[NODE_UPPER + 2u]) {
-      at = ((global const uint*)n)[NODE_SKIP];
-      continue;
+  for (;;) {
+    // Boxes hold all that their nodes reach: the place lies in them, or it is not reached.
+    uint block = next_leaf(&cut, p, FLT_MIN, &at);
+    if (block == GLEANER_NONE) break;
+    for (uint part = 0; part < MAP_PARTS; ++part) {
+      vf x = cut_word(&cut, block, part, CUT_PLACE) - p->x;
+      vf y = cut_word(&cut, block, part, CUT_PLACE + 1u) - p->y;
+      vf z = cut_word(&cut, block, part, CUT_PLACE + 2u) - p->z;
+      vf nearness = cut_word(&cut, block, part, CUT_NEARNESS);
+      vf height = x * p->nx + y * p->ny + z * p->nz;
+      vf falloff = 1.0f - (x * x + y * y + z * z + MAP_FLATNESS * height * height) * nearness;
+      vf cosine = cut_word(&cut, block, part, CUT_NORMAL) * p->nx +
+                  cut_word(&cut, block, part, CUT_NORMAL + 1u) * p->ny +
+                  cut_word(&cut, block, part, CUT_NORMAL + 2u) * p->nz;
+      // Over r_p^2: nodes have nearly equal power, so that dark ones are wide, and would darken what is bright beside
+      // them.
+      vi near = (falloff > zero_f()) & (cosine > (vf)MAP_LEAST_COSINE);
+      vf weight = pick(zero_f(), falloff * cosine * nearness, near);
+      weights += weight;
+      r += weight * cut_word(&cut, block, part, CUT_IRRADIANCE);
+      g += weight * cut_word(&cut, block, part, CUT_IRRADIANCE + 1u);
+      b += weight * cut_word(&cut, block, part, CUT_IRRADIANCE + 2u);
     }
-    ++at;
-    float nearness = n[CUT_NEARNESS];
-    if (nearness <= 0.0f) continue;
-    // A node of the cut is in the middle of the box that it reaches.
-    float x = p->x - 0.5f * (n[NODE_LOWER] + n[NODE_UPPER]),
-          y = p->y - 0.5f * (n[NODE_LOWER + 1u] + n[NODE_UPPER + 1u]),
-          z = p->z - 0.5f * (n[NODE_LOWER + 2u] + n[NODE_UPPER + 2u]);
-    float height = x * p->nx + y * p->ny + z * p->nz;
-    float falloff = 1.0f - (x * x + y * y + z * z + MAP_FLATNESS * height * height) * nearness;
-    if (falloff <= 0.0f) continue;
-    float cosine = n[CUT_NORMAL] * p->nx + n[CUT_NORMAL + 1u] * p->ny + n[CUT_NORMAL + 2u] * p->nz;
-    if (cosine <= MAP_LEAST_COSINE) continue;
-    // Over r_p^2: nodes have nearly equal power, so that dark ones are wide, and would darken what is bright beside
-    // them.
-    float weight = falloff * cosine * nearness;
-    weights += weight;
-    r += weight * n[CUT_IRRADIANCE];
-    g += weight * n[CUT_IRRADIANCE + 1u];
-    b += weight * n[CUT_IRRADIANCE + 2u];
   }
-  if (weights > 0.0f) {
-    to[0] = r / weights;
-    to[1] = g / weights;
-    to[2] = b / weights;
+  float sum = sum_lanes(weights);
+  if (sum > 0.0f) {
+    to[0] = sum_lanes(r) / sum;
+    to[1] = sum_lanes(g) / sum;
+    to[2] = sum_lanes(b) / sum;
   }
-  return weights;
+  return sum;
 }
 
 #endif

@@ -124,17 +124,27 @@ TEST_F(Keyring, FoldersOfKeysAreChecked) {
 
 // A call that this table does not know fails the test: somebody must have thought about who may make it.
 TEST_F(Keyring, EachCallAsksForItsRole) {
-  const std::map<std::string, Role> needed = {
-      {"Farm/MissingBlobs", Role::submit},    {"Farm/UploadBlob", Role::submit},
-      {"Farm/SubmitJob", Role::submit},       {"Farm/CancelJob", Role::submit},
-      {"Farm/PauseJob", Role::submit},        {"Farm/RetryJob", Role::submit},
-      {"Farm/DrainWorker", Role::administer}, {"Farm/ListJobs", Role::observe},
-      {"Farm/GetJob", Role::observe},         {"Farm/WatchJob", Role::observe},
-      {"Farm/GetPreview", Role::observe},     {"Farm/Why", Role::observe},
-      {"Farm/ListFiles", Role::observe},      {"Farm/FetchFile", Role::observe},
-      {"Farm/ListWorkers", Role::observe},    {"WorkerHub/Work", Role::work},
-      {"WorkerHub/FetchBlob", Role::work},    {"WorkerHub/LocateArtifact", Role::work},
-      {"WorkerHub/FetchPart", Role::work},    {"WorkerHub/DeliverPart", Role::work}};
+  const std::map<std::string, Role> needed = {{"Farm/MissingBlobs", Role::submit},
+                                              {"Farm/UploadBlob", Role::submit},
+                                              {"Farm/SubmitJob", Role::submit},
+                                              {"Farm/CancelJob", Role::submit},
+                                              {"Farm/PauseJob", Role::submit},
+                                              {"Farm/RetryJob", Role::submit},
+                                              {"Farm/Session", Role::submit},
+                                              {"Farm/DrainWorker", Role::administer},
+                                              {"Farm/ListJobs", Role::observe},
+                                              {"Farm/GetJob", Role::observe},
+                                              {"Farm/WatchJob", Role::observe},
+                                              {"Farm/GetPreview", Role::observe},
+                                              {"Farm/Why", Role::observe},
+                                              {"Farm/ListFiles", Role::observe},
+                                              {"Farm/FetchFile", Role::observe},
+                                              {"Farm/ListWorkers", Role::observe},
+                                              {"WorkerHub/Work", Role::work},
+                                              {"WorkerHub/FetchBlob", Role::work},
+                                              {"WorkerHub/LocateArtifact", Role::work},
+                                              {"WorkerHub/FetchPart", Role::work},
+                                              {"WorkerHub/DeliverPart", Role::work}};
   const std::map<Role, std::set<Role>> allowed = {{Role::coordinate, {}},
                                                   {Role::work, {Role::work}},
                                                   {Role::observe, {Role::observe}},

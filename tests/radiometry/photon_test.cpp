@@ -382,7 +382,7 @@ TEST(Photon, CutIsRefinedWhereItIsOff) {
     std::vector<std::array<float, 3>> irradiance;
     for (std::size_t i = 0; i < other.size(); ++i)
       irradiance.push_back({static_cast<float>(other.rough_irradiance(i)) * times, 0, 0});
-    const std::size_t opened = other.refine(irradiance, 1.2);
+    const std::size_t opened = other.refine(irradiance, 1.2).size() - 100;
     EXPECT_EQ(other.size(), 100 + opened);
     return opened;
   };
@@ -396,17 +396,31 @@ TEST(Photon, CutIsRefinedWhereItIsOff) {
   EXPECT_LT(cut.median_radius(), radius);
   irradiance.assign(cut.size(), {});
   for (std::size_t i = 0; i < cut.size(); ++i) irradiance[i][1] = static_cast<float>(i);
-  const std::vector<std::uint32_t> rows = cut.rows(cut.places(), irradiance);
-  ASSERT_EQ(rows.size(), std::size_t{map[MAP_NODES]} * CUT_WORDS);
-  std::size_t leaves = 0;
-  for (std::size_t row = 0; row < rows.size() / CUT_WORDS; ++row) {
-    const auto real = [&](unsigned word) { return std::bit_cast<float>(rows[row * CUT_WORDS + word]); };
-    EXPECT_GT(rows[row * CUT_WORDS + NODE_SKIP], row);
-    if (real(CUT_NEARNESS) > 0) {
-      EXPECT_EQ(real(CUT_IRRADIANCE + 1), static_cast<float>(leaves++));
+  std::vector<worker::CutPlace> places;
+  for (std::size_t i = 0; i < cut.size(); ++i) places.push_back(cut.place(i));
+  const std::vector<std::uint32_t> rows = cut.rows(places, irradiance);
+  // All are in the blocks, in the tree's order, and every tree node's box holds what those below it reach.
+  const std::size_t nodes = rows[MAP_NODES], block_words = std::size_t{CUT_WORDS} * RAY_BLOCK;
+  ASSERT_EQ(rows.size(), (1 + nodes) * PHOTON_WORDS + rows[MAP_BLOCKS] * block_words);
+  const auto real = [&](std::size_t at) { return std::bit_cast<float>(rows[at]); };
+  std::size_t members = 0;
+  for (std::size_t node = 0; node < nodes; ++node) {
+    const std::size_t at = (1 + node) * PHOTON_WORDS;
+    EXPECT_GT(rows[at + NODE_SKIP], node);
+    if (rows[at + NODE_BLOCK] == GLEANER_NONE) continue;
+    const std::size_t block = (1 + nodes) * PHOTON_WORDS + rows[at + NODE_BLOCK] * block_words;
+    for (std::size_t lane = 0; lane < RAY_BLOCK; ++lane) {
+      const auto word = [&](unsigned k) { return real(block + k * RAY_BLOCK + lane); };
+      if (!(word(CUT_NEARNESS) > 0)) continue;
+      EXPECT_EQ(word(CUT_IRRADIANCE + 1), static_cast<float>(members++));
+      const float reach = 0.999f / std::sqrt(word(CUT_NEARNESS));
+      for (unsigned k = 0; k < 3; ++k) {
+        EXPECT_LT(real(at + NODE_LOWER + k), word(CUT_PLACE + k) - reach);
+        EXPECT_GT(real(at + NODE_UPPER + k), word(CUT_PLACE + k) + reach);
+      }
     }
   }
-  EXPECT_EQ(leaves, cut.size());
+  EXPECT_EQ(members, cut.size());
 }
 
 // The same photons and the same rays: what differs is the cut.
@@ -505,8 +519,13 @@ TEST(Photon, RefusesWhatIsOutOfRange) {
   refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, nodes), 0));
   refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, ratio), 0xbf800000u));  // -1
   refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, estimate), 1000));
-  // A cut whose walk would not end, or whose light is none.
-  for (const auto& [word, value] : {std::pair{NODE_SKIP, 0u}, {NODE_SKIP, 1u << 30}, {CUT_IRRADIANCE, 0xbf800000u}})
+  // A cut whose header is wrong, whose walk would not end, or whose light is none.
+  using Broken = std::pair<std::size_t, std::uint32_t>;
+  const std::size_t cut_nodes = words_of(*made.tasks.at("photon.cluster_gather").inputs.at("cut").load())[MAP_NODES];
+  for (const auto& [word, value] :
+       {Broken{MAP_NODES, 1}, Broken{MAP_BLOCKS, 1u << 30}, Broken{PHOTON_WORDS + NODE_BLOCK, 1u << 30},
+        Broken{PHOTON_WORDS + NODE_SKIP, 0}, Broken{PHOTON_WORDS + NODE_SKIP, 1u << 30},
+        Broken{(1 + cut_nodes) * PHOTON_WORDS + CUT_IRRADIANCE * RAY_BLOCK, 0xbf800000u}})
     refused("photon.cluster_gather", [word = word, value = value](worker::StageTask& task) {
       scene::Bytes cut = *task.inputs.at("cut").load();
       std::memcpy(cut.data() + word * 4, &value, 4);

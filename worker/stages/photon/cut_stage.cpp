@@ -4,6 +4,9 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <memory>
+#include <span>
+#include <vector>
 
 #include "kernels/path_layout.h"
 #include "kernels/photon_records.h"
@@ -12,7 +15,7 @@
 #include "worker/stages/photon/map_table.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/vpl/rows.h"
-#include "worker/wavefront/counters.h"
+#include "worker/wavefront/host_threads.h"
 #include "worker/wavefront/input_rows.h"
 
 namespace gleaner::worker {
@@ -25,7 +28,7 @@ using Irradiance = std::vector<std::array<float, 3>>;
 // Places a launch.
 constexpr std::uint32_t kPlaces = 1u << 12;
 // Photons of a node at which its irradiance is estimated.
-constexpr std::uint32_t kNodePlaces = 8;
+constexpr std::uint32_t kNodePlaces = 4;
 constexpr std::size_t kSlotWords = FILTERED_SLOT_WORDS;
 
 // Of the clusters' gather, as that stage builds it: compiled once for both.
@@ -55,16 +58,19 @@ std::vector<std::uint32_t> read_map(const StageRun& run) {
 }
 
 // Density estimates at places, by all photons of the map.
-class Estimates {
+class EstimateThread : public HostThread {
  public:
-  Estimates(const StageRun& run, const PhotonCutParameters& p, const PhotonMapTable& map)
-      : queue_(run.device.make_queue()),
-        reads_(run.workspace.take("cut.reads", std::size_t{kPlaces} * READ_WORDS * 4)),
-        slots_(run.workspace.take("cut.slots", (std::size_t{kPlaces} + 1) * kSlotWords * 4)),
-        read_(run.device, run.build("cluster_gather.cl", gather_options()), "photon_read") {
+  EstimateThread(const StageRun& run, const PhotonCutParameters& p, const PhotonMapTable& map, const Program& program,
+                 std::span<const CutPlace> places, Irradiance& irradiance, WorkQueue& work, unsigned index)
+      : HostThread(run.device, run.workspace, run.scene.tracer(), work, index),
+        places_(places),
+        irradiance_(irradiance),
+        reads_(take("cut.reads", std::size_t{kPlaces} * READ_WORDS * 4)),
+        slots_(take("cut.slots", (std::size_t{kPlaces} + 1) * kSlotWords * 4)),
+        read_(run.device, program, "photon_read") {
     run.scene.set_arguments(read_);
     map.set_arguments(read_, "map");
-    no_cut().set_arguments(read_);
+    PhotonCutTable{.rows = slots_, .nodes = 0, .most_depth = 0, .size = 0}.set_arguments(read_);
     read_.set("reads", reads_)
         .set("neighbours", p.estimate.neighbours)
         .set("most_radius", p.estimate.most_radius)
@@ -72,27 +78,22 @@ class Estimates {
         .set("slot_count", kPlaces);
   }
 
-  // W/m^2, RGB, of each place.
-  Irradiance at(const std::vector<CutPlace>& places) {
-    Irradiance irradiance(places.size());
-    std::vector<float> slots(std::size_t{kPlaces} * kSlotWords);
-    for (std::size_t base = 0; base < places.size(); base += kPlaces) {
-      const std::size_t count = std::min<std::size_t>(kPlaces, places.size() - base);
-      std::vector<float> reads;
-      reads.reserve(count * READ_WORDS);
-      for (std::size_t i = 0; i < count; ++i) append(places[base + i], static_cast<std::uint32_t>(i), reads);
+  void run(BatchResult&) {
+    std::vector<float> reads, slots(std::size_t{kPlaces} * kSlotWords);
+    while (const WorkQueue::Block block = work_.claim(kPlaces)) {
+      reads.clear();
+      for (std::uint32_t i = 0; i < block.count; ++i) append(places_[block.first + i], i, reads);
       queue_.enqueueWriteBuffer(reads_, CL_TRUE, 0, reads.size() * 4, reads.data());
       queue_.enqueueFillBuffer(slots_, cl_float{0}, 0, slots.size() * 4);
-      read_.set("count", static_cast<cl_uint>(count));
-      read_.launch(queue_, {.work = count, .capacity = kPlaces, .per_item = 1});
-      queue_.enqueueReadBuffer(slots_, CL_TRUE, 0, slots.size() * 4, slots.data());
-      for (std::size_t i = 0; i < count; ++i)
+      read_.set("count", static_cast<cl_uint>(block.count));
+      launch(read_, block.count, kPlaces, 1);
+      queue_.enqueueReadBuffer(slots_, CL_TRUE, 0, block.count * kSlotWords * 4, slots.data());
+      for (std::size_t i = 0; i < block.count; ++i)
         for (std::size_t k = 0; k < 3; ++k) {
           const float value = slots[i * kSlotWords + SLOT_INDIRECT + k];
-          irradiance[base + i][k] = std::isfinite(value) ? value : 0;
+          irradiance_[block.first + i][k] = std::isfinite(value) ? value : 0;
         }
     }
-    return irradiance;
   }
 
  private:
@@ -110,34 +111,85 @@ class Estimates {
     reads.insert(reads.end(), row, row + READ_WORDS);
   }
 
-  PhotonCutTable no_cut() const { return {.rows = slots_, .nodes = 0, .most_depth = 0, .size = 0}; }
-
-  cl::CommandQueue queue_;
+  std::span<const CutPlace> places_;
+  Irradiance& irradiance_;
   cl::Buffer reads_, slots_;
   Kernel read_;
 };
 
+class Estimates {
+ public:
+  Estimates(const StageRun& run, const PhotonCutParameters& p, const PhotonMapTable& map)
+      : run_(run), p_(p), map_(map), program_(run.build("cluster_gather.cl", gather_options())) {}
+
+  // W/m^2, RGB, of each place.
+  Irradiance at(std::span<const CutPlace> places, BatchResult& result) const {
+    Irradiance irradiance(places.size());
+    WorkQueue work(places.size(), host_threads(run_.device), 0, run_.task.given_up.get());
+    run_host_threads(work, result, [&](unsigned index) {
+      return std::make_unique<EstimateThread>(run_, p_, map_, program_, places, irradiance, work, index);
+    });
+    return irradiance;
+  }
+
+ private:
+  const StageRun& run_;
+  const PhotonCutParameters& p_;
+  const PhotonMapTable& map_;
+  Program program_;
+};
+
+// The cut's nodes with their middles and the irradiance there.
+struct Nodes {
+  std::vector<CutPlace> places;
+  Irradiance irradiance;
+};
+
+// `from`: of each of the cut's nodes its number among `before`; GLEANER_NONE: it is new. Only new ones are estimated.
+Nodes estimate_new(const IlluminationCut& cut, const std::vector<std::uint32_t>& from, const Nodes& before,
+                   const Estimates& estimates, BatchResult& result) {
+  Nodes nodes{.places = std::vector<CutPlace>(from.size()), .irradiance = Irradiance(from.size())};
+  std::vector<CutPlace> fresh;
+  for (std::size_t i = 0; i < from.size(); ++i) {
+    if (from[i] != GLEANER_NONE) {
+      nodes.places[i] = before.places[from[i]];
+      nodes.irradiance[i] = before.irradiance[from[i]];
+    } else {
+      nodes.places[i] = cut.place(i);
+      fresh.push_back(nodes.places[i]);
+    }
+  }
+  const Irradiance estimated = estimates.at(fresh, result);
+  std::size_t next = 0;
+  for (std::size_t i = 0; i < from.size(); ++i)
+    if (from[i] == GLEANER_NONE) nodes.irradiance[i] = estimated[next++];
+  return nodes;
+}
+
 // A node's mean over its area, from estimates at its photons: these lie the denser the brighter it is, so that each
 // counts by one over its estimate.
-Irradiance node_means(const IlluminationCut& cut, const std::vector<CutPlace>& places, Estimates& estimates) {
+Irradiance node_means(const IlluminationCut& cut, const Nodes& nodes, const Estimates& estimates, BatchResult& result) {
+  const std::size_t count = nodes.places.size();
   std::vector<CutPlace> spread;
   std::vector<std::size_t> ends;
-  for (std::size_t i = 0; i < places.size(); ++i) {
-    const std::vector<CutPlace> of_node = cut.spread(i, places[i], kNodePlaces);
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::vector<CutPlace> of_node = cut.spread(i, nodes.places[i], kNodePlaces - 1);
     spread.insert(spread.end(), of_node.begin(), of_node.end());
     ends.push_back(spread.size());
   }
-  const Irradiance all = estimates.at(spread);
-  Irradiance means(places.size());
+  const Irradiance others = estimates.at(spread, result);
+  Irradiance means(count);
   std::size_t at = 0;
-  for (std::size_t i = 0; i < places.size(); ++i) {
+  for (std::size_t i = 0; i < count; ++i) {
     double sum[3] = {}, weights = 0;
-    for (; at < ends[i]; ++at) {
-      const double bright = double{all[at][0]} + all[at][1] + all[at][2];
-      if (!(bright > 0)) continue;
-      for (std::size_t k = 0; k < 3; ++k) sum[k] += double{all[at][k]} / bright;
+    const auto add = [&](const std::array<float, 3>& one) {
+      const double bright = double{one[0]} + one[1] + one[2];
+      if (!(bright > 0)) return;
+      for (std::size_t k = 0; k < 3; ++k) sum[k] += double{one[k]} / bright;
       weights += 1 / bright;
-    }
+    };
+    add(nodes.irradiance[i]);
+    for (; at < ends[i]; ++at) add(others[at]);
     for (std::size_t k = 0; k < 3; ++k) means[i][k] = static_cast<float>(weights > 0 ? sum[k] / weights : 0);
   }
   return means;
@@ -150,25 +202,23 @@ BatchResult run_photon_cut_stage(const StageRun& run) {
   const double start = seconds_now();
   const auto map = photon_map_table(run, "map");
   IlluminationCut cut(read_map(run));
-  Estimates estimates(run, p, *map);
+  const Estimates estimates(run, p, *map);
+  BatchResult result;
   PhotonCutFacts facts;
   cut.choose(p.nodes);
-  std::vector<CutPlace> places = cut.places();
-  Irradiance irradiance = estimates.at(places);
+  Nodes nodes = estimate_new(cut, std::vector(cut.size(), std::uint32_t{GLEANER_NONE}), {}, estimates, result);
   for (std::uint32_t round = 0; round < p.rounds; ++round) {
-    const std::size_t opened = cut.refine(irradiance, p.ratio);
-    if (opened == 0) break;
-    facts.opened += opened;
-    places = cut.places();
-    irradiance = estimates.at(places);
+    const std::vector<std::uint32_t> from = cut.refine(nodes.irradiance, p.ratio);
+    if (from.size() == nodes.places.size()) break;
+    facts.opened += from.size() - nodes.places.size();
+    nodes = estimate_new(cut, from, nodes, estimates, result);
   }
-  const std::vector<std::uint32_t> rows = cut.rows(places, node_means(cut, places, estimates));
+  const std::vector<std::uint32_t> rows = cut.rows(nodes.places, node_means(cut, nodes, estimates, result));
   facts.nodes = cut.size();
   facts.radius = cut.median_radius();
-  BatchResult result;
   result.records.resize(rows.size() * 4);
   std::memcpy(result.records.data(), rows.data(), result.records.size());
-  result.counts = {static_cast<std::uint32_t>(rows.size() / CUT_WORDS)};
+  result.counts = {static_cast<std::uint32_t>(rows.size() / PHOTON_WORDS)};
   set_facts(result, facts);
   result.counters.seconds = seconds_now() - start;
   result.counters.kernel_seconds = result.counters.seconds;

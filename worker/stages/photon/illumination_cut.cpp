@@ -63,6 +63,7 @@ IlluminationCut::IlluminationCut(std::vector<std::uint32_t> map)
       for (unsigned k = 0; k < 3; ++k) power_[node] += double{photon(word(node, NODE_BLOCK), lane, PHOTON_POWER + k)};
   }
   cut_ = {0};
+  closed_ = {false};
 }
 
 void IlluminationCut::choose(std::uint32_t nodes) {
@@ -86,6 +87,7 @@ void IlluminationCut::choose(std::uint32_t nodes) {
   cut_ = std::move(closed);
   for (; !open.empty(); open.pop()) cut_.push_back(static_cast<std::uint32_t>(-open.top().second));
   std::ranges::sort(cut_);
+  closed_.assign(cut_.size(), false);
 }
 
 float IlluminationCut::radius(std::size_t node) const {
@@ -113,7 +115,8 @@ std::array<float, 3> IlluminationCut::normal(std::uint32_t block, unsigned lane)
   return unpack_unit(std::bit_cast<std::uint32_t>(photon(block, lane, PHOTON_SURFACE)), 12);
 }
 
-CutPlace IlluminationCut::place(std::size_t node) const {
+CutPlace IlluminationCut::place(std::size_t i) const {
+  const std::size_t node = cut_[i];
   std::array<float, 3> middle{};
   for (unsigned k = 0; k < 3; ++k) middle[k] = (real(node, NODE_LOWER + k) + real(node, NODE_UPPER + k)) / 2;
   CutPlace best{};
@@ -136,8 +139,8 @@ std::vector<CutPlace> IlluminationCut::spread(std::size_t i, const CutPlace& pla
                             normal(block, lane)};
     if (cosine(other.normal, place.normal) > kAlike && other.position != place.position) alike.push_back(other);
   });
-  std::vector<CutPlace> places{place};
-  const std::size_t wanted = std::min<std::size_t>(most - 1, alike.size());
+  std::vector<CutPlace> places;
+  const std::size_t wanted = std::min<std::size_t>(most, alike.size());
   for (std::size_t k = 0; k < wanted; ++k) places.push_back(alike[(2 * k + 1) * alike.size() / (2 * wanted)]);
   return places;
 }
@@ -154,29 +157,28 @@ bool IlluminationCut::bent(std::size_t node) const {
   return unlike;
 }
 
-std::vector<CutPlace> IlluminationCut::places() const {
-  std::vector<CutPlace> places;
-  places.reserve(cut_.size());
-  for (const std::uint32_t node : cut_) places.push_back(place(node));
-  return places;
-}
-
-std::size_t IlluminationCut::refine(const std::vector<std::array<float, 3>>& irradiance, double ratio) {
-  std::vector<std::uint32_t> refined;
+std::vector<std::uint32_t> IlluminationCut::refine(const std::vector<std::array<float, 3>>& irradiance, double ratio) {
+  std::vector<std::uint32_t> refined, from;
+  std::vector<bool> closed;
+  const auto add = [&](std::size_t node, std::uint32_t number) {
+    refined.push_back(static_cast<std::uint32_t>(node));
+    from.push_back(number);
+    closed.push_back(number != GLEANER_NONE);
+  };
   for (std::size_t i = 0; i < cut_.size(); ++i) {
     const std::size_t node = cut_[i];
     const double rough = this->irradiance(node);
     const double exact = double{irradiance[i][0]} + irradiance[i][1] + irradiance[i][2];
-    if (leaf(node) || !(std::abs(exact - rough) > ratio * rough || bent(node))) {
-      refined.push_back(cut_[i]);
-      continue;
+    if (closed_[i] || leaf(node) || !(std::abs(exact - rough) > ratio * rough || bent(node))) {
+      add(node, static_cast<std::uint32_t>(i));
+    } else {
+      add(node + 1, GLEANER_NONE);
+      add(right(node), GLEANER_NONE);
     }
-    refined.push_back(static_cast<std::uint32_t>(node + 1));
-    refined.push_back(static_cast<std::uint32_t>(right(node)));
   }
-  const std::size_t opened = refined.size() - cut_.size();
   cut_ = std::move(refined);
-  return opened;
+  closed_ = std::move(closed);
+  return from;
 }
 
 double IlluminationCut::median_radius() const {
@@ -189,43 +191,64 @@ double IlluminationCut::median_radius() const {
 
 std::vector<std::uint32_t> IlluminationCut::rows(const std::vector<CutPlace>& places,
                                                  const std::vector<std::array<float, 3>>& irradiance) const {
-  std::vector<std::uint32_t> rows;
-  rows.reserve(2 * cut_.size() * CUT_WORDS);
-  std::size_t next = 0;
-  write(0, irradiance, places, next, rows);
+  CutTree tree{.nodes = std::vector<std::uint32_t>(PHOTON_WORDS), .blocks = {}};
+  write(0, 0, cut_.size(), places, irradiance, tree);
+  tree.nodes[MAP_NODES] = static_cast<std::uint32_t>(tree.nodes.size() / PHOTON_WORDS - 1);
+  tree.nodes[MAP_BLOCKS] = static_cast<std::uint32_t>(tree.blocks.size() / (std::size_t{CUT_WORDS} * RAY_BLOCK));
+  std::vector<std::uint32_t> rows = std::move(tree.nodes);
+  rows.insert(rows.end(), tree.blocks.begin(), tree.blocks.end());
   return rows;
 }
 
-// Appends the tree below `node`; `next`: the cut's node that comes next. Returns the row.
-std::size_t IlluminationCut::write(std::size_t node, const std::vector<std::array<float, 3>>& irradiance,
-                                   const std::vector<CutPlace>& places, std::size_t& next,
-                                   std::vector<std::uint32_t>& rows) const {
-  const std::size_t row = rows.size() / CUT_WORDS;
-  rows.resize(rows.size() + CUT_WORDS, 0);
-  const auto put = [&](unsigned word, float value) {
-    rows[row * CUT_WORDS + word] = std::bit_cast<std::uint32_t>(value);
+// Appends the tree below `node`, whose nodes of the cut are [first, end). Returns the node's row.
+std::size_t IlluminationCut::write(std::size_t node, std::size_t first, std::size_t end,
+                                   const std::vector<CutPlace>& places,
+                                   const std::vector<std::array<float, 3>>& irradiance, CutTree& tree) const {
+  const std::size_t row = tree.nodes.size() / PHOTON_WORDS;
+  tree.nodes.resize(tree.nodes.size() + PHOTON_WORDS, 0);
+  std::array<float, 3> lower{}, upper{};
+  std::uint32_t block = GLEANER_NONE;
+  const auto extend = [&](unsigned k, float from, float to, bool begins) {
+    lower[k] = begins ? from : std::min(lower[k], from);
+    upper[k] = begins ? to : std::max(upper[k], to);
   };
-  const auto get = [&](std::size_t at, unsigned word) { return std::bit_cast<float>(rows[at * CUT_WORDS + word]); };
-  if (cut_[next] == node) {
-    const CutPlace& place = places[next];
-    const float r = radius(node);
-    for (unsigned k = 0; k < 3; ++k) {
-      put(NODE_LOWER + k, place.position[k] - r);
-      put(NODE_UPPER + k, place.position[k] + r);
-      put(CUT_NORMAL + k, place.normal[k]);
-      put(CUT_IRRADIANCE + k, irradiance[next][k]);
+  if (end - first <= RAY_BLOCK) {
+    const std::size_t words = tree.blocks.size();
+    block = static_cast<std::uint32_t>(words / (std::size_t{CUT_WORDS} * RAY_BLOCK));
+    tree.blocks.resize(words + std::size_t{CUT_WORDS} * RAY_BLOCK, 0);
+    for (std::size_t i = first; i < end; ++i) {
+      const auto put = [&](unsigned word, float value) {
+        tree.blocks[words + std::size_t{word} * RAY_BLOCK + (i - first)] = std::bit_cast<std::uint32_t>(value);
+      };
+      const float r = radius(cut_[i]);
+      for (unsigned k = 0; k < 3; ++k) {
+        extend(k, places[i].position[k] - r, places[i].position[k] + r, i == first);
+        put(CUT_PLACE + k, places[i].position[k]);
+        put(CUT_NORMAL + k, places[i].normal[k]);
+        put(CUT_IRRADIANCE + k, irradiance[i][k]);
+      }
+      put(CUT_NEARNESS, 1 / (r * r));
     }
-    put(CUT_NEARNESS, 1 / (r * r));
-    ++next;
   } else {
-    const std::size_t one = write(node + 1, irradiance, places, next, rows),
-                      other = write(right(node), irradiance, places, next, rows);
-    for (unsigned k = 0; k < 3; ++k) {
-      put(NODE_LOWER + k, std::min(get(one, NODE_LOWER + k), get(other, NODE_LOWER + k)));
-      put(NODE_UPPER + k, std::max(get(one, NODE_UPPER + k), get(other, NODE_UPPER + k)));
-    }
+    const auto middle = static_cast<std::size_t>(std::ranges::lower_bound(cut_, right(node)) - cut_.begin());
+    const std::size_t children[2] = {write(node + 1, first, middle, places, irradiance, tree),
+                                     write(right(node), middle, end, places, irradiance, tree)};
+    for (const std::size_t child : children)
+      for (unsigned k = 0; k < 3; ++k) {
+        const auto of = [&](unsigned word) {
+          return std::bit_cast<float>(tree.nodes[child * PHOTON_WORDS + word + k]);
+        };
+        extend(k, of(NODE_LOWER), of(NODE_UPPER), child == children[0]);
+      }
   }
-  rows[row * CUT_WORDS + NODE_SKIP] = static_cast<std::uint32_t>(rows.size() / CUT_WORDS);
+  std::uint32_t* words = &tree.nodes[row * PHOTON_WORDS];
+  for (unsigned k = 0; k < 3; ++k) {
+    words[NODE_LOWER + k] = std::bit_cast<std::uint32_t>(lower[k]);
+    words[NODE_UPPER + k] = std::bit_cast<std::uint32_t>(upper[k]);
+  }
+  words[NODE_BLOCK] = block;
+  // Nodes count from 0 behind the header.
+  words[NODE_SKIP] = static_cast<std::uint32_t>(tree.nodes.size() / PHOTON_WORDS - 1);
   return row;
 }
 

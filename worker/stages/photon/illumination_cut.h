@@ -20,18 +20,20 @@ class IlluminationCut {
 
   // The coarse cut: from the root on, the node of most power is opened, until there are `nodes`.
   void choose(std::uint32_t nodes);
-  std::vector<CutPlace> places() const;  // of the cut's nodes, in the tree's order
-  // Of one of places(): places of photons on its surface all over the node, at most `most`, itself among them.
-  std::vector<CutPlace> spread(std::size_t i, const CutPlace& place, std::uint32_t most) const;
-  // Opens nodes whose irradiance, RGB of each of places(), differs from eq. 3's by more than `ratio` of that, and nodes
-  // of several surfaces that face elsewhere. Returns how many.
-  std::size_t refine(const std::vector<std::array<float, 3>>& irradiance, double ratio);
-
   std::size_t size() const { return cut_.size(); }
-  // Of one of places(), by eq. 3, all colours.
+  // Of the i-th of the cut's nodes, which stand in the tree's order.
+  CutPlace place(std::size_t i) const;
+  // Places of other photons on the surface of place(i), all over the node: at most `most`.
+  std::vector<CutPlace> spread(std::size_t i, const CutPlace& place, std::uint32_t most) const;
+  // Opens nodes whose irradiance at place(i), RGB of each node, differs from eq. 3's by more than `ratio` of that, and
+  // nodes of several surfaces that face elsewhere. What a former call left closed stays so: its irradiance is the same.
+  // Returns of each node of the new cut its number in the old one; GLEANER_NONE: it is new.
+  std::vector<std::uint32_t> refine(const std::vector<std::array<float, 3>>& irradiance, double ratio);
+
+  // Of the i-th node, by eq. 3, all colours.
   double rough_irradiance(std::size_t i) const { return irradiance(cut_[i]); }
   double median_radius() const;  // m
-  // Rows of CUT_WORDS: the tree down to the cut. `places`: places().
+  // Words of the cut's rows (kernels/photon_records.h). Of each node its place and the irradiance that it stands for.
   std::vector<std::uint32_t> rows(const std::vector<CutPlace>& places,
                                   const std::vector<std::array<float, 3>>& irradiance) const;
 
@@ -43,19 +45,22 @@ class IlluminationCut {
   float photon(std::uint32_t block, unsigned lane, unsigned word) const;
   float radius(std::size_t node) const;  // r_p of eq. 3 and 4: the longest side of its box
   double irradiance(std::size_t node) const;
-  CutPlace place(std::size_t node) const;
   bool bent(std::size_t node) const;  // whether its photons' normals are unlike
   std::array<float, 3> normal(std::uint32_t block, unsigned lane) const;
   // Calls see(block, lane) for each photon of a node.
   template <typename See>
   void each_photon(std::size_t node, See see) const;
-  std::size_t write(std::size_t node, const std::vector<std::array<float, 3>>& irradiance,
-                    const std::vector<CutPlace>& places, std::size_t& next, std::vector<std::uint32_t>& rows) const;
+  struct CutTree {
+    std::vector<std::uint32_t> nodes, blocks;  // words; a header before the nodes
+  };
+  std::size_t write(std::size_t node, std::size_t first, std::size_t end, const std::vector<CutPlace>& places,
+                    const std::vector<std::array<float, 3>>& irradiance, CutTree& tree) const;
 
   std::vector<std::uint32_t> map_;
   std::uint32_t nodes_ = 0;
   std::vector<double> power_;       // of each node's photons, W, all colours
   std::vector<std::uint32_t> cut_;  // rising
+  std::vector<bool> closed_;        // of cut_: refine() has looked at it
 };
 
 }  // namespace gleaner::worker

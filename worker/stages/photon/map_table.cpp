@@ -15,21 +15,23 @@ struct Shape {
   std::uint64_t nodes = 0, blocks = 0;
 };
 
-Shape read_header(const InputRows& rows) {
+// `words`: of each of a block's 16 members.
+Shape read_header(const InputRows& rows, unsigned words) {
   Shape shape;
-  if (rows.rows() == 0) rows.fail(0, "header", "a photon map", "no row");
+  if (rows.rows() == 0) rows.fail(0, "header", "a row", "none");
   rows.visit(0, 1, [&](std::uint64_t, std::span<const std::byte> row) {
     shape.nodes = row_word<std::uint32_t>(row.data(), MAP_NODES);
     shape.blocks = row_word<std::uint32_t>(row.data(), MAP_BLOCKS);
   });
-  // An odd number of nodes: the photons behind them lie at whole cache lines.
-  if (shape.nodes % 2 == 0 || rows.rows() != 1 + shape.nodes + shape.blocks * RAY_BLOCK)
+  // An odd number of nodes: the blocks behind them lie at whole cache lines.
+  if (shape.nodes % 2 == 0 ||
+      rows.rows() != 1 + shape.nodes + shape.blocks * (std::uint64_t{words} * RAY_BLOCK / PHOTON_WORDS))
     rows.fail(0, "nodes and blocks", "an odd number of nodes, and together " + std::to_string(rows.rows()) + " rows",
               std::to_string(shape.nodes) + " and " + std::to_string(shape.blocks));
   return shape;
 }
 
-// Children and photons exist, and the walk through the nodes ends.
+// Children and blocks exist, and the walk through the nodes ends.
 void check_nodes(const InputRows& rows, const Shape& shape) {
   rows.visit(1, shape.nodes, [&](std::uint64_t row, std::span<const std::byte> piece) {
     for (std::size_t at = 0; at < piece.size(); at += kRowBytes, ++row) {
@@ -46,25 +48,27 @@ void check_nodes(const InputRows& rows, const Shape& shape) {
   });
 }
 
-void check_powers(const InputRows& rows, const Shape& shape) {
-  constexpr std::size_t words = std::size_t{PHOTON_WORDS} * RAY_BLOCK, power = std::size_t{PHOTON_POWER} * RAY_BLOCK;
+// Of a block's members, whose words are `words`, `count` from `first` on are finite and not negative.
+void check_blocks(const InputRows& rows, const Shape& shape, unsigned words, unsigned first, unsigned count,
+                  const char* name) {
+  const std::size_t begin = std::size_t{first} * RAY_BLOCK, end = begin + std::size_t{count} * RAY_BLOCK;
   const InputRows::Check check = [&, word = std::size_t{0}](std::uint64_t row,
                                                             std::span<const std::byte> piece) mutable {
     for (std::size_t at = 0; at < piece.size(); at += 4, ++word) {
-      const std::size_t in_block = word % words;
-      if (in_block < power || in_block >= power + 3 * RAY_BLOCK) continue;
+      const std::size_t in_block = word % (std::size_t{words} * RAY_BLOCK);
+      if (in_block < begin || in_block >= end) continue;
       const auto value = row_word<float>(&piece[at], 0);
       if (!(value >= 0) || !std::isfinite(value))
-        rows.fail(row + at / kRowBytes, "power", "a finite number, not negative", std::to_string(value));
+        rows.fail(row + at / kRowBytes, name, "a finite number, not negative", std::to_string(value));
     }
   };
-  rows.visit(1 + shape.nodes, shape.blocks * RAY_BLOCK, check);
+  rows.visit(1 + shape.nodes, rows.rows() - 1 - shape.nodes, check);
 }
 
 PhotonMapTable make_table(const StageRun& run, const InputRows& rows) {
-  const Shape shape = read_header(rows);
+  const Shape shape = read_header(rows, PHOTON_WORDS);
   check_nodes(rows, shape);
-  check_powers(rows, shape);
+  check_blocks(rows, shape, PHOTON_WORDS, PHOTON_POWER, 3, "power");
   cl::CommandQueue queue = run.device.make_queue();
   return {.rows = rows.to_device(run.device, queue, {}),
           .nodes = static_cast<std::uint32_t>(shape.nodes),
@@ -89,26 +93,16 @@ std::shared_ptr<const PhotonMapTable> photon_map_table(const StageRun& run, cons
 
 namespace {
 
-// The walk through the cut ends, and what it finds is light.
 PhotonCutTable make_cut(const StageRun& run) {
-  const InputRows rows(run.task, "cut", CUT_WORDS * 4);
-  const InputRows::Check check = [&](std::uint64_t row, std::span<const std::byte> piece) {
-    for (std::size_t at = 0; at < piece.size(); at += CUT_WORDS * 4, ++row) {
-      const auto skip = row_word<std::uint32_t>(&piece[at], NODE_SKIP);
-      if (skip <= row || skip > rows.rows())
-        rows.fail(row, "skip", "a node behind this one, at most " + std::to_string(rows.rows()), std::to_string(skip));
-      for (const unsigned word : {CUT_NEARNESS, CUT_IRRADIANCE, CUT_IRRADIANCE + 1, CUT_IRRADIANCE + 2}) {
-        const auto value = row_word<float>(&piece[at], word);
-        if (!(value >= 0) || !std::isfinite(value))
-          rows.fail(row, "irradiance", "finite numbers, not negative", std::to_string(value));
-      }
-    }
-  };
+  const InputRows rows(run.task, "cut", kRowBytes);
+  const Shape shape = read_header(rows, CUT_WORDS);
+  check_nodes(rows, shape);
+  check_blocks(rows, shape, CUT_WORDS, CUT_NEARNESS, 4, "nearness and irradiance");
   cl::CommandQueue queue = run.device.make_queue();
-  return {.rows = rows.to_device(run.device, queue, check),
-          .nodes = static_cast<std::uint32_t>(rows.rows()),
+  return {.rows = rows.to_device(run.device, queue, {}),
+          .nodes = static_cast<std::uint32_t>(shape.nodes),
           .most_depth = 0,
-          .size = rows.rows() * CUT_WORDS * 4};
+          .size = rows.rows() * kRowBytes};
 }
 
 }  // namespace

@@ -1,0 +1,28 @@
+#pragma once
+// How many photons, clusters, nodes of the cut and rays method `photon` takes where they are not set: such numbers that
+// each part of the work costs about as much as the paths' samples, and none is off by more than these are noisy. Pure.
+
+#include <cstdint>
+#include <optional>
+
+namespace gleaner::coordinator {
+
+struct PhotonCounts {
+  std::uint32_t count = 0, caustics = 0;  // light paths: of the map, and of each pass of caustics
+  std::uint32_t passes = 1;
+  std::uint32_t clusters = 0;  // 0: each sample gathers by itself
+  std::uint32_t rays = 0;      // of a cluster's sample
+  std::uint32_t cut = 0;       // nodes; 0: rays read photons
+};
+
+// What was set, and stays.
+struct GivenPhotonCounts {
+  std::optional<std::uint32_t> count{}, caustics{}, passes{}, clusters{}, rays{}, cut{};
+};
+
+// `spp`: samples of a pixel; where `error` > 0 (RMSE over the mean radiance of the picture), as many as paths are
+// predicted to need for it beside photons. `takes_clusters`: whether the film is not too large for them.
+PhotonCounts choose_photon_counts(std::uint64_t pixels, std::uint32_t spp, double error, bool takes_clusters,
+                                  const GivenPhotonCounts& given);
+
+}  // namespace gleaner::coordinator
