@@ -55,7 +55,7 @@ class Pictures {
  public:
   explicit Pictures(const SessionOptions& options) : output_(options.output), quiet_(options.frame.quiet) {
     const std::string ending = fs::path(output_).extension().string();
-    if (output_ == "-")
+    if (output_.empty() || output_ == "-")
       format_ = pb::PICTURE_FORMAT_RGB8;
     else if (ending == ".exr")
       format_ = pb::PICTURE_FORMAT_RGB32F;

@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstring>
+#include <future>
 #include <thread>
 #include <utility>
 
@@ -70,6 +71,7 @@ SessionCall::SessionCall(Farm& farm, BlobStore& blobs, const pb::SessionOpen& op
   request_.exposure_stops = open.exposure_stops();
   // A worker that exchanges alone waits for nobody.
   request_.settings.set.try_emplace("links.solo_exchange", "1");
+  says_how_to_sample_ = request_.settings.set.contains("links.sample_lights");
   first_spp_ = request_.settings.spp;
   camera_ = request_.settings.camera;
   FrameScene& shown = request_.scenes.emplace_back();
@@ -94,11 +96,20 @@ void SessionCall::describe(const scene::FrameState& state) {
 
 void SessionCall::run(grpc::ServerContext& context, Stream& stream) {
   std::jthread reader([&] { read(context, stream); });
+  // A picture goes out while the next one is rendered.
+  std::future<bool> sent;
   try {
     while (const std::optional<Wanted> wanted = next(stream)) {
-      const std::optional<Farm::Picture> picture = render(*wanted);
-      if (picture && !stream.Write(picture_of(*wanted, *picture))) break;
+      std::optional<Rendered> rendered = render(*wanted);
+      if (!rendered) continue;
+      if (sent.valid() && !sent.get()) break;
+      sent = std::async(std::launch::async, [this, &stream, picture = std::move(*rendered)] {
+        const pb::SessionPicture out = picture_of(picture);
+        std::lock_guard lock(write_mutex_);
+        return stream.Write(out);
+      });
     }
+    if (sent.valid()) sent.get();
   } catch (...) {
     context.TryCancel();  // or the reader would wait for the caller
     throw;
@@ -176,7 +187,10 @@ std::optional<SessionCall::Wanted> SessionCall::next(Stream& stream) {
     no.set_refused(refused_.front().why);
     refused_.pop_front();
     lock.unlock();
-    stream.Write(no);
+    {
+      std::lock_guard write_lock(write_mutex_);
+      stream.Write(no);
+    }
     lock.lock();
   }
   if (!changed_ && over_) return std::nullopt;
@@ -189,35 +203,39 @@ std::optional<SessionCall::Wanted> SessionCall::next(Stream& stream) {
                 .changed = std::exchange(changed_, std::nullopt)};
 }
 
-std::optional<Farm::Picture> SessionCall::render(const Wanted& wanted) {
+std::optional<SessionCall::Rendered> SessionCall::render(const Wanted& wanted) {
   describe(wanted.state);
   request_.settings.camera = wanted.camera;
   request_.settings.spp = wanted.spp;
+  if (!says_how_to_sample_) request_.settings.set["links.sample_lights"] = wanted.changed ? "1" : "0";
   std::optional<Farm::Picture> picture = farm_.show(request_, shown_, stop_.get_token());
   std::lock_guard lock(mutex_);
   refining_ = false;
-  if (picture && !changed_) shown_spp_ = wanted.spp;
-  return picture;
+  if (!picture) return std::nullopt;
+  if (!changed_) shown_spp_ = wanted.spp;
+  return Rendered{std::move(*picture), wanted.change, wanted.spp, wanted.changed, !changed_ && !may_refine()};
 }
 
-pb::SessionPicture SessionCall::picture_of(const Wanted& wanted, const Farm::Picture& picture) {
+pb::SessionPicture SessionCall::picture_of(const Rendered& rendered) {
+  const Farm::Picture& picture = rendered.picture;
   pb::SessionPicture out;
   const Bytes bytes = format_ == pb::PICTURE_FORMAT_RGB8     ? encode_rgb8(picture.film, request_.exposure_stops)
                       : format_ == pb::PICTURE_FORMAT_RGB32F ? floats_of(picture.film)
-                                                             : encode_png(picture.film, request_.exposure_stops);
+                                                             : encode_fast_png(picture.film, request_.exposure_stops);
   out.set_picture(bytes.data(), bytes.size());
   out.set_format(format_);
-  out.set_shows(wanted.change);
+  out.set_shows(rendered.change);
   out.set_width(picture.film.width);
   out.set_height(picture.film.height);
-  out.set_samples_per_pixel(wanted.spp);
+  out.set_samples_per_pixel(rendered.spp);
+  out.set_last(rendered.last);
   out.set_seconds(picture.report.seconds);
   for (const StageReport& stage : picture.report.stages) out.add_made(stage.name);
   for (const Skip& skip : picture.report.skips)
     if (skip.what.starts_with(stage_word)) out.add_reused(skip.what.substr(stage_word.size()));
   const Seconds now = steady_now();
-  if (wanted.changed) {
-    out.set_latency_seconds(now - *wanted.changed);
+  if (rendered.changed) {
+    out.set_latency_seconds(now - *rendered.changed);
     pictures_.push_back(now);
     while (now - pictures_.front() > rate_window) pictures_.pop_front();
   }
@@ -225,7 +243,6 @@ pb::SessionPicture SessionCall::picture_of(const Wanted& wanted, const Farm::Pic
     out.set_frames_per_second(static_cast<double>(pictures_.size() - 1) / (now - pictures_.front()));
   std::lock_guard lock(mutex_);
   out.set_received(received_);
-  out.set_last(!changed_ && !may_refine());
   return out;
 }
 

@@ -39,6 +39,13 @@ class SessionCall {
     std::uint32_t spp = 1;
     std::optional<Seconds> changed;  // when the first change came that no picture has shown; none: it refines
   };
+  struct Rendered {
+    coordinator::Farm::Picture picture;
+    std::uint64_t change = 0;  // as in Wanted
+    std::uint32_t spp = 1;
+    std::optional<Seconds> changed;
+    bool last = false;  // nothing had changed by then, and it is not refined
+  };
   struct Refused {
     std::uint64_t number;
     std::string why;
@@ -48,8 +55,8 @@ class SessionCall {
   void take(const gleaner::v1::SessionChange& change);
   std::optional<Wanted> next(Stream& stream);  // waits; none: the caller says no more
   bool may_refine() const { return shown_spp_ > 0 && shown_spp_ < refine_to_; }
-  std::optional<coordinator::Farm::Picture> render(const Wanted& wanted);
-  gleaner::v1::SessionPicture picture_of(const Wanted& wanted, const coordinator::Farm::Picture& picture);
+  std::optional<Rendered> render(const Wanted& wanted);  // none: it was given up
+  gleaner::v1::SessionPicture picture_of(const Rendered& rendered);
   void describe(const scene::FrameState& state);
 
   coordinator::Farm& farm_;
@@ -57,6 +64,7 @@ class SessionCall {
   coordinator::JobRequest request_;
   gleaner::v1::PictureFormat format_;
   std::uint32_t first_spp_ = 1, refine_to_;
+  bool says_how_to_sample_ = false;  // the request: links.sample_lights is not ours to set
   std::shared_ptr<const scene::Scene> base_;
 
   // Of the state that was rendered last.
@@ -64,6 +72,7 @@ class SessionCall {
   coordinator::Blob state_;
   coordinator::SceneSummary shown_;
   std::deque<Seconds> pictures_;  // when first pictures went out, of the last seconds
+  std::mutex write_mutex_;        // for messages to the caller
 
   // Shared with the reader's thread.
   std::mutex mutex_;

@@ -95,6 +95,22 @@ INSTANTIATE_TEST_SUITE_P(Scenes, LinksMeetPath,
                            return name;
                          });
 
+// Direct light by light samples alone has the same mean: of a lamp, and of walls that glow.
+TEST(Links, LightSamplesAloneMeetPath) {
+  for (const char* scene : {"cornell-box", "furnace"}) {
+    Frame links = frame_of(scene::make_scene(scene, {}), "", 24, 64,
+                           {{"links.vertices", "4000"}, {"links.directions", "64"}, {"links.sample_lights", "1"}});
+    Frame both = links;
+    both.settings.set["links.sample_lights"] = "0";
+    const Sample truth = means_of(both, "G", 4), sample = means_of(links, "G", 4);
+    const double error = std::hypot(truth.standard_error(), sample.standard_error());
+    std::printf("  %s: %.5f +- %.5f, with scattered rays %.5f +- %.5f\n", scene, sample.mean, sample.standard_error(),
+                truth.mean, truth.standard_error());
+    EXPECT_LT(std::abs(sample.mean - truth.mean), 4 * error + 1e-6 * truth.mean) << scene;
+    EXPECT_LT(error, 0.01 * truth.mean) << "too noisy to prove anything";
+  }
+}
+
 // Walls that glow and have a lobe: camera paths go on through chains of diffuse layers, and find at every turn light
 // that is the vertices'.
 TEST(Links, GlowingGlossyWallsMeetPath) {
