@@ -97,7 +97,11 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void note_idle(Worker& worker);  // after its leases may have become none, or some
 
   // Jobs (job_queue.cpp).
-  void changed(Job& job);                                  // mutex held
+  void changed(Job& job);  // mutex held
+  // Mutex held. What happened, for Farm::events().
+  void tell(FarmEvent event);
+  void tell_job(const Job& job, const std::string& what, const std::string& message = {});
+  void tell_worker(const Worker& worker, const std::string& what, const std::string& message = {});
   std::shared_ptr<Job> find(const std::string& id) const;  // mutex held
   std::shared_ptr<Job> accept(const JobRequest& request);  // checks it
   void start_queued();                                     // mutex held
@@ -109,6 +113,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   bool is_awaited(const std::string& id) const;        // mutex held; by a job that waits
   // The job of that request, if it was submitted before. Throws Error::usage where the id was another request's.
   std::shared_ptr<Job> submitted_before(const JobRequest& request) const;  // mutex held
+  void check_jobs_of(const std::string& owner) const;                      // mutex held; throws LimitReached
   std::uint64_t posing_memory(const JobRequest& request);
   bool has_memory_for(const Job& job) const;     // mutex held
   std::string why_queued(const Job& job) const;  // mutex held
@@ -296,6 +301,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
 
   mutable std::mutex mutex;
   mutable std::condition_variable job_changed;
+  mutable std::condition_variable event_told;
   std::condition_variable records_ready;  // a stage has its memory; the plan has taken records in
   std::condition_variable timer_wakes;
   bool stopping = false;
@@ -314,6 +320,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   std::set<WorkerId> liars;
   std::mt19937_64 random{std::random_device{}()};
   std::map<WorkerId, std::string> names_of_gone;  // the last few: they may still be in dispute
+  EventLog event_log{settings.scheduler.incarnation};
   KeptRecords kept{settings.kept_bytes};
   std::map<std::string, std::shared_ptr<Job>> jobs;
   std::map<std::string, std::string> request_ids;  // to jobs

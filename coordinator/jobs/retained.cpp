@@ -332,6 +332,7 @@ void Farm::Impl::quarantine(WorkerId id, const std::string& why) {
   scheduler.worker_lost(id, now());
   worker.draining = true;
   worker.aside = why;
+  tell_worker(worker, "aside", why);
   unserved.erase(id);
   lose_parts(id);
   drop_hopeless_rechecks();
