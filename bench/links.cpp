@@ -75,7 +75,7 @@ std::map<std::string, StageTime> run(worker::Executor& on, const std::string& id
 
 // What grows with the number of vertices.
 struct Growth {
-  double vertices = 0, links = 0, bytes = 0, seconds = 0;
+  double vertices = 0, raw = 0, links = 0, bytes = 0, seconds = 0;
 };
 
 // The exponent of `of` in the vertices' number, by least squares of logarithms.
@@ -120,7 +120,7 @@ Growth measure(unsigned threads, std::uint32_t vertices, double stream) {
       static_cast<double>(make.bytes) / 1e6, rays / make.seconds / 1e3, make.trace / make.seconds, light.seconds * 1e3,
       gather * 1e3, scratch, scratch / update, moved / gather / stream);
   std::fflush(stdout);
-  return {static_cast<double>(make.items) / 2, links, static_cast<double>(make.bytes), make.seconds};
+  return {static_cast<double>(make.items) / 2, raw_links, links, static_cast<double>(make.bytes), make.seconds};
 }
 
 }  // namespace
@@ -140,6 +140,7 @@ int main(int count, char** words) {
   std::vector<Growth> all;
   for (const std::uint32_t vertices : sizes) all.push_back(measure(threads, vertices, stream));
   if (all.size() > 1)
-    std::printf("\nwith the vertices' number, links grow by its power %.2f, their bytes %.2f, making them %.2f\n",
-                exponent(all, &Growth::links), exponent(all, &Growth::bytes), exponent(all, &Growth::seconds));
+    std::printf("\nas a power of the vertices' number: raw links %.2f, compressed %.2f, bytes %.2f, making them %.2f\n",
+                exponent(all, &Growth::raw), exponent(all, &Growth::links), exponent(all, &Growth::bytes),
+                exponent(all, &Growth::seconds));
 }
