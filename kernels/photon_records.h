@@ -74,6 +74,11 @@ GLEANER_SIZE(PhotonTraceParameters, 32);
 // Photons that a density estimate asks for, at most.
 #define PHOTON_MOST_NEIGHBOURS 128u
 
+// The least area of an estimate over its disc's (kernels/photon/area.h): for rays, and for the nodes of a cut, whose
+// places are photons' and so never dark. Fitted to the means of the references of five scenes.
+#define MAP_LEAST_AREA 0.5f
+#define CUT_LEAST_AREA 0.85f
+
 // How a map's density is estimated at a place.
 typedef struct {
   gl_uint neighbours;    // the radius is the distance to the photon of this rank; 0: it is `most_radius`

@@ -74,6 +74,7 @@ class EstimateThread : public HostThread {
     read_.set("reads", reads_)
         .set("neighbours", p.estimate.neighbours)
         .set("most_radius", p.estimate.most_radius)
+        .set("least_share", CUT_LEAST_AREA)
         .set("slots", slots_)
         .set("slot_count", kPlaces);
   }
