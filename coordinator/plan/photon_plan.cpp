@@ -30,6 +30,8 @@ constexpr double kShrinkage = 2.0 / 3;
 constexpr std::uint32_t kGlobalPass = 0, kGuidePass = 1, kFirstPass = 2;
 // Turns of k-means.
 constexpr std::uint32_t kIterations = 6;
+// Samples that are added where records differ: one for so many clusters, at most.
+constexpr std::uint32_t kRefined = 4;
 // Photons of the estimates at a cut's nodes, rounds of its refinement, and the ratio of section 3.3.
 constexpr std::uint32_t kCutNeighbours = 24, kCutRounds = 4;
 constexpr float kCutRatio = 1.2f;
@@ -123,7 +125,9 @@ class PhotonPlan final : public GraphPlan {
   std::vector<Graph::Input> light_of(const Artifact& map) const;
   void gather(const Artifact& map);
   void ask_clusters(const Artifact& map);
+  Artifact ask_records(const std::string& name, const Artifact& map, const Artifact& places, std::uint64_t count);
   void gather_clusters(const Artifact& map, const Artifact& points, const Artifact& places);
+  void shade_clusters(const Artifact& points, std::vector<Graph::Input> records);
   void show_clusters(std::vector<float> picture);
   void ask_caustics(std::uint32_t pass);
   void shade_caustics(std::uint32_t pass);
@@ -139,6 +143,7 @@ class PhotonPlan final : public GraphPlan {
   PixelCache cache_;
   Strata strata_;
   PhotonClusterFacts clusters_;
+  std::uint64_t refined_ = 0;       // places that were added
   std::shared_ptr<Beside> beside_;  // the passes: the clusters' light
   bool clusters_asked_ = false, caustics_asked_ = false;
   Artifact guide_;
@@ -314,18 +319,39 @@ void PhotonPlan::ask_clusters(const Artifact& map) {
   });
 }
 
-void PhotonPlan::gather_clusters(const Artifact& map, const Artifact& points, const Artifact& places) {
+// Stage `name`: records of so many places.
+Artifact PhotonPlan::ask_records(const std::string& name, const Artifact& map, const Artifact& places,
+                                 std::uint64_t count) {
   PhotonClusterGatherParameters p{};
-  p.records = cache_.gather_parameters(clusters_.places, strata_);
+  p.records = cache_.gather_parameters(count, strata_);
   p.records.samples.filter = PATH_CLASS_DIFFUSE | PATH_CLASS_CAUSTIC | PATH_CLASS_MIXED;
   p.records.samples.clamp = limit();
   p.estimate = estimate(kGatherNeighbours);
   p.cut_depth = cut_depth();
   std::vector<Graph::Input> inputs = light_of(map);
   inputs.push_back({"places", places});
-  const Artifact records = graph_.add(
-      PixelCache::gathering("photon.cluster_gather", "photon_cluster_gather", kFirst, clusters_.places, strata_), p,
-      std::move(inputs));
+  return graph_.add(PixelCache::gathering(name, "photon_cluster_gather", kFirst, count, strata_), p, std::move(inputs));
+}
+
+// Where records that a point reads differ much, there are more.
+void PhotonPlan::gather_clusters(const Artifact& map, const Artifact& points, const Artifact& places) {
+  const Artifact records = ask_records("photon.cluster_gather", map, places, clusters_.places);
+  PhotonClusterRefineParameters p{};
+  p.width = settings_.width;
+  p.height = settings_.height;
+  p.samples = cache_.samples();
+  p.most = std::max(1u, photon_.clusters / kRefined);
+  const Artifact more = graph_.add(cache_.choosing("photon.cluster_refine", "photon_cluster_refine", kFirst), p,
+                                   {{"points", points}, {"records", records}});
+  graph_.when({more}, [this, map, points, records, more] {
+    refined_ = more.record_count();
+    std::vector<Graph::Input> inputs = {{"records", records}};
+    if (refined_ > 0) inputs.push_back({"more", ask_records("photon.cluster_gather.1", map, more, refined_)});
+    shade_clusters(points, std::move(inputs));
+  });
+}
+
+void PhotonPlan::shade_clusters(const Artifact& points, std::vector<Graph::Input> records) {
   const Artifact cache = graph_.add({.name = "photon.cluster_smooth",
                                      .kind = "photon_cluster_smooth",
                                      .items = 1,
@@ -333,9 +359,9 @@ void PhotonPlan::gather_clusters(const Artifact& map, const Artifact& points, co
                                      .priority = kFirst,
                                      .output = {.record_bytes = CACHE_WORDS * 4,
                                                 .counted = true,
-                                                .most_records = low(clusters_.places),
+                                                .most_records = low(clusters_.places + refined_),
                                                 .placement = Placement::retain}},
-                                    PhotonClusterSmoothParameters{}, {{"records", records}});
+                                    PhotonClusterSmoothParameters{}, std::move(records));
   const Artifact shaded = cache_.ask_shading(graph_, "photon", kFirst, points, cache);
   cache_.preview(graph_, film_, shaded);
   graph_.when({shaded}, [this, shaded] { show_clusters(cache_.picture_of(shaded.records())); });
@@ -424,6 +450,7 @@ std::string PhotonPlan::parameters_json() const {
     photon["points"] = clusters_.points;
     photon["places"] = clusters_.places;
     photon["strays"] = clusters_.strays;
+    photon["refined"] = refined_;
     photon["reach"] = clusters_.reach;
   }
   if (has_caustics()) {
@@ -452,6 +479,8 @@ std::vector<std::string> PhotonPlan::outline() const {
     lines.push_back("photon.clusters: " + std::to_string(photon_.clusters) + " clusters of these, solo");
     lines.push_back("photon.cluster_gather: " + std::to_string(strata_.count()) +
                     " rays of each cluster's sample point, which read the map, split");
+    lines.push_back("photon.cluster_refine: sample points more where records differ, at most one for " +
+                    std::to_string(kRefined) + " clusters, solo");
     lines.push_back("photon.shade: " + std::to_string(cache_.tiles()) + " tiles lit by the samples near them, split");
   }
   if (has_caustics()) {

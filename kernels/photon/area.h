@@ -6,6 +6,8 @@
 
 // Fewer photons tell too little of their spread.
 #define AREA_LEAST_PHOTONS 8.0f
+// Least area over the disc's; fitted to the means of the references of four scenes.
+#define AREA_LEAST_SHARE 0.5f
 // Squared distance of a place from the photons' mean, in their standard deviations: farther away they lie elsewhere, as
 // light does that ends beside the place, and the disc is dark for the rest. At the edge of half a disc it is 2.6, in
 // the corner of a quarter 4.4.
@@ -35,6 +37,7 @@ FN PhotonSpread photon_spread(const MapPlace* p) {
   return s;
 }
 
+// A photon at the very place (of a cut's node) tells nothing of how the others are spread.
 FN void spread_add(PhotonSpread* s, const PhotonMap* map, uint block, uint part, const MapPlace* p, vi near) {
   v3 d =
       make3(photon_f(map, block, part, PHOTON_POSITION) - p->x, photon_f(map, block, part, PHOTON_POSITION + 1u) - p->y,
@@ -51,8 +54,8 @@ FN void spread_add(PhotonSpread* s, const PhotonMap* map, uint block, uint part,
 // m^2: of an ellipse with the same second moments. It has the disc's area where all of the disc lies on the surface, to
 // 5 % that of half the disc where the other half hangs over an edge, and so on for all that is convex. Its reciprocal,
 // times (n - 3) / (n - 1), has the mean 1 / area for n photons strewn evenly over an ellipse. Light that ends on a
-// surface looks like an edge of it: no less than `least_share` of the disc bounds what that may add.
-FN float spread_area(const PhotonSpread* s, float radius2, float least_share) {
+// surface looks like an edge of it: AREA_LEAST_SHARE bounds what that may add.
+FN float spread_area(const PhotonSpread* s, float radius2) {
   float disc = AREA_PI * radius2, n = sum_lanes(s->count);
   if (n < AREA_LEAST_PHOTONS) return disc;
   float x = sum_lanes(s->x) / n, y = sum_lanes(s->y) / n;
@@ -61,7 +64,7 @@ FN float spread_area(const PhotonSpread* s, float radius2, float least_share) {
   float away2 = x * x * yy - 2.0f * x * y * xy + y * y * xx;
   if (!(away2 < AREA_MOST_AWAY2 * det)) return disc;
   float area = 4.0f * AREA_PI * sqrt(det) * (n - 1.0f) / (n - 3.0f);
-  return fmax(area, least_share * disc);
+  return fmax(area, AREA_LEAST_SHARE * disc);
 }
 
 #endif

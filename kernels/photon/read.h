@@ -8,7 +8,7 @@
 
 kernel void photon_read(global const float* restrict reads, uint count, SCENE_PARAMETERS,
                         global const float* restrict map, uint map_nodes, global const float* restrict cut,
-                        uint cut_nodes, uint cut_depth, uint neighbours, float most_radius, float least_share,
+                        uint cut_nodes, uint cut_depth, uint neighbours, float most_radius,
                         global float* restrict slots, uint slot_count) {
   uint i = (uint)get_global_id(0);
   if (i >= count) return;
@@ -39,10 +39,10 @@ kernel void photon_read(global const float* restrict reads, uint count, SCENE_PA
       vi near = photons_near(&photons, block, part, &place, radius2, &distance2);
       if (!any_lane(near)) continue;
       sum = add3(sum, layer_takes(&scene_value, &photons, block, part, read, near));
-      spread_add(&spread, &photons, block, part, &place, near);
+      spread_add(&spread, &photons, block, part, &place, near & (distance2 > zero_f()));
     }
   }
-  float scale = 1.0f / spread_area(&spread, radius2, least_share);
+  float scale = 1.0f / spread_area(&spread, radius2);
   global float* to = slots + SLOT_WORDS * slot + SLOT_INDIRECT;
   to[0] += read[READ_FACTOR] * scale * sum_lanes(sum.x);
   to[1] += read[READ_FACTOR + 1u] * scale * sum_lanes(sum.y);

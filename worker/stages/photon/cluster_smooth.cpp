@@ -14,6 +14,7 @@
 #include <unordered_map>
 
 #include "kernels/photon_records.h"
+#include "worker/stages/photon/clusters.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/splat/points.h"
 #include "worker/stages/splat/scalar.h"
@@ -199,8 +200,10 @@ class Smoothing {
   std::vector<std::vector<std::uint32_t>> near_;
 };
 
-std::vector<CacheRecord> read_records(const StageTask& task) {
-  const InputRows input(task, "records", sizeof(CacheRecord));
+}  // namespace
+
+std::vector<CacheRecord> read_cluster_records(const StageTask& task, const std::string& name) {
+  const InputRows input(task, name, sizeof(CacheRecord));
   std::vector<CacheRecord> records(input.rows());
   input.visit(0, input.rows(), [&](std::uint64_t first, std::span<const std::byte> piece) {
     std::memcpy(&records[first], piece.data(), piece.size());
@@ -217,10 +220,13 @@ std::vector<CacheRecord> read_records(const StageTask& task) {
   return records;
 }
 
-}  // namespace
-
 BatchResult smooth_photon_clusters(const StageTask& task) {
-  Smoothing smoothing(read_records(task));
+  std::vector<CacheRecord> records = read_cluster_records(task, "records");
+  if (task.inputs.contains("more")) {
+    const std::vector<CacheRecord> more = read_cluster_records(task, "more");
+    records.insert(records.end(), more.begin(), more.end());
+  }
+  Smoothing smoothing(std::move(records));
   smoothing.clamp_radii();
   smoothing.smooth_gradients();
   const std::vector<CacheRecord> rows = smoothing.smoothed();

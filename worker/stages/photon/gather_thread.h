@@ -24,7 +24,6 @@ class PhotonGatherThread : public PathThread {
     read_.set("reads", reads_)
         .set("neighbours", estimate.neighbours)
         .set("most_radius", estimate.most_radius)
-        .set("least_share", MAP_LEAST_AREA)
         .set("slots", part.slots)
         .set("slot_count", part.slot_count());
   }
