@@ -28,7 +28,7 @@ using Irradiance = std::vector<std::array<float, 3>>;
 // Places a launch.
 constexpr std::uint32_t kPlaces = 1u << 12;
 // Photons of a node at which its irradiance is estimated.
-constexpr std::uint32_t kNodePlaces = 4;
+constexpr std::uint32_t kNodePlaces = 6;
 // Estimates' reciprocals are areas (kernels/photon/area.h), which for so many photons vary by 0.14 of themselves: what
 // is unbiased as an estimate is too large by that squared as an area.
 constexpr double kAreaVariance = 0.02;
