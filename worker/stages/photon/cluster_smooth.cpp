@@ -11,6 +11,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <limits>
 #include <unordered_map>
 
 #include "kernels/photon_records.h"
@@ -29,6 +30,9 @@ namespace {
 constexpr float kSmoothing = 0.2f, kMostReach = 3;
 // Rounds in which R learns of R_j.
 constexpr int kClampRounds = 3;
+// A record that is brighter than so many times another that lies in its reach is weighed there for no more than this
+// part of the other's light: what is beside a window would shine otherwise.
+constexpr double kBrighter = 2, kMostLeak = 0.5;
 // Bounds of the radius that weighs a record: of its reach, and by normals that hardly turn.
 constexpr float kLeastRadius = 0.05f, kLeastTurn = 0.1f;
 
@@ -44,7 +48,9 @@ class Smoothing {
     for (std::uint32_t i = 0; i < records_.size(); ++i) cells_[key_of(cell_at(i))].push_back(i);
     radius_.reserve(records_.size());
     for (const CacheRecord& record : records_) radius_.push_back(record.radius);
+    weighing_.assign(records_.size(), std::numeric_limits<float>::infinity());
     near_.resize(records_.size());
+    readable_.resize(records_.size());
     for (std::uint32_t i = 0; i < records_.size(); ++i) find_near(i);
   }
 
@@ -55,6 +61,19 @@ class Smoothing {
         for (const std::uint32_t j : near_[i]) clamped[i] = std::min(clamped[i], radius_[j] + offset(i, j).distance);
       radius_ = std::move(clamped);
     }
+  }
+
+  // Weights fall as the radius over the distance.
+  void bound_leaks() {
+    const auto light = [&](std::uint32_t i) {
+      const auto& e = records_[i].irradiance;
+      return double{e[0]} + e[1] + e[2];
+    };
+    for (std::uint32_t i = 0; i < records_.size(); ++i)
+      for (const std::uint32_t j : readable_[i])
+        if (light(j) > kBrighter * light(i))
+          weighing_[j] = std::min(weighing_[j],
+                                  static_cast<float>(kMostLeak * double{offset(i, j).distance} * light(i) / light(j)));
   }
 
   void smooth_gradients() {
@@ -142,6 +161,7 @@ class Smoothing {
           for (const std::uint32_t j : found->second) {
             if (j == i) continue;
             const Offset off = offset(i, j);
+            if (off.distance <= reach(j) && off.turn <= turn(j) && !hidden(i, j, off)) readable_[i].push_back(j);
             if (off.distance > most || off.turn > std::min(turn(i), turn(j)) || hidden(i, j, off)) continue;
             near_[i].push_back(j);
           }
@@ -186,7 +206,7 @@ class Smoothing {
     each_weighted(i, add);
     for (std::size_t c = 0; c < 3; ++c) result.irradiance[c] = static_cast<float>(e[c] / weights);
     const float most = reach(i) / std::max(turn(i), kLeastTurn);
-    const float r = std::clamp(radius_[i], kLeastRadius * reach(i), most);
+    const float r = std::clamp(std::min(radius_[i], weighing_[i]), kLeastRadius * reach(i), most);
     result.radius = r;
     result.accuracy = reach(i) / r + turn(i);
     result.spare = {};
@@ -194,10 +214,10 @@ class Smoothing {
   }
 
   std::vector<CacheRecord> records_;
-  std::vector<float> radius_;
+  std::vector<float> radius_, weighing_;
   float cell_ = 1;
   std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> cells_;
-  std::vector<std::vector<std::uint32_t>> near_;
+  std::vector<std::vector<std::uint32_t>> near_, readable_;  // the latter: records that reach a record's place
 };
 
 }  // namespace
@@ -228,6 +248,7 @@ BatchResult smooth_photon_clusters(const StageTask& task) {
   }
   Smoothing smoothing(std::move(records));
   smoothing.clamp_radii();
+  smoothing.bound_leaks();
   smoothing.smooth_gradients();
   const std::vector<CacheRecord> rows = smoothing.smoothed();
   BatchResult result;
