@@ -35,6 +35,8 @@ constexpr std::uint32_t kRefined = 4;
 // Photons of the estimates at a cut's nodes, rounds of its refinement, and the ratio of section 3.3.
 constexpr std::uint32_t kCutNeighbours = 24, kCutRounds = 4;
 constexpr float kCutRatio = 1.2f;
+// Noise of a sample's record of one ray, over its light, as pixels share it.
+constexpr double kRecordNoise = 0.5;
 // Maps wait for each other, paths that read none for nothing: these fill what the others leave free.
 constexpr int kFirst = 1;
 
@@ -68,6 +70,23 @@ double diagonal_of(const scene::Bounds& bounds) {
 bool has_sharp_parts(const scene::SceneNeeds& n) {
   return n.specular || n.glossy || n.metallic || n.transmissive || n.clearcoat || n.sheen || n.iridescence;
 }
+
+// What photons alone bring to the picture: mean radiance, and predicted squared error, over pixels and channels.
+struct OwnLight {
+  double mean = 0, squared_error = 0;
+
+  // Light whose standard deviation is `noise` of itself.
+  void add(const std::vector<float>& picture, double noise) {
+    double sum = 0, squares = 0;
+    for (const float value : picture) {
+      sum += double{value};
+      squares += double{value} * value;
+    }
+    const double count = std::max<double>(1, static_cast<double>(picture.size()));
+    mean += sum / count;
+    squared_error += noise * noise * squares / count;
+  }
+};
 
 PhotonMapFacts checked_facts(const Graph::Artifact& map) {
   const auto facts = map.facts<PhotonMapFacts>();
@@ -145,6 +164,8 @@ class PhotonPlan final : public GraphPlan {
   PhotonClusterFacts clusters_;
   std::uint64_t refined_ = 0;       // places that were added
   std::shared_ptr<Beside> beside_;  // the passes: the clusters' light
+  Artifact first_caustics_;         // an event, where a target error waits for the first pass
+  OwnLight own_;
   bool clusters_asked_ = false, caustics_asked_ = false;
   Artifact guide_;
   std::vector<Pass> passes_;
@@ -186,6 +207,12 @@ PhotonEstimate PhotonPlan::estimate(std::uint32_t neighbours) const {
 
 void PhotonPlan::begin() {
   if (has_clusters()) beside_ = std::make_shared<Beside>(graph_.event());
+  // Samples for a target error are as many as the rest of the picture leaves to them.
+  std::vector<Artifact> known;
+  if (settings_.target_error > 0 && gathers()) {
+    if (has_clusters()) known.push_back(beside_->known);
+    if (has_caustics()) known.push_back(first_caustics_ = graph_.event());
+  }
   if (has_caustics()) {
     guide_ = ask_map("guide", kGuidePass, photon_.caustics, PHOTON_CLASS_BIT(PHOTON_CAUSTIC));
     ask_caustics(0);
@@ -193,7 +220,8 @@ void PhotonPlan::begin() {
   if (gathers()) {
     const Artifact map = ask_map("global", kGlobalPass, photon_.count, PHOTON_ALL_CLASSES);
     if (photon_.cut) cut_ = ask_cut(map);
-    graph_.when({cut_ ? cut_ : map}, [this, map] {
+    known.push_back(cut_ ? cut_ : map);
+    graph_.when(std::move(known), [this, map] {
       gathered_ = checked_facts(map);
       if (cut_) cut_facts_ = cut_.facts<PhotonCutFacts>();
       gather(map);
@@ -287,7 +315,7 @@ void PhotonPlan::gather(const Artifact& map) {
     std::uint32_t cut_depth, reserved;
   } program{.estimate = estimate(kGatherNeighbours), .cut_depth = cut_depth(), .reserved = 0};
   static_assert(sizeof(PathParameters) + sizeof program == sizeof(PhotonGatherParameters));
-  paths_.begin({.classes = classes(), .limit = limit()},
+  paths_.begin({.classes = classes(), .limit = limit(), .mean = own_.mean, .squared_error = own_.squared_error},
                {.kind = "photon_gather", .method_parameters = bytes_of(program), .inputs = light_of(map)});
 }
 
@@ -369,6 +397,7 @@ void PhotonPlan::shade_clusters(const Artifact& points, std::vector<Graph::Input
 
 // The clusters' light is a part of every pass of caustics, and a pass of its own where there is none.
 void PhotonPlan::show_clusters(std::vector<float> picture) {
+  if (settings_.target_error > 0) own_.add(picture, kRecordNoise / std::sqrt(strata_.count()));
   if (has_caustics())
     beside_->light = std::move(picture);
   else
@@ -411,6 +440,15 @@ void PhotonPlan::shade_caustics(std::uint32_t pass) {
                                       .output = {.record_bytes = 12, .floats = true}},
                                      p, {{"guide", guide_}, {"map", s.map}});
   s.map = {};
+  if (first_caustics_ && pass == 0)
+    graph_.when({shaded}, [this, shaded] {
+      const Bytes& records = shaded.records();
+      std::vector<float> picture(records.size() / sizeof(float));
+      std::memcpy(picture.data(), records.data(), records.size());
+      // Of a pass; radii shrink, so that variance falls by less than the passes' number.
+      own_.add(picture, std::pow(passes_.size(), -kShrinkage / 2) / std::sqrt(kCausticNeighbours));
+      graph_.announce(first_caustics_);
+    });
   preview_pass(shaded);
   add_pass(shaded, beside_);
   caustics_asked_ = pass + 1 == passes_.size();
