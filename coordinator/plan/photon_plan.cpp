@@ -552,7 +552,7 @@ Method photon_method() {
            "light paths of the map that paths read behind their first surface; 0: no such map, paths go on"},
           {"photon.caustics", whole, 0, 1u << 24, "200000",
            "light paths of each pass of caustics; 0: paths find the caustics"},
-          {"photon.passes", whole, 1, 4096, "`--spp` / 8, 1 to 64",
+          {"photon.passes", whole, 1, 4096, "`--spp` / 4, 2 to 64",
            "independent passes of caustics, each of a smaller radius; their mean is the picture"},
           {"photon.clusters", whole, 0, 1u << 20, "4 to 16 times the root of the number of pixels",
            "clusters of the points that pixels show, at whose sample points indirect light on diffuse layers is "
