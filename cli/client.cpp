@@ -163,6 +163,18 @@ JobStatus Client::watch(const std::string& job, const std::function<bool(const J
   return last;
 }
 
+void Client::events(std::uint64_t after, const std::string& job,
+                    const std::function<void(const coordinator::FarmEvent&)>& on_event) {
+  grpc::ClientContext context;
+  pb::WatchEventsRequest request;
+  request.set_after(after);
+  request.set_job(job);
+  auto reader = stub_->WatchEvents(&context, request);
+  pb::Event event;
+  while (reader->Read(&event)) on_event(from_proto(event));
+  check(reader->Finish());
+}
+
 std::string Client::preview(const std::string& job) {
   grpc::ClientContext context;
   set_deadline(context);

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "coordinator/jobs/event_log.h"
 #include "coordinator/jobs/job.h"
 #include "gleaner/v1/farm.grpc.pb.h"
 #include "scene/model/blob.h"
@@ -36,6 +37,10 @@ class Client {
   // Calls `on_change` for every change until the job has ended or it returns false; returns the last status.
   coordinator::JobStatus watch(const std::string& job,
                                const std::function<bool(const coordinator::JobStatus&)>& on_change);
+  // Calls `on_event` for what happens after the event of that number (0: from now on): of a job until it has ended, of
+  // all (empty) until the coordinator goes away.
+  void events(std::uint64_t after, const std::string& job,
+              const std::function<void(const coordinator::FarmEvent&)>& on_event);
   std::string preview(const std::string& job);  // PNG bytes; empty: nothing to show yet
   std::vector<std::string> why(const std::string& job);
   std::vector<gleaner::v1::File> files(const std::string& job);

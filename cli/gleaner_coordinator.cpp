@@ -24,6 +24,9 @@
 #include "coordinator/gateway/server.h"
 #include "coordinator/jobs/farm.h"
 #include "coordinator/journal/journal_writer.h"
+#ifdef GLEANER_POSTGRES
+#include "coordinator/journal/postgres_journal.h"
+#endif
 #include "coordinator/journal/sqlite_journal.h"
 #include "gleaner/version.h"
 #include "scene/model/error.h"
@@ -45,6 +48,7 @@ struct CoordinatorOptions {
   bool insecure = false;
   std::string check;  // HOST:PORT; empty: be a coordinator
   std::string data;
+  std::string journal;  // address of a PostgreSQL database; empty: a file in `data`
   unsigned active_jobs = 2;
   unsigned frames_at_once = coordinator::FarmSettings{}.frames_at_once;
   double upload_gib = 64;
@@ -53,6 +57,8 @@ struct CoordinatorOptions {
   std::size_t keep_jobs = FarmSettings{}.ended_jobs;
   double keep_days = 30;
   double recheck = 0.02;
+  std::size_t jobs_an_owner = 1000;
+  gateway::CallerLimits caller = gateway::ServerSettings{}.caller;
 };
 
 // Who reaches a listener can do everything: in the clear it is for this machine's own, unless the user says otherwise.
@@ -69,6 +75,15 @@ void refuse_strangers(const std::string& option, const std::string& listen) {
 int check(const std::string& address) {
   Client(address).workers();
   return 0;
+}
+
+std::unique_ptr<Journal> open_journal(const CoordinatorOptions& options, const fs::path& data) {
+  if (options.journal.empty()) return open_sqlite_journal(data / "journal.sqlite");
+#ifdef GLEANER_POSTGRES
+  return open_postgres_journal(options.journal);
+#else
+  throw Error::usage("--journal: this program was built without PostgreSQL (libpq-dev)");
+#endif
 }
 
 // Results come and go in megabytes, on many threads. glibc would soon keep what each of them frees for itself: half a
@@ -94,10 +109,11 @@ int coordinate(const CoordinatorOptions& options) {
   // A worker's first batch of a scene includes fetching and loading it.
   settings.scheduler.lease_floor = 30;
   settings.log = [log](const std::string& line) { log->info(printable(line)); };
-  settings.journal = std::make_shared<JournalWriter>(open_sqlite_journal(data / "journal.sqlite"), settings.log);
+  settings.journal = std::make_shared<JournalWriter>(open_journal(options, data), settings.log);
   settings.scheduler.incarnation = settings.journal->begin();
   settings.records = data / "records";
   settings.recheck_share = options.recheck;
+  settings.jobs_an_owner = options.jobs_an_owner;
   settings.active_jobs = options.active_jobs;
   settings.frames_at_once = options.frames_at_once;
   settings.ended_jobs = options.keep_jobs;
@@ -114,6 +130,7 @@ int coordinate(const CoordinatorOptions& options) {
   gateway::ServerSettings server_settings;
   server_settings.listen = options.listen;
   server_settings.keys = keys;
+  server_settings.caller = options.caller;
   server_settings.upload_bytes = static_cast<std::uint64_t>(options.upload_gib * gib);
   gateway::Server server(farm, blobs, server_settings);
   std::optional<gateway::HttpServer> http;
@@ -156,6 +173,9 @@ int main(int argc, char** argv) {
   app.add_flag("--insecure", options.insecure,
                "other machines may reach the listeners, without encryption or authentication");
   app.add_option("--data", options.data, "folder of blobs and pictures; made where it is not there; required");
+  app.add_option("--journal", options.journal,
+                 "postgresql://USER@HOST/DATABASE that holds the journal (default: journal.sqlite in --data)")
+      ->envname("GLEANER_JOURNAL");
   app.add_option("--check", options.check,
                  "HOST:PORT: do nothing but ask the coordinator there for a sign of life; 4 where it gives none");
   app.add_option("--active-jobs", options.active_jobs, "jobs that run at the same time")
@@ -181,6 +201,16 @@ int main(int argc, char** argv) {
                  "share of the batches that a second worker computes too, so that liars are found; 0: none")
       ->capture_default_str()
       ->check(CLI::Range(0.0, 1.0));
+  app.add_option("--jobs-a-person", options.jobs_an_owner,
+                 "jobs of one person (by certificate; in the clear: of one host) that run or wait; 0: any number")
+      ->capture_default_str();
+  app.add_option("--requests-a-person", options.caller.requests_a_second,
+                 "requests of one person a second, on average; 0: any number")
+      ->capture_default_str()
+      ->check(CLI::NonNegativeNumber);
+  app.add_option("--calls-a-person", options.caller.calls,
+                 "uploads, and watches and downloads, of one person at the same time; 0: any number")
+      ->capture_default_str();
   app.add_option("--batch-items", options.batch_items, "every batch of this size")->group("");
   return run_program(app, argc, argv,
                      [&] { return options.check.empty() ? coordinate(options) : check(options.check); });

@@ -38,7 +38,7 @@ inline worker::StageTask local_task(const coordinator::StageSpec& stage, const s
       throw Error::failed("stage " + stage.name + " reads " + input.name + ", which does not exist (any more)");
     worker::TaskInput& to = task.inputs[input.name];
     to = worker::TaskInput(artifact->second.bytes);
-    to.artifact = input.artifact;
+    to.artifact = scene + " " + input.artifact;  // the plan's id names no scene
     to.own_items = input.extent == coordinator::Extent::own_items;
     to.offsets = artifact->second.offsets;
   }

@@ -31,6 +31,7 @@ json job_json(const JobStatus& status) {
   for (const auto& [first, last] : status.written) written.push_back({first, last});
   json out = {{"job", status.id},
               {"name", status.name},
+              {"owner", status.owner},
               {"priority", status.priority},
               {"paused", status.paused},
               {"after", status.after},
@@ -74,6 +75,16 @@ json worker_json(const WorkerStatus& status) {
           {"items_per_second", status.items_per_second}};
 }
 
+json event_json(const coordinator::FarmEvent& event) {
+  json out = {
+      {"number", event.number}, {"unix_seconds", event.unix_seconds}, {"kind", event.kind}, {"what", event.what}};
+  if (!event.job.empty()) out["job"] = event.job;
+  if (event.frame > 0) out["frame"] = event.frame;
+  if (!event.worker.empty()) out["worker"] = event.worker;
+  if (!event.message.empty()) out["message"] = event.message;
+  return out;
+}
+
 std::string dump(const json& value) { return value.dump(-1, ' ', false, json::error_handler_t::replace); }
 
 namespace {
@@ -97,12 +108,12 @@ std::string utc(double unix_seconds) {
 std::string job_csv(const std::vector<JobStatus>& jobs) {
   std::string lines =
       "job,name,state,priority,scene,method,width,height,frames,frames_done,frames_failed,submitted,seconds,"
-      "worker_seconds,rays\r\n";
+      "worker_seconds,rays,owner\r\n";
   for (const JobStatus& job : jobs)
-    lines += fmt::format("{},{},{},{},{},{},{},{},{},{},{},{},{:.3f},{:.3f},{}\r\n", job.id, csv_field(job.name),
+    lines += fmt::format("{},{},{},{},{},{},{},{},{},{},{},{},{:.3f},{:.3f},{},{}\r\n", job.id, csv_field(job.name),
                          job_state_name(job.state), job.priority, csv_field(job.scene_name), job.method, job.width,
                          job.height, job.frames, job.frames_done, job.frames_failed, utc(job.submitted_unix_seconds),
-                         job.seconds, job.worker_seconds, job.rays);
+                         job.seconds, job.worker_seconds, job.rays, csv_field(job.owner));
   return lines;
 }
 

@@ -13,11 +13,12 @@
 #include <thread>
 #include <utility>
 
+#include "cli/call_again.h"
 #include "cli/client.h"
 #include "cli/commands.h"
 #include "cli/progress.h"
 #include "cli/status_words.h"
-#include "coordinator/film/atomic_file.h"
+#include "proto/atomic_file.h"
 #include "scene/model/error.h"
 #include "scene/model/names.h"
 
@@ -29,12 +30,9 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr std::chrono::milliseconds preview_interval{700};           // it must be fresh at least once a second
-constexpr double first_wait_seconds = 1, longest_wait_seconds = 15;  // before the coordinator is called again
-constexpr std::chrono::seconds tell_interval{1};                     // of frames that were written
-constexpr std::chrono::seconds stall{5};                             // without an item done, before it is asked why
-
-double seconds_since(Clock::time_point then) { return std::chrono::duration<double>(Clock::now() - then).count(); }
+constexpr std::chrono::milliseconds preview_interval{700};  // it must be fresh at least once a second
+constexpr std::chrono::seconds tell_interval{1};            // of frames that were written
+constexpr std::chrono::seconds stall{5};                    // without an item done, before it is asked why
 
 // Keeps a file up to date with the job's preview, beside the stream of progress.
 class PreviewFile {
@@ -82,7 +80,7 @@ class PreviewFile {
 
   void write() {
     std::string png = client_.preview(job_);
-    if (!png.empty() && png != last_) coordinator::write_atomically(path_, std::as_bytes(std::span(png)));
+    if (!png.empty() && png != last_) write_atomically(path_, std::as_bytes(std::span(png)));
     last_ = std::move(png);
   }
 
@@ -105,27 +103,17 @@ class Watch {
 
   // Until the job has ended. A coordinator that goes away is called again until `give_up_seconds` have passed.
   JobStatus follow() {
-    double wait = first_wait_seconds;
+    CallAgain call_again(options_.give_up_seconds, [this](const std::string& words) { say(words); });
     for (;;) {
       try {
         return client_.watch(options_.job, [&](const JobStatus& status) {
-          if (std::exchange(lost_, false)) say("the coordinator answers again");
-          wait = first_wait_seconds;
+          call_again.answered();
           show(status);
           return true;
         });
       } catch (const Error& error) {
-        if (error.kind() != ErrorKind::connection) throw;
-        if (!std::exchange(lost_, true)) {
-          lost_since_ = Clock::now();
-          say(std::string(error.what()) + "; trying again");
-        }
-        if (options_.give_up_seconds > 0 && seconds_since(lost_since_) > options_.give_up_seconds)
-          throw Error::connection(std::string(error.what()) + "; given up after " +
-                                  format_duration(seconds_since(lost_since_)) + ", the job may go on without");
+        call_again.lost(error, ", the job may go on without");
       }
-      std::this_thread::sleep_for(std::chrono::duration<double>(wait));
-      wait = std::min(2 * wait, longest_wait_seconds);
     }
   }
 
@@ -173,8 +161,7 @@ class Watch {
   const WatchOptions& options_;
   Client client_;
   ProgressDisplay progress_;
-  bool lost_ = false;
-  Clock::time_point lost_since_{}, still_since_ = Clock::now();
+  Clock::time_point still_since_ = Clock::now();
   std::uint64_t done_ = 0;
   std::uint32_t told_ = 0;  // frames that were written when people were told
   Clock::time_point told_at_{};
@@ -204,11 +191,7 @@ void add_watch(CLI::App& app, Run& run) {
   command->add_option("--preview", options->preview, "FILE.png that is kept up to date");
   command->add_flag("--json", options->json, "each change as a line of JSON on standard output");
   command->add_flag("--quiet", options->quiet, "no progress");
-  command
-      ->add_option("--give-up", options->give_up_seconds,
-                   "seconds for which a coordinator that went away is called again; 0: for ever")
-      ->capture_default_str()
-      ->check(CLI::NonNegativeNumber);
+  add_give_up_option(*command, options->give_up_seconds);
   add_coordinator_option(*command, options->coordinator);
   command->callback([options, &run] {
     run = [options] {

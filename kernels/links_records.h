@@ -131,6 +131,43 @@ GLEANER_SIZE(LinksFluxParameters, 16);
 struct LinksFluxFacts {
   double flux = 0, grown = 0;
 };
+
+// Bounces until all that are left would add less than a share of the light. They shrink by a ratio that soon is steady:
+// what is left of them is a geometric series.
+struct LinksBounces {
+  std::uint32_t done = 0;
+  double left = 0;  // the share that those to come would add
+
+  // After one more bounce: whether the light is all there but for `least_share`.
+  bool is_enough(const LinksFluxFacts& facts, double least_share) {
+    ++done;
+    if (!(facts.flux > 0)) return true;
+    const double shrinks = facts.grown / grown;
+    const double ratio = done > 1 && grown > 0 ? (shrinks < 0 ? 0 : shrinks > 0.99 ? 0.99 : shrinks) : 0.5;
+    grown = facts.grown;
+    left = facts.grown / facts.flux * ratio / (1 - ratio);
+    return done > 1 && left < least_share;
+  }
+
+  double grown = 0;  // by the last bounce, W
+};
+#endif
+
+// Stage kind "links_exchange" (inputs "mesh", "links", "light", "albedo": whole); solo. All bounces at once, on one
+// worker: the rows that the last of as many "links_gather" stages has, to the bit. Facts: LinksExchangeFacts.
+typedef struct {
+  gl_uint elements;
+  gl_uint exact;         // as of links_make
+  gl_uint most_bounces;  // 1 or more
+  gl_float least_share;  // bounces end where those to come would add less (LinksBounces); 0: at most_bounces alone
+} LinksExchangeParameters;
+GLEANER_SIZE(LinksExchangeParameters, 16);
+
+#ifndef __OPENCL_VERSION__
+struct LinksExchangeFacts {
+  std::uint32_t bounces = 0, reserved = 0;
+  double left = 0;
+};
 #endif
 
 // Stage kind "links_smooth" (inputs "mesh", "probe", "irradiance"); solo, an item an element: rows of RADIOSITY_WORDS.

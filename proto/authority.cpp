@@ -1,18 +1,17 @@
 #include "proto/authority.h"
 
-#include <fcntl.h>
 #include <openssl/err.h>
 #include <openssl/rand.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
-#include <cerrno>
-#include <cstring>
 #include <ctime>
 #include <fstream>
+#include <span>
 #include <sstream>
 
+#include "proto/atomic_file.h"
 #include "proto/openssl_handles.h"
 #include "scene/model/error.h"
 
@@ -32,22 +31,8 @@ void check(bool done, const char* what) {
   if (!done) throw Error::failed(std::string("OpenSSL: ") + what + " failed");
 }
 
-std::string reason() { return std::strerror(errno); }
-
-// Written whole or not at all. Keys are for their owner's eyes.
-void write(const fs::path& file, const std::string& text, mode_t mode) {
-  const fs::path temporary = file.string() + ".tmp";
-  const int descriptor = ::open(temporary.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, mode);
-  if (descriptor < 0) throw Error::failed(temporary.string() + ": cannot be written: " + reason());
-  const bool written =
-      ::write(descriptor, text.data(), text.size()) == static_cast<ssize_t>(text.size()) && ::fsync(descriptor) == 0;
-  const std::string why = written ? "" : reason();
-  ::close(descriptor);
-  if (!written || ::rename(temporary.c_str(), file.c_str()) != 0) {
-    const std::string said = why.empty() ? reason() : why;
-    ::unlink(temporary.c_str());
-    throw Error::failed(file.string() + ": cannot be written: " + said);
-  }
+void write(const fs::path& file, const std::string& text, unsigned mode) {
+  write_atomically(file.string(), std::as_bytes(std::span(text)), mode);
 }
 
 std::string read(const fs::path& file) {

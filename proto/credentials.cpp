@@ -40,14 +40,35 @@ Held<X509> certificate_in(const fs::path& file, const std::string& pem) {
 // wants keys of a kind that no farm has, nothing.
 void leave_tls_1_2_out() { ::setenv("GRPC_SSL_CIPHER_SUITES", "DHE-DSS-AES256-GCM-SHA384", 0); }
 
-// Who called, as its certificate says.
-struct Peer {
-  std::string name;    // the certificate's common name
-  std::string serial;  // hexadecimal
-  std::set<Role> roles;
+// Decides, before a call begins, whether its caller may make it.
+class Doorkeeper final : public grpc::AuthMetadataProcessor {
+ public:
+  Doorkeeper(const Keys& keys, MethodRule rule) : revocations_(keys), rule_(std::move(rule)) {}
+
+  bool IsBlocking() const override { return false; }
+
+  grpc::Status Process(const InputMetadata& metadata, grpc::AuthContext* context, OutputMetadata*,
+                       OutputMetadata*) override {
+    const std::optional<Peer> peer = peer_of(*context);
+    if (!peer) return {grpc::StatusCode::UNAUTHENTICATED, "no certificate"};
+    if (revocations_.contains(peer->serial))
+      return {grpc::StatusCode::UNAUTHENTICATED, "the certificate of " + peer->name + " was revoked"};
+    const auto path = metadata.find(":path");
+    if (path == metadata.end()) return {grpc::StatusCode::UNAUTHENTICATED, "a call without a method"};
+    const Role needed = rule_(std::string_view(path->second.data(), path->second.size()));
+    if (peer->roles.contains(needed)) return grpc::Status::OK;
+    return {grpc::StatusCode::PERMISSION_DENIED, "the certificate of " + peer->name + " is not one to " +
+                                                     role_name(needed) + " with (gleaner keys issue --role " +
+                                                     role_name(needed) + ")"};
+  }
+
+ private:
+  Revocations revocations_;
+  const MethodRule rule_;
 };
 
-// Nothing where the connection has no certificate.
+}  // namespace
+
 std::optional<Peer> peer_of(const grpc::AuthContext& context) {
   const auto first = [&](const char* property) {
     const auto values = context.FindPropertyValues(property);
@@ -62,59 +83,27 @@ std::optional<Peer> peer_of(const grpc::AuthContext& context) {
     for (const Role role : every_role)
       if (std::string(name.data(), name.size()) == role_dns_name(role)) peer.roles.insert(role);
   if (peer.roles.contains(Role::administer)) peer.roles.insert(Role::submit);
+  if (peer.roles.contains(Role::coordinate)) peer.roles.insert(Role::observe);  // itself: --check
   if (peer.roles.contains(Role::submit)) peer.roles.insert(Role::observe);
   return peer;
 }
 
-// Decides, before a call begins, whether its caller may make it.
-class Doorkeeper final : public grpc::AuthMetadataProcessor {
- public:
-  Doorkeeper(std::shared_ptr<const Keys> keys, MethodRule rule) : keys_(std::move(keys)), rule_(std::move(rule)) {}
-
-  bool IsBlocking() const override { return false; }
-
-  grpc::Status Process(const InputMetadata& metadata, grpc::AuthContext* context, OutputMetadata*,
-                       OutputMetadata*) override {
-    const std::optional<Peer> peer = peer_of(*context);
-    if (!peer) return {grpc::StatusCode::UNAUTHENTICATED, "no certificate"};
-    if (is_revoked(peer->serial))
-      return {grpc::StatusCode::UNAUTHENTICATED, "the certificate of " + peer->name + " was revoked"};
-    const auto path = metadata.find(":path");
-    if (path == metadata.end()) return {grpc::StatusCode::UNAUTHENTICATED, "a call without a method"};
-    const Role needed = rule_(std::string_view(path->second.data(), path->second.size()));
-    if (peer->roles.contains(needed)) return grpc::Status::OK;
-    return {grpc::StatusCode::PERMISSION_DENIED, "the certificate of " + peer->name + " is not one to " +
-                                                     role_name(needed) + " with (gleaner keys issue --role " +
-                                                     role_name(needed) + ")"};
-  }
-
- private:
-  bool is_revoked(const std::string& serial) {
-    const fs::path file = keys_->folder / revoked_file;
-    std::lock_guard lock(mutex_);
-    std::error_code missing;
-    const auto written = fs::last_write_time(file, missing);
-    if (missing) return false;  // nobody was ever revoked
-    if (written != read_at_) {
-      std::ifstream in(file);
-      revoked_.clear();
-      for (std::string line; std::getline(in, line);) {
-        std::istringstream words(line);
-        if (std::string number; words >> number) revoked_.insert(number);
-      }
-      read_at_ = written;
+bool Revocations::contains(const std::string& serial) {
+  std::lock_guard lock(mutex_);
+  std::error_code missing;
+  const auto written = fs::last_write_time(file_, missing);
+  if (missing) return false;  // nobody was ever revoked
+  if (written != read_at_) {
+    std::ifstream in(file_);
+    serials_.clear();
+    for (std::string line; std::getline(in, line);) {
+      std::istringstream words(line);
+      if (std::string number; words >> number) serials_.insert(number);
     }
-    return revoked_.contains(serial);
+    read_at_ = written;
   }
-
-  const std::shared_ptr<const Keys> keys_;
-  const MethodRule rule_;
-  std::mutex mutex_;
-  fs::file_time_type read_at_{};
-  std::set<std::string> revoked_;
-};
-
-}  // namespace
+  return serials_.contains(serial);
+}
 
 const char* role_name(Role role) {
   switch (role) {
@@ -170,7 +159,7 @@ std::shared_ptr<grpc::ServerCredentials> server_credentials(std::shared_ptr<cons
   options.pem_root_certs = keys->authority;
   options.pem_key_cert_pairs.push_back({keys->key, keys->certificate});
   auto credentials = grpc::SslServerCredentials(options);
-  credentials->SetAuthMetadataProcessor(std::make_shared<Doorkeeper>(std::move(keys), std::move(rule)));
+  credentials->SetAuthMetadataProcessor(std::make_shared<Doorkeeper>(*keys, std::move(rule)));
   return credentials;
 }
 

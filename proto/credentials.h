@@ -2,6 +2,7 @@
 // Who is who on a farm: keys of an authority of the farm's own, TLS with certificates on both sides, and what each
 // certificate's holder may do. `gleaner keys` (cli/authority.h) makes them.
 
+#include <grpcpp/security/auth_context.h>
 #include <grpcpp/security/credentials.h>
 #include <grpcpp/security/server_credentials.h>
 #include <grpcpp/support/channel_arguments.h>
@@ -9,6 +10,9 @@
 #include <filesystem>
 #include <functional>
 #include <memory>
+#include <mutex>
+#include <optional>
+#include <set>
 #include <string>
 #include <string_view>
 
@@ -42,12 +46,35 @@ Keys load_keys(const std::filesystem::path& folder);
 // This program's: of the folder that $GLEANER_KEYS names; null where it names none.
 std::shared_ptr<const Keys> own_keys();
 
+// Who is at the other end of a connection, as its certificate says.
+struct Peer {
+  std::string name;    // the certificate's common name
+  std::string serial;  // hexadecimal
+  std::set<Role> roles;
+};
+// Nothing where the connection has no certificate.
+std::optional<Peer> peer_of(const grpc::AuthContext& context);
+
+// The serial numbers of a folder's revoked certificates. The list is read again when it changes.
+class Revocations {
+ public:
+  explicit Revocations(const Keys& keys) : file_(keys.folder / revoked_file) {}
+  bool contains(const std::string& serial);
+
+ private:
+  const std::filesystem::path file_;
+  std::mutex mutex_;
+  std::filesystem::file_time_type read_at_{};
+  std::set<std::string> serials_;
+};
+
 // The role that a method ("/gleaner.v1.Farm/ListJobs") asks of its caller.
 using MethodRule = std::function<Role(std::string_view method)>;
 
 // Null keys: in the clear, and everybody may do everything. Else a call is refused with UNAUTHENTICATED where its
 // caller's certificate was revoked (the list is read again when it changes), with PERMISSION_DENIED where it allows
-// something else. Who may administer may submit, who may submit may observe.
+// something else. Who may administer may submit, who may submit or coordinate
+// may observe.
 std::shared_ptr<grpc::ServerCredentials> server_credentials(std::shared_ptr<const Keys> keys, MethodRule rule);
 // For a peer that has role `expected`; sets the arguments that go with it.
 std::shared_ptr<grpc::ChannelCredentials> channel_credentials(const Keys* keys, Role expected,

@@ -1,6 +1,8 @@
 #include "coordinator/artifacts/scene_lineage.h"
 
 #include <algorithm>
+#include <array>
+#include <cstring>
 #include <span>
 #include <vector>
 
@@ -26,19 +28,68 @@ bool shines(const scene::Light& light) {
   return std::ranges::any_of(light.intensity, [](float channel) { return channel > 0; });
 }
 
+// Parts of a material, the others taken out.
+scene::Material without_color_and_emission(scene::Material material) {
+  std::ranges::fill(material.base_color, 0.0f);
+  std::ranges::fill(material.emission, 0.0f);
+  material.emission_texture = GLEANER_NONE;
+  return material;
+}
+std::array<float, 3> color_of(const scene::Material& material) {
+  return {material.base_color[0], material.base_color[1], material.base_color[2]};
+}
+struct Emission {
+  std::array<float, 3> radiance;
+  std::uint32_t texture;
+};
+Emission emission_of(const scene::Material& material) {
+  return {{material.emission[0], material.emission[1], material.emission[2]}, material.emission_texture};
+}
+bool emits(const scene::Material& material) {
+  return std::ranges::any_of(material.emission, [](float channel) { return channel > 0; });
+}
+
+// A digest of those parts of the state's materials that are not the base's; empty where all are.
+template <typename PartOf>
+std::string digest_of_changes(const scene::Scene& base, const scene::FrameState& state, PartOf part_of) {
+  using Part = decltype(part_of(base.materials.front()));
+  std::vector<std::uint32_t> indices;
+  std::vector<Part> parts;
+  for (std::size_t i = 0; i < state.materials.size(); ++i) {
+    const Part part = part_of(state.materials[i]), before = part_of(base.materials.at(state.material_indices[i]));
+    if (std::memcmp(&part, &before, sizeof part) == 0) continue;
+    indices.push_back(state.material_indices[i]);
+    parts.push_back(part);
+  }
+  return indices.empty() ? std::string() : digest_of(indices, parts);
+}
+
+// Which lights shine, and which materials.
+std::string shining_of(const scene::Scene& base, const scene::FrameState& state) {
+  std::ptrdiff_t lights = std::ranges::count_if(base.lights, shines);
+  for (std::size_t i = 0; i < state.lights.size(); ++i)
+    lights += shines(state.lights[i]) - shines(base.lights.at(state.light_indices[i]));
+  std::vector<std::uint32_t> others;  // materials that emit in one of both alone
+  for (std::size_t i = 0; i < state.materials.size(); ++i)
+    if (emits(state.materials[i]) != emits(base.materials.at(state.material_indices[i])))
+      others.push_back(state.material_indices[i]);
+  std::string shining = std::to_string(lights);
+  if (!others.empty()) shining.append(" ").append(digest_of(others));
+  return shining;
+}
+
 }  // namespace
 
 SceneLineage lineage_of(const std::string& blob, const scene::Scene& base, const scene::FrameState& state) {
   SceneLineage lineage = blob;
   if (!state.matrices.empty() || !state.morph_weights.empty())
     lineage.geometry = digest_of(state.matrices, state.morph_weights);
-  if (!state.materials.empty() || !state.albedo_tables.empty())
-    lineage.materials = digest_of(state.material_indices, state.materials, state.albedo_tables);
+  lineage.materials = digest_of_changes(base, state, without_color_and_emission);
+  if (!state.albedo_tables.empty()) lineage.materials += digest_of(state.albedo_tables);
+  lineage.colors = digest_of_changes(base, state, color_of);
+  lineage.emission = digest_of_changes(base, state, emission_of);
   if (!state.lights.empty()) lineage.lights = digest_of(state.light_indices, state.lights);
-  std::ptrdiff_t shining = std::ranges::count_if(base.lights, shines);
-  for (std::size_t i = 0; i < state.lights.size(); ++i)
-    shining += shines(state.lights[i]) - shines(base.lights.at(state.light_indices[i]));
-  lineage.shining = std::to_string(shining);
+  lineage.shining = shining_of(base, state);
   return lineage;
 }
 

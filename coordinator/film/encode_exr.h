@@ -3,8 +3,8 @@
 #include <map>
 #include <string>
 
-#include "coordinator/film/atomic_file.h"
 #include "coordinator/film/film.h"
+#include "proto/atomic_file.h"
 
 namespace gleaner::coordinator {
 

@@ -9,8 +9,8 @@
 #include <span>
 
 #include "coordinator/blobs/sha256.h"
-#include "coordinator/film/atomic_file.h"
 #include "coordinator/film/encode_exr.h"
+#include "proto/atomic_file.h"
 #include "scene/model/error.h"
 
 static_assert(std::endian::native == std::endian::little, "pixels_sha256 takes the values as they lie");

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <new>
 
+#include "coordinator/jobs/farm.h"
 #include "proto/sha256.h"
 #include "scene/model/error.h"
 #include "scene/model/names.h"
@@ -147,6 +148,7 @@ pb::Job to_proto(const JobStatus& status) {
   out.set_paused(status.paused);
   for (const std::string& other : status.after) out.add_after(other);
   out.set_worker_seconds(status.worker_seconds);
+  out.set_owner(status.owner);
   out.set_rays(status.rays);
   out.set_state(to_proto(status.state));
   out.set_scene_name(printable(status.scene_name));
@@ -192,6 +194,7 @@ JobStatus from_proto(const pb::Job& job) {
   out.paused = job.paused();
   out.after.assign(job.after().begin(), job.after().end());
   out.worker_seconds = job.worker_seconds();
+  out.owner = job.owner();
   out.rays = job.rays();
   out.state = from_proto(job.state());
   out.scene_name = job.scene_name();
@@ -334,9 +337,35 @@ BatchOutput::Retained from_proto(const pb::RetainedPart& part) {
           .items = {part.first(), part.items()}};
 }
 
+pb::Event to_proto(const FarmEvent& event) {
+  pb::Event out;
+  out.set_number(event.number);
+  out.set_unix_seconds(event.unix_seconds);
+  out.set_kind(event.kind);
+  out.set_what(event.what);
+  out.set_job(event.job);
+  out.set_frame(event.frame);
+  out.set_worker(event.worker);
+  out.set_message(printable(event.message));
+  return out;
+}
+
+FarmEvent from_proto(const pb::Event& event) {
+  return {.number = event.number(),
+          .unix_seconds = event.unix_seconds(),
+          .kind = event.kind(),
+          .what = event.what(),
+          .job = event.job(),
+          .worker = event.worker(),
+          .frame = event.frame(),
+          .message = event.message()};
+}
+
 grpc::Status guarded(const std::function<grpc::Status()>& body) {
   try {
     return body();
+  } catch (const LimitReached& error) {
+    return {grpc::StatusCode::RESOURCE_EXHAUSTED, error.what()};
   } catch (const Error& error) {
     bool callers_fault = error.kind() == ErrorKind::usage || error.kind() == ErrorKind::bad_input;
     return {callers_fault ? grpc::StatusCode::INVALID_ARGUMENT : grpc::StatusCode::INTERNAL, error.what()};

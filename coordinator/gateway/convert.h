@@ -5,6 +5,7 @@
 
 #include <functional>
 
+#include "coordinator/jobs/event_log.h"
 #include "coordinator/jobs/job.h"
 #include "gleaner/v1/farm.pb.h"
 #include "gleaner/v1/worker.pb.h"
@@ -35,6 +36,9 @@ coordinator::DeviceDescription from_proto(const pb::Device& device);
 coordinator::WorkerHello from_proto(const pb::Hello& hello);
 coordinator::BatchCost from_proto(const pb::BatchCost& cost);
 coordinator::BatchOutput::Retained from_proto(const pb::RetainedPart& part);
+
+pb::Event to_proto(const coordinator::FarmEvent& event);
+coordinator::FarmEvent from_proto(const pb::Event& event);
 
 // Runs a handler's body; what it throws becomes the call's status.
 grpc::Status guarded(const std::function<grpc::Status()>& body);

@@ -21,7 +21,8 @@ using grpc::StatusCode;
 
 namespace {
 
-constexpr int most_ids = 1024;  // in one MissingBlobs call
+constexpr Seconds event_wait = 1;  // for something to happen, before the caller is looked at again
+constexpr int most_ids = 1024;     // in one MissingBlobs call
 constexpr std::uint64_t most_frames_bytes = std::uint64_t{64} << 20;
 constexpr std::size_t most_awaited = 1000;  // jobs that one may wait for
 
@@ -57,8 +58,9 @@ void take_order(const pb::SubmitJobRequest& request, JobRequest& job) {
 
 }  // namespace
 
-Status FarmService::MissingBlobs(grpc::ServerContext*, const pb::MissingBlobsRequest* request,
+Status FarmService::MissingBlobs(grpc::ServerContext* context, const pb::MissingBlobsRequest* request,
                                  pb::MissingBlobsReply* reply) {
+  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
   if (request->ids_size() > most_ids) return {StatusCode::INVALID_ARGUMENT, "more than 1024 ids"};
   for (const std::string& id : request->ids()) {
     if (!is_sha256_hex(id))
@@ -71,6 +73,8 @@ Status FarmService::MissingBlobs(grpc::ServerContext*, const pb::MissingBlobsReq
 
 Status FarmService::UploadBlob(grpc::ServerContext* context, grpc::ServerReader<pb::UploadBlobRequest>* stream,
                                pb::UploadBlobReply* reply) {
+  Callers::Call open(callers_, *context, Callers::Call::upload);
+  if (!open.status().ok()) return open.status();
   const Seat seat(uploads_);
   if (seat.before >= settings_.most_uploads)
     return {StatusCode::RESOURCE_EXHAUSTED, "this coordinator takes " + std::to_string(settings_.most_uploads) +
@@ -100,6 +104,7 @@ Status FarmService::UploadBlob(grpc::ServerContext* context, grpc::ServerReader<
     }
     while (stream->Read(&part)) {
       call.heard();
+      open.heard();
       if (part.part_case() != pb::UploadBlobRequest::kData)
         return {StatusCode::INVALID_ARGUMENT, "blob " + id + ": a second header"};
       if (part.data().size() > piece_bytes)
@@ -157,7 +162,9 @@ void FarmService::check_state(const FrameScene& scene) {
   scene::check_counts(state, scene.summary.matrices, scene.summary.morph_weights, origin);
 }
 
-Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* request, pb::SubmitJobReply* reply) {
+Status FarmService::SubmitJob(grpc::ServerContext* context, const pb::SubmitJobRequest* request,
+                              pb::SubmitJobReply* reply) {
+  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
   return guarded([&]() -> Status {
     const pb::JobFrames frames = frames_of(*request);
     const std::uint64_t most = most_frames;
@@ -201,6 +208,7 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
     if (request->frame_step() != 0) job.frame_step = request->frame_step();
     job.numbers.assign(request->frame_numbers().begin(), request->frame_numbers().end());
     take_order(*request, job);
+    job.owner = printable(Callers::name_of(*context), most_name_bytes);
     for (const pb::Camera& camera : frames.cameras()) job.cameras.push_back(from_proto(camera));
     std::set<std::string> checked;
     for (FrameScene& scene : scenes) {
@@ -213,33 +221,38 @@ Status FarmService::SubmitJob(grpc::ServerContext*, const pb::SubmitJobRequest* 
   });
 }
 
-Status FarmService::ListJobs(grpc::ServerContext*, const pb::ListJobsRequest*, pb::ListJobsReply* reply) {
+Status FarmService::ListJobs(grpc::ServerContext* context, const pb::ListJobsRequest*, pb::ListJobsReply* reply) {
+  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
   for (const JobStatus& status : farm_.list()) *reply->add_jobs() = to_proto(status);
   return Status::OK;
 }
 
-Status FarmService::GetJob(grpc::ServerContext*, const pb::GetJobRequest* request, pb::Job* reply) {
+Status FarmService::GetJob(grpc::ServerContext* context, const pb::GetJobRequest* request, pb::Job* reply) {
+  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
   auto status = farm_.status(request->job());
   if (!status) return no_job(request->job());
   *reply = to_proto(*status);
   return Status::OK;
 }
 
-Status FarmService::CancelJob(grpc::ServerContext*, const pb::CancelJobRequest* request, pb::Job* reply) {
+Status FarmService::CancelJob(grpc::ServerContext* context, const pb::CancelJobRequest* request, pb::Job* reply) {
+  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
   auto status = farm_.cancel(request->job());
   if (!status) return no_job(request->job());
   *reply = to_proto(*status);
   return Status::OK;
 }
 
-Status FarmService::PauseJob(grpc::ServerContext*, const pb::PauseJobRequest* request, pb::Job* reply) {
+Status FarmService::PauseJob(grpc::ServerContext* context, const pb::PauseJobRequest* request, pb::Job* reply) {
+  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
   auto status = farm_.pause(request->job(), !request->resume());
   if (!status) return no_job(request->job());
   *reply = to_proto(*status);
   return Status::OK;
 }
 
-Status FarmService::RetryJob(grpc::ServerContext*, const pb::RetryJobRequest* request, pb::Job* reply) {
+Status FarmService::RetryJob(grpc::ServerContext* context, const pb::RetryJobRequest* request, pb::Job* reply) {
+  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
   return guarded([&]() -> Status {
     auto status = farm_.retry(request->job());
     if (!status) return no_job(request->job());
@@ -250,6 +263,8 @@ Status FarmService::RetryJob(grpc::ServerContext*, const pb::RetryJobRequest* re
 
 Status FarmService::WatchJob(grpc::ServerContext* context, const pb::WatchJobRequest* request,
                              grpc::ServerWriter<pb::Job>* stream) {
+  Callers::Call open(callers_, *context, Callers::Call::download);
+  if (!open.status().ok()) return open.status();
   using namespace std::chrono_literals;
   SilenceWatch::Call call(silence_, *context, settings_.silent_seconds);
   std::uint64_t seen = 0;
@@ -260,13 +275,42 @@ Status FarmService::WatchJob(grpc::ServerContext* context, const pb::WatchJobReq
     seen = status->version;
     if (!stream->Write(to_proto(*status))) return Status::OK;
     call.heard();
+    open.heard();
     if (ended(status->state)) return Status::OK;
     std::this_thread::sleep_for(100ms);
   }
   return Status::OK;
 }
 
-Status FarmService::GetPreview(grpc::ServerContext*, const pb::GetPreviewRequest* request, pb::GetPreviewReply* reply) {
+Status FarmService::WatchEvents(grpc::ServerContext* context, const pb::WatchEventsRequest* request,
+                                grpc::ServerWriter<pb::Event>* stream) {
+  Callers::Call open(callers_, *context, Callers::Call::download);
+  if (!open.status().ok()) return open.status();
+  if (!request->job().empty() && !farm_.status(request->job())) return no_job(request->job());
+  SilenceWatch::Call call(silence_, *context, settings_.silent_seconds);
+  std::uint64_t seen = request->after() > 0 ? request->after() : farm_.last_event();
+  stream->SendInitialMetadata();  // from here on nothing is missed
+  while (!context->IsCancelled()) {
+    const std::uint64_t last = farm_.last_event();
+    const auto status = farm_.status(request->job());
+    const bool over = status && ended(status->state);
+    for (const FarmEvent& event : farm_.events(seen, request->job(), over ? 0 : event_wait)) {
+      if (!stream->Write(to_proto(event))) return Status::OK;
+      seen = std::max(seen, event.number);
+      call.heard();
+      open.heard();
+    }
+    if (over) return Status::OK;
+    seen = std::max(seen, last);  // those of other jobs
+    call.heard();                 // there is nothing to say: the peer is not the one that is silent
+    open.heard();
+  }
+  return Status::OK;
+}
+
+Status FarmService::GetPreview(grpc::ServerContext* context, const pb::GetPreviewRequest* request,
+                               pb::GetPreviewReply* reply) {
+  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
   return guarded([&]() -> Status {
     auto status = farm_.status(request->job());
     if (!status) return no_job(request->job());
@@ -298,14 +342,17 @@ std::string FarmService::remember_preview(const std::string& job, std::string pn
   return last;
 }
 
-Status FarmService::Why(grpc::ServerContext*, const pb::WhyRequest* request, pb::WhyReply* reply) {
+Status FarmService::Why(grpc::ServerContext* context, const pb::WhyRequest* request, pb::WhyReply* reply) {
+  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
   auto reasons = farm_.why(request->job());
   if (!reasons) return no_job(request->job());
   for (const std::string& reason : *reasons) reply->add_reasons(printable(reason));
   return Status::OK;
 }
 
-Status FarmService::ListFiles(grpc::ServerContext*, const pb::ListFilesRequest* request, pb::ListFilesReply* reply) {
+Status FarmService::ListFiles(grpc::ServerContext* context, const pb::ListFilesRequest* request,
+                              pb::ListFilesReply* reply) {
+  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
   if (!farm_.status(request->job())) return no_job(request->job());
   for (const fs::path& path : farm_.files(request->job())) {
     std::error_code code;
@@ -321,6 +368,8 @@ Status FarmService::ListFiles(grpc::ServerContext*, const pb::ListFilesRequest* 
 Status FarmService::FetchFile(grpc::ServerContext* context, const pb::FetchFileRequest* request,
                               grpc::ServerWriter<pb::FetchFileReply>* stream) {
   if (!farm_.status(request->job())) return no_job(request->job());
+  Callers::Call open(callers_, *context, Callers::Call::download);
+  if (!open.status().ok()) return open.status();
   // Only names that the job itself gave: nothing else of the disk can be asked for.
   for (const fs::path& path : farm_.files(request->job())) {
     if (path.filename() != request->name()) continue;
@@ -338,18 +387,23 @@ Status FarmService::FetchFile(grpc::ServerContext* context, const pb::FetchFileR
       left -= piece.data().size();
       if (!stream->Write(piece)) return Status::OK;
       call.heard();
+      open.heard();
     } while (left > 0);
     return Status::OK;
   }
   return {StatusCode::NOT_FOUND, "job " + request->job() + " has no file " + request->name().substr(0, 80)};
 }
 
-Status FarmService::ListWorkers(grpc::ServerContext*, const pb::ListWorkersRequest*, pb::ListWorkersReply* reply) {
+Status FarmService::ListWorkers(grpc::ServerContext* context, const pb::ListWorkersRequest*,
+                                pb::ListWorkersReply* reply) {
+  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
   for (const WorkerStatus& status : farm_.workers()) *reply->add_workers() = to_proto(status);
   return Status::OK;
 }
 
-Status FarmService::DrainWorker(grpc::ServerContext*, const pb::DrainWorkerRequest* request, pb::DrainWorkerReply*) {
+Status FarmService::DrainWorker(grpc::ServerContext* context, const pb::DrainWorkerRequest* request,
+                                pb::DrainWorkerReply*) {
+  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
   if (!farm_.drain(request->worker()))
     return {StatusCode::NOT_FOUND, "no worker " + printable(request->worker(), most_name_bytes) + " is connected"};
   return Status::OK;

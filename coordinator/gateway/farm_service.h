@@ -7,6 +7,7 @@
 #include <string>
 
 #include "coordinator/blobs/store.h"
+#include "coordinator/gateway/callers.h"
 #include "coordinator/gateway/server.h"
 #include "coordinator/gateway/silence_watch.h"
 #include "coordinator/jobs/farm.h"
@@ -18,9 +19,9 @@ namespace pb = gleaner::v1;
 
 class FarmService final : public pb::Farm::Service {
  public:
-  FarmService(coordinator::Farm& farm, coordinator::BlobStore& blobs, SilenceWatch& silence,
+  FarmService(coordinator::Farm& farm, coordinator::BlobStore& blobs, SilenceWatch& silence, Callers& callers,
               const ServerSettings& settings)
-      : farm_(farm), blobs_(blobs), silence_(silence), settings_(settings) {}
+      : farm_(farm), blobs_(blobs), silence_(silence), callers_(callers), settings_(settings) {}
 
   grpc::Status MissingBlobs(grpc::ServerContext*, const pb::MissingBlobsRequest*, pb::MissingBlobsReply*) override;
   grpc::Status UploadBlob(grpc::ServerContext*, grpc::ServerReader<pb::UploadBlobRequest>*,
@@ -33,6 +34,8 @@ class FarmService final : public pb::Farm::Service {
   grpc::Status RetryJob(grpc::ServerContext*, const pb::RetryJobRequest*, pb::Job*) override;
   grpc::Status DrainWorker(grpc::ServerContext*, const pb::DrainWorkerRequest*, pb::DrainWorkerReply*) override;
   grpc::Status WatchJob(grpc::ServerContext*, const pb::WatchJobRequest*, grpc::ServerWriter<pb::Job>*) override;
+  grpc::Status WatchEvents(grpc::ServerContext*, const pb::WatchEventsRequest*,
+                           grpc::ServerWriter<pb::Event>*) override;
   grpc::Status GetPreview(grpc::ServerContext*, const pb::GetPreviewRequest*, pb::GetPreviewReply*) override;
   grpc::Status Why(grpc::ServerContext*, const pb::WhyRequest*, pb::WhyReply*) override;
   grpc::Status ListFiles(grpc::ServerContext*, const pb::ListFilesRequest*, pb::ListFilesReply*) override;
@@ -52,6 +55,7 @@ class FarmService final : public pb::Farm::Service {
   coordinator::Farm& farm_;
   coordinator::BlobStore& blobs_;
   SilenceWatch& silence_;
+  Callers& callers_;
   const ServerSettings settings_;
   std::atomic<unsigned> uploads_{0};
   std::mutex summaries_mutex_;

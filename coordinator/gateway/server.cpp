@@ -33,7 +33,7 @@ Role role_for(std::string_view method) {
   if (!method.starts_with(farm)) return Role::administer;
   method.remove_prefix(farm.size());
   for (const std::string_view name :
-       {"ListJobs", "GetJob", "WatchJob", "GetPreview", "Why", "ListFiles", "FetchFile", "ListWorkers"})
+       {"ListJobs", "GetJob", "WatchJob", "WatchEvents", "GetPreview", "Why", "ListFiles", "FetchFile", "ListWorkers"})
     if (method == name) return Role::observe;
   for (const std::string_view name : {"MissingBlobs", "UploadBlob", "SubmitJob", "CancelJob", "PauseJob", "RetryJob"})
     if (method == name) return Role::submit;
@@ -44,9 +44,12 @@ Role role_for(std::string_view method) {
 
 struct Server::Impl {
   Impl(coordinator::Farm& farm, coordinator::BlobStore& blobs, const ServerSettings& settings)
-      : farm_service(farm, blobs, silence, settings), hub(farm, blobs, silence, settings) {}
+      : callers(settings.caller, settings.keys),
+        farm_service(farm, blobs, silence, callers, settings),
+        hub(farm, blobs, silence, callers, settings) {}
 
   SilenceWatch silence;
+  Callers callers;
   FarmService farm_service;
   WorkerHub hub;
   std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> acceptor;

@@ -277,6 +277,7 @@ class ResultAssembly {
 }  // namespace
 
 Status WorkerHub::Work(grpc::ServerContext* context, Stream* stream) {
+  const Callers::Call open(callers_, *context, Callers::Call::work);
   pb::WorkerMessage message;
   {
     // Who takes no seat yet holds a thread all the same.
@@ -359,6 +360,7 @@ Status WorkerHub::FetchBlob(grpc::ServerContext* context, const pb::FetchBlobReq
     std::uint64_t left = request->length() > 0 ? request->length() : blob->bytes() - request->offset();
     std::uint64_t offset = request->offset();
     Bytes bytes;
+    const Callers::Call open(callers_, *context, Callers::Call::work);
     SilenceWatch::Call call(silence_, *context, settings_.silent_seconds);
     pb::BlobPiece piece;
     piece.set_total_bytes(blob->bytes());
@@ -426,6 +428,7 @@ Status WorkerHub::FetchPart(grpc::ServerContext* context, const pb::FetchPartReq
                                           std::to_string(request->offset()) + " on"};
   const std::uint64_t end = request->offset() + request->length();
   std::deque<Relay::Piece> coming;
+  const Callers::Call open(callers_, *context, Callers::Call::work);
   try {
     while (range.offset < end || !coming.empty()) {
       while (range.offset < end && coming.size() < pieces_ahead) {

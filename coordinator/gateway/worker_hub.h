@@ -5,6 +5,7 @@
 
 #include "coordinator/artifacts/relay.h"
 #include "coordinator/blobs/store.h"
+#include "coordinator/gateway/callers.h"
 #include "coordinator/gateway/server.h"
 #include "coordinator/gateway/silence_watch.h"
 #include "coordinator/jobs/farm.h"
@@ -16,9 +17,9 @@ namespace pb = gleaner::v1;
 
 class WorkerHub final : public pb::WorkerHub::Service {
  public:
-  WorkerHub(coordinator::Farm& farm, coordinator::BlobStore& blobs, SilenceWatch& silence,
+  WorkerHub(coordinator::Farm& farm, coordinator::BlobStore& blobs, SilenceWatch& silence, Callers& callers,
             const ServerSettings& settings)
-      : farm_(farm), blobs_(blobs), silence_(silence), settings_(settings) {}
+      : farm_(farm), blobs_(blobs), silence_(silence), callers_(callers), settings_(settings) {}
 
   grpc::Status Work(grpc::ServerContext*, grpc::ServerReaderWriter<pb::HubMessage, pb::WorkerMessage>*) override;
   grpc::Status FetchBlob(grpc::ServerContext*, const pb::FetchBlobRequest*,
@@ -34,6 +35,7 @@ class WorkerHub final : public pb::WorkerHub::Service {
   coordinator::BlobStore& blobs_;
   coordinator::Relay relay_;
   SilenceWatch& silence_;
+  Callers& callers_;
   const ServerSettings settings_;
   std::atomic<unsigned> workers_{0};
 };

@@ -97,7 +97,11 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void note_idle(Worker& worker);  // after its leases may have become none, or some
 
   // Jobs (job_queue.cpp).
-  void changed(Job& job);                                  // mutex held
+  void changed(Job& job);  // mutex held
+  // Mutex held. What happened, for Farm::events().
+  void tell(FarmEvent event);
+  void tell_job(const Job& job, const std::string& what, const std::string& message = {});
+  void tell_worker(const Worker& worker, const std::string& what, const std::string& message = {});
   std::shared_ptr<Job> find(const std::string& id) const;  // mutex held
   std::shared_ptr<Job> accept(const JobRequest& request);  // checks it
   void start_queued();                                     // mutex held
@@ -109,6 +113,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   bool is_awaited(const std::string& id) const;        // mutex held; by a job that waits
   // The job of that request, if it was submitted before. Throws Error::usage where the id was another request's.
   std::shared_ptr<Job> submitted_before(const JobRequest& request) const;  // mutex held
+  void check_jobs_of(const std::string& owner) const;                      // mutex held; throws LimitReached
   std::uint64_t posing_memory(const JobRequest& request);
   bool has_memory_for(const Job& job) const;     // mutex held
   std::string why_queued(const Job& job) const;  // mutex held
@@ -231,6 +236,9 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void compute_again(Frame& frame, const ArtifactId& id, const std::vector<Gap>& gaps);
   void start_again(Frame& frame, const ArtifactId& id, std::vector<ItemRange> items, const Gap* special);
   void require_inputs(const RunningStage& stage);
+  // What a repetition reads exists for as long as it runs, though the plan may have released it.
+  void hold_inputs(const RunningStage& stage);
+  void release_inputs(const RunningStage& stage);
   bool is_computed(const ArtifactId& id, const ItemRange& items) const;
   void end_again(const std::shared_ptr<RunningStage>& stage);
   static bool fits(const RunningStage& stage, const Lease& lease, const BatchOutput::Retained& part);
@@ -251,7 +259,10 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void recheck(const std::shared_ptr<RunningStage>& stage, WorkerId maker, const Lease& lease, std::string digest);
   // False: there is nobody to ask.
   bool ask_another(Frame& frame, const RunningStage& like, std::unique_ptr<Recheck> what);
-  void take_recheck(const std::shared_ptr<RunningStage>& stage, const Worker& worker, std::string digest);
+  // `part`: of a retained output, what the worker keeps of its answer.
+  void take_recheck(const std::shared_ptr<RunningStage>& stage, Worker& worker, const std::string& digest,
+                    const std::optional<BatchOutput::Retained>& part);
+  void compare_answers(const std::shared_ptr<RunningStage>& stage, const Worker& worker, std::string digest);
   void end_recheck(const std::shared_ptr<RunningStage>& stage);
   void disagree(Frame& frame, const Recheck& recheck);
   void drop_hopeless_rechecks();  // a worker is gone
@@ -270,7 +281,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   // What of a batch needs its digest: the journal, and what is computed again. The lock is held before and after.
   // Returns where the batch lies in the stage's file, if it does.
   std::optional<std::uint64_t> put_on_record(const std::shared_ptr<RunningStage>& stage, WorkerId id,
-                                             const Lease& lease, const Bytes& image, bool rechecked,
+                                             const Lease& lease, const BatchOutput& output, bool rechecked,
                                              std::unique_lock<std::mutex>& lock);
   // Mutex held. Puts an accepted batch where its stage's records go.
   void collect(const std::shared_ptr<RunningStage>& stage, const Lease& lease, const Bytes& records,
@@ -289,6 +300,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
 
   mutable std::mutex mutex;
   mutable std::condition_variable job_changed;
+  mutable std::condition_variable event_told;
   std::condition_variable records_ready;  // a stage has its memory; the plan has taken records in
   std::condition_variable timer_wakes;
   bool stopping = false;
@@ -307,6 +319,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   std::set<WorkerId> liars;
   std::mt19937_64 random{std::random_device{}()};
   std::map<WorkerId, std::string> names_of_gone;  // the last few: they may still be in dispute
+  EventLog event_log{settings.scheduler.incarnation};
   KeptRecords kept{settings.kept_bytes};
   std::map<std::string, std::shared_ptr<Job>> jobs;
   std::map<std::string, std::string> request_ids;  // to jobs

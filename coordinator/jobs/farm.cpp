@@ -78,6 +78,7 @@ bool Farm::end(Seconds grace) {
   }
   impl_->timer_wakes.notify_all();
   impl_->job_changed.notify_all();
+  impl_->event_told.notify_all();
   impl_->records_ready.notify_all();
   const Seconds begun = steady_seconds();
   while (!impl_->threads.empty()) {
@@ -110,6 +111,31 @@ std::optional<JobStatus> Farm::wait(const std::string& id, std::uint64_t seen, S
   impl_->job_changed.wait_for(lock, std::chrono::duration<double>(timeout),
                               [&] { return job->version > seen || ended(job->state) || impl_->stopping; });
   return status_of(*job, impl_->now());
+}
+
+void Farm::Impl::tell(FarmEvent event) {
+  event_log.add(std::move(event));
+  event_told.notify_all();
+}
+
+void Farm::Impl::tell_job(const Job& job, const std::string& what, const std::string& message) {
+  tell({.kind = "job", .what = what, .job = job.id, .worker = {}, .message = message});
+}
+
+void Farm::Impl::tell_worker(const Worker& worker, const std::string& what, const std::string& message) {
+  tell({.kind = "worker", .what = what, .job = {}, .worker = worker.name, .message = message});
+}
+
+std::vector<FarmEvent> Farm::events(std::uint64_t after, const std::string& job, Seconds timeout) const {
+  std::unique_lock lock(impl_->mutex);
+  impl_->event_told.wait_for(lock, std::chrono::duration<double>(timeout),
+                             [&] { return impl_->event_log.last() > after || impl_->stopping; });
+  return impl_->event_log.after(after, job);
+}
+
+std::uint64_t Farm::last_event() const {
+  std::lock_guard lock(impl_->mutex);
+  return impl_->event_log.last();
 }
 
 std::optional<Film> Farm::preview(const std::string& id) {

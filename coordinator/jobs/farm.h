@@ -15,10 +15,12 @@
 #include "coordinator/artifacts/relay.h"
 #include "coordinator/blobs/store.h"
 #include "coordinator/film/film.h"
+#include "coordinator/jobs/event_log.h"
 #include "coordinator/jobs/job.h"
 #include "coordinator/jobs/session.h"
 #include "coordinator/plan/plan.h"
 #include "coordinator/schedule/scheduler.h"
+#include "scene/model/error.h"
 
 namespace gleaner::coordinator {
 
@@ -27,6 +29,11 @@ class JournalWriter;
 // Where a frame's files go; an empty path: that file is not wanted.
 struct FramePaths {
   std::filesystem::path exr, png, report;
+};
+
+// Somebody asks for more than one may have.
+struct LimitReached : Error {
+  explicit LimitReached(std::string message) : Error(ErrorKind::failed, std::move(message)) {}
 };
 
 struct FarmSettings {
@@ -56,6 +63,7 @@ struct FarmSettings {
   // Of accepted batches, the share that another worker of the same kind computes again, beside each worker's first
   // batch of each kind of stage (jobs/recheck.cpp).
   double recheck_share = 0;
+  std::size_t jobs_an_owner = 0;  // that run or wait; 0: any number
   // Jobs that ended are listed, and their files are fetched, until there are more of them or they are older. Files
   // stay.
   std::size_t ended_jobs = 1000;
@@ -95,6 +103,10 @@ class Farm {
   std::vector<JobStatus> list() const;  // oldest first
   // Waits until the job's version is over `seen`, it ended, or `timeout` seconds went by.
   std::optional<JobStatus> wait(const std::string& job, std::uint64_t seen, Seconds timeout) const;
+  // What happened after the event of that number, of the job where it is not empty. Waits up to `timeout` seconds for
+  // something to happen; a farm that goes away ends the wait.
+  std::vector<FarmEvent> events(std::uint64_t after, const std::string& job, Seconds timeout) const;
+  std::uint64_t last_event() const;
   // The first of the frames that run, as far as its batches came in. None: no such job, nothing to show, or a plan that
   // computes at this moment (it is not waited for).
   std::optional<Film> preview(const std::string& job);

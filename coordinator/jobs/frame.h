@@ -96,6 +96,8 @@ struct RunningStage : std::enable_shared_from_this<RunningStage> {
 
   // Predicted cost of an item, in samples of a path tracer.
   double work_per_item() const { return spec.items > 0 ? work_of(spec) / static_cast<double>(spec.items) : 1; }
+  // The plan asked for it: it is no repetition of another stage's items.
+  bool makes_output() const { return !computes_again && !recheck; }
   // Nothing that it reads was made by another stage.
   bool rests_on_no_stage() const {
     return std::all_of(reads.begin(), reads.end(), [](const auto& input) { return !input; }) && !reads_outputs;

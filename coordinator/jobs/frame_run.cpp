@@ -227,7 +227,8 @@ std::optional<FinishedStage> Farm::Impl::await_stage(Frame& frame) {
       return FinishedStage{stage->spec.name, std::exchange(stage->records, nullptr), stage->record_count, stage->facts};
     }
     const double left = frame.begun + limit - now();
-    if (concludes && left <= 0) {
+    const bool limited = concludes && !frame.job->paused;
+    if (limited && left <= 0) {
       take_what_arrived(frame, lock);
       if (!frame.finished.empty() || frame.job->cancel || stopping || !frame.failure.empty()) continue;
       if (conclude(frame, lock)) return std::nullopt;
@@ -235,7 +236,7 @@ std::optional<FinishedStage> Farm::Impl::await_stage(Frame& frame) {
       continue;
     }
     if (stream(frame, lock) || draw(frame, lock)) continue;
-    if (concludes)
+    if (limited)
       frame.events.wait_for(lock, std::chrono::duration<double>(left));
     else
       frame.events.wait(lock);

@@ -74,6 +74,12 @@ bool Farm::Impl::begin_frame(const std::shared_ptr<Job>& job) {
     return false;
   }
   said_no_thread = false;
+  tell({.kind = "frame",
+        .what = "started",
+        .job = job->id,
+        .worker = {},
+        .frame = frame_at(job->request, frame->place),
+        .message = {}});
   return true;
 }
 
@@ -162,6 +168,12 @@ bool Farm::Impl::frame_over(Frame& frame, const std::string& failure) {
     if (frames_of(job.request) > 1)
       settings.log("job " + job.id + ": frame " + std::to_string(frame_at(job.request, place)) + " failed: " + failure);
   }
+  tell({.kind = "frame",
+        .what = failure.empty() ? "written" : "failed",
+        .job = job.id,
+        .worker = {},
+        .frame = frame_at(job.request, place),
+        .message = failure});
   frame.held.clear();
   frame.remembered.clear();
   for (const WorkerId maker : std::exchange(frame.makers, {})) ++job.frames_with[maker];

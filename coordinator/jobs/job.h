@@ -36,6 +36,7 @@ struct JobRequest {
   double exposure_stops = 0;  // of the PNG
   double time_limit = 0;      // seconds from a frame's start after which it is finished with what there is; 0 = none
   std::string name;           // for people; may be empty
+  std::string owner;          // who submitted it, by certificate or host; empty: unknown
   int priority = 0;           // higher ones first
   std::vector<std::string> after;  // jobs that must be done before this one begins
   // The submitter's word for this request: who submits it again gets the same job. Empty: none.
@@ -72,7 +73,7 @@ struct StageStatus {
 };
 
 struct JobStatus {
-  std::string id, name;
+  std::string id, name, owner;
   JobState state = JobState::queued;
   bool paused = false;
   int priority = 0;

@@ -23,7 +23,8 @@ namespace {
 constexpr Seconds job_rate_window = 60;
 
 // Tells requests apart: all that was asked, the ids of scenes included.
-std::string content_of(const JobRequest& request) {
+std::string content_of(JobRequest request) {
+  request.owner.clear();  // whoever asks
   Bytes bytes = encode_request(request);
   const Bytes frames = encode_frames(request);
   bytes.insert(bytes.end(), frames.begin(), frames.end());
@@ -140,6 +141,7 @@ void Farm::Impl::start_queued() {
     std::erase(queue, job);
     running.push_back(job);
     job->state = JobState::running;
+    if (job->frames_over() == 0 && job->started == 0) tell_job(*job, "started");
     job->started = now();
     job->progress = FrameProgress(job->started, static_cast<double>(job->frames_over()), job_rate_window);
     update_progress(*job, job->started);
@@ -189,6 +191,7 @@ JobRemains Farm::Impl::end_job(Job& job, JobState state, const std::string& mess
   if (!stopping || state != JobState::cancelled) {
     journal_changed(job, state);
     forget_records(job);
+    tell_job(job, job_state_name(state), message);
   }
   settings.log("job " + job.id + " " + job_state_name(state) + (message.empty() ? "" : ": " + message));
   changed(job);
@@ -239,6 +242,17 @@ std::shared_ptr<Job> Farm::Impl::submitted_before(const JobRequest& request) con
   return job;
 }
 
+void Farm::Impl::check_jobs_of(const std::string& owner) const {
+  if (settings.jobs_an_owner == 0 || owner.empty()) return;
+  const auto waiting =
+      static_cast<std::size_t>(std::count_if(order.begin(), order.end(), [&](const std::shared_ptr<Job>& job) {
+        return !ended(job->state) && job->request.owner == owner;
+      }));
+  if (waiting >= settings.jobs_an_owner)
+    throw LimitReached(owner + " has " + std::to_string(waiting) +
+                       " jobs that run or wait, which is this coordinator's limit: try again when one has ended");
+}
+
 std::string Farm::submit(const JobRequest& submitted) {
   JobRequest request = submitted;
   std::unique_lock<std::mutex> one_at_a_time;
@@ -253,6 +267,7 @@ std::string Farm::submit(const JobRequest& submitted) {
   std::unique_lock lock(impl_->mutex);
   for (const std::string& other : request.after)
     if (!impl_->find(other)) throw Error::usage("no job " + other + ", after which it is to begin");
+  impl_->check_jobs_of(request.owner);
   do job->id = new_job_id();
   while (impl_->jobs.count(job->id));
   job->accepted = impl_->now();
@@ -265,6 +280,7 @@ std::string Farm::submit(const JobRequest& submitted) {
   impl_->put_in_queue(job);
   impl_->settings.log("job " + job->id + " accepted: " + request.scene_name + ", " + request.settings.method + ", " +
                       std::to_string(request.settings.width) + "x" + std::to_string(request.settings.height));
+  impl_->tell_job(*job, "submitted");
   impl_->forget_ended();
   impl_->start_queued();
   return job->id;
@@ -276,11 +292,16 @@ std::optional<JobStatus> Farm::pause(const std::string& id, bool paused) {
   if (!job) return std::nullopt;
   if (ended(job->state) || job->cancel || job->paused == paused) return status_of(*job, impl_->now());
   job->paused = paused;
-  for (const auto& [place, frame] : job->frames)
+  if (paused) job->paused_since = impl_->now();
+  for (const auto& [place, frame] : job->frames) {
+    if (!paused) frame->begun += impl_->now() - job->paused_since;  // its time limit does not run meanwhile
     for (const auto& stage : frame->stages)
       if (!stage->delivered) impl_->settle_pause(*stage);
+    frame->events.notify_all();
+  }
   impl_->journal_changed(*job, job->state);
   impl_->settings.log("job " + id + (paused ? " paused" : " resumed"));
+  impl_->tell_job(*job, paused ? "paused" : "resumed");
   impl_->changed(*job);
   impl_->start_queued();
   return status_of(*job, impl_->now());
@@ -294,6 +315,7 @@ std::optional<JobStatus> Farm::retry(const std::string& id) {
     throw Error::usage("job " + id + " is " + job_state_name(old->state) + ": only what failed or was cancelled " +
                        "can be tried again");
   JobRequest request = old->request;
+  impl_->check_jobs_of(request.owner);
   lock.unlock();
   decode_frames(impl_->journal_frames(*old), request);
   // A job of its own: a plan of the old one may still compute.
@@ -313,6 +335,7 @@ std::optional<JobStatus> Farm::retry(const std::string& id) {
   impl_->jobs[id] = job;
   impl_->put_in_queue(job);
   impl_->settings.log("job " + id + " is tried again");
+  impl_->tell_job(*job, "retried");
   impl_->changed(*job);
   impl_->start_queued();
   return status_of(*job, impl_->now());

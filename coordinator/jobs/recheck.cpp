@@ -1,7 +1,8 @@
 // Workers that lie, or whose memory does. A share of the accepted batches, and each worker's first one of every kind of
 // stage, is computed again by another worker of the same kind, which makes the same bytes. Where the two differ a third
 // one decides. Who is outvoted gets no more work, and what it made is computed again: a frame that rests on it begins
-// anew, with the ranges that others made and that rest on no other stage's records.
+// anew, with the ranges that others made and that rest on no other stage's records. Of records that stay with their
+// workers digests are compared.
 //
 // A worker that lies in n of its batches is found with a probability of 1 - (1 - share)^n, and surely where it lies in
 // the first one.
@@ -47,7 +48,7 @@ std::string digest_of(const Bytes& bytes) {
 }
 
 bool Farm::Impl::wants_recheck(const RunningStage& stage, Worker& worker) {
-  if (!(settings.recheck_share > 0) || stage.retained()) return false;
+  if (!(settings.recheck_share > 0)) return false;
   // A solo stage is the whole of its work: it is done twice by chance alone.
   const bool first = !stage.spec.solo && !worker.rechecked_kinds.contains(stage.spec.kind);
   if (!first && std::uniform_real_distribution<double>(0, 1)(random) >= settings.recheck_share) return false;
@@ -91,6 +92,7 @@ bool Farm::Impl::ask_another(Frame& frame, const RunningStage& like, std::unique
   stage->work = like.work;
   stage->artifact = like.artifact;
   stage->reads = like.reads;
+  stage->again = {what->items};
   stage->recheck = std::move(what);
   // Who has never answered anything may not answer this either.
   const bool some_proven = std::any_of(asked.begin(), asked.end(), [&](WorkerId id) { return scheduler.proven(id); });
@@ -102,7 +104,8 @@ bool Farm::Impl::ask_another(Frame& frame, const RunningStage& like, std::unique
                            .tile = static_cast<std::uint32_t>(items.count),  // in one piece
                            .solo = stage->spec.solo,
                            .at_once = true,
-                           .priority = with_priority(stage->spec.priority + 1, stage->frame->job->request),
+                           .priority = with_priority(like.computes_again ? like.spec.priority : like.spec.priority + 1,
+                                                     stage->frame->job->request),
                            .preferred = {},
                            .only = {{items.first, items.count}},
                            .avoid = stage->avoid,
@@ -110,7 +113,10 @@ bool Farm::Impl::ask_another(Frame& frame, const RunningStage& like, std::unique
   stage->id = scheduler.add_stage(scheduled, now());
   active_stages[stage->id] = stage;
   frame.rechecks.push_back(stage);
-  offer_to_unserved_soon();
+  hold_inputs(*stage);
+  require_inputs(*stage);
+  pause_if_inputs_lack(*stage);
+  settle_pause(*stage);
   return true;
 }
 
@@ -119,11 +125,24 @@ void Farm::Impl::end_recheck(const std::shared_ptr<RunningStage>& stage) {
   revoke(scheduler.remove_stage(stage->id));
   active_stages.erase(stage->id);
   std::erase(stage->frame->rechecks, stage);
+  release_inputs(*stage);
   stage->frame->events.notify_all();
 }
 
-void Farm::Impl::take_recheck(const std::shared_ptr<RunningStage>& stage, const Worker& worker, std::string digest) {
-  if (stage->delivered) return;
+void Farm::Impl::take_recheck(const std::shared_ptr<RunningStage>& stage, Worker& worker, const std::string& digest,
+                              const std::optional<BatchOutput::Retained>& part) {
+  hold_inputs(*stage);  // whoever is asked next reads them too
+  const std::string accepted = stage->recheck->answers.front().digest;
+  compare_answers(stage, worker, digest);
+  // What equals the accepted part is a copy of it, for readers to choose from.
+  if (part && digest == accepted)
+    take_part(*stage, worker, part->items, *part);
+  else if (part)
+    worker.session->drop_part(part->artifact, part->items.first, digest);
+  release_inputs(*stage);
+}
+
+void Farm::Impl::compare_answers(const std::shared_ptr<RunningStage>& stage, const Worker& worker, std::string digest) {
   Frame& frame = *stage->frame;
   auto recheck = std::make_unique<Recheck>(*stage->recheck);
   end_recheck(stage);
@@ -164,6 +183,7 @@ void Farm::Impl::drop_hopeless_rechecks() {
 }
 
 void Farm::Impl::distrust(WorkerId liar, const std::string& why) {
+  if (liars.contains(liar)) return;  // frames begun since then have nothing of it
   ++totals.liars_found;
   const std::string name = name_of(liar);
   quarantine(liar, why);

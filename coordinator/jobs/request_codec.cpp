@@ -105,6 +105,7 @@ Bytes encode_request(const JobRequest& request) {
                {"frame_step", request.frame_step},
                {"numbers", request.numbers},
                {"name", binary(request.name)},
+               {"owner", binary(request.owner)},
                {"priority", request.priority},
                {"after", after},
                {"request_id", binary(request.request_id)},
@@ -142,6 +143,7 @@ JobRequest decode_request(std::span<const std::byte> bytes) {
     // Requests of earlier versions have none of these.
     request.numbers = value.value("numbers", request.numbers);
     request.name = text_at(value, "name");
+    request.owner = text_at(value, "owner");
     request.priority = value.value("priority", request.priority);
     if (const auto after = value.find("after"); after != value.end())
       for (const json& job : *after) request.after.push_back(text_of(job));

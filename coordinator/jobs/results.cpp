@@ -139,8 +139,7 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutp
   }
   held.stop();
   std::optional<std::uint64_t> on_file;
-  if (stage->recheck || stage->file || rechecked)
-    on_file = put_on_record(stage, id, lease, output.image, rechecked, lock);
+  if (stage->recheck || stage->file || rechecked) on_file = put_on_record(stage, id, lease, output, rechecked, lock);
   if (stage->recheck) return outcome.verdict;
   if (stage->streamed())
     stream_in(*stage, lease, std::move(output.image), on_file, lock);
@@ -154,23 +153,27 @@ Verdict Farm::Impl::result(WorkerId id, LeaseId lease_id, Epoch epoch, BatchOutp
 }
 
 std::optional<std::uint64_t> Farm::Impl::put_on_record(const std::shared_ptr<RunningStage>& stage, WorkerId id,
-                                                       const Lease& lease, const Bytes& image, bool rechecked,
+                                                       const Lease& lease, const BatchOutput& output, bool rechecked,
                                                        std::unique_lock<std::mutex>& lock) {
   ++stage->writers;  // the stage is not whole before this batch is put away
   const Bytes facts = stage->facts;
   lock.unlock();
-  const std::string digest = digest_of(image);
+  const std::string digest = output.part ? output.part->digest : digest_of(output.image);
   std::optional<JournalRange> range;
-  if (stage->file) range = store(*stage, lease, image, facts, digest);
+  if (stage->file) range = store(*stage, lease, output.image, facts, digest);
   lock.lock();
   --stage->writers;
-  if (stage->delivered) return std::nullopt;  // the frame is over, or begins again
+  const auto worker = workers.find(id);
+  if (stage->delivered) {  // the frame is over, or begins again
+    if (stage->recheck && output.part && worker != workers.end())
+      worker->second.session->drop_part(output.part->artifact, lease.first, digest);
+    return std::nullopt;
+  }
   std::optional<std::uint64_t> offset;
   if (range) offset = range->offset;
   if (range) remember(*stage, id, std::move(*range));
   if (rechecked) recheck(stage, id, lease, digest);
-  if (stage->recheck)
-    if (const auto worker = workers.find(id); worker != workers.end()) take_recheck(stage, worker->second, digest);
+  if (stage->recheck && worker != workers.end()) take_recheck(stage, worker->second, digest, output.part);
   return offset;
 }
 

@@ -154,13 +154,13 @@ void Farm::Impl::settle_retained() {
     }
     bool being_made = false;
     for (const auto& [stage_id, stage] : active_stages)
-      being_made = being_made || (stage->artifact == id && !stage->computes_again && !stage->complete);
+      being_made = being_made || (stage->artifact == id && stage->makes_output() && !stage->complete);
     if (!at->second.frames.empty()) compute_again(**at->second.frames.begin(), id, missing(id, being_made));
   }
   std::vector<std::shared_ptr<RunningStage>> stages;
   for (const auto& [id, stage] : active_stages) stages.push_back(stage);
   for (const auto& stage : stages)
-    if (stage->computes_again) require_inputs(*stage);
+    if (stage->computes_again || stage->recheck) require_inputs(*stage);
   for (const auto& stage : stages) pause_if_inputs_lack(*stage);
 }
 
@@ -218,9 +218,14 @@ void Farm::Impl::start_again(Frame& frame, const ArtifactId& id, std::vector<Ite
   for (const ItemRange& range : stage->again) stage->report.items += range.count;
   settings.log("job " + frame.job->id + ": stage " + recipe->spec.name + ": " + std::to_string(stage->report.items) +
                " items are computed again");
-  // What it reads may have been released meanwhile: it is needed again, as far as these items read it.
-  for (std::size_t i = 0; i < stage->reads.size(); ++i) {
-    const auto& input = stage->reads[i];
+  hold_inputs(*stage);
+  start(stage);
+  require_inputs(*stage);
+}
+
+// What the stage reads may have been released meanwhile: it is needed again, as far as the stage's items read it.
+void Farm::Impl::hold_inputs(const RunningStage& stage) {
+  for (const auto& input : stage.reads) {
     if (!input) continue;
     RetainedArtifact& artifact = retained[input->id];
     if (!artifact.recipe) artifact.recipe = input;
@@ -228,8 +233,14 @@ void Farm::Impl::start_again(Frame& frame, const ArtifactId& id, std::vector<Ite
     registry.take(input->id);
     registry.add(input->id, layout_of(input->spec));
   }
-  start(stage);
-  require_inputs(*stage);
+}
+
+void Farm::Impl::release_inputs(const RunningStage& stage) {
+  for (const auto& input : stage.reads) {
+    if (!input) continue;
+    if (auto at = retained.find(input->id); at != retained.end() && at->second.readers > 0) --at->second.readers;
+    release_if_unused(input->id);
+  }
 }
 
 // What the stage reads and nobody holds is computed again too, if nobody does it already.
@@ -251,7 +262,7 @@ void Farm::Impl::require_inputs(const RunningStage& stage) {
 // Some stage that runs makes these items.
 bool Farm::Impl::is_computed(const ArtifactId& id, const ItemRange& items) const {
   for (const auto& [stage_id, stage] : active_stages) {
-    if (stage->artifact != id) continue;
+    if (stage->artifact != id || stage->recheck) continue;
     if (stage->again.empty() && !stage->complete) return true;
     for (const ItemRange& again : stage->again)
       if (overlap(again, items)) return true;
@@ -264,11 +275,7 @@ void Farm::Impl::end_again(const std::shared_ptr<RunningStage>& stage) {
   if (stage->last_result >= 0) stage->report.seconds = stage->last_result - stage->first_lease;
   revoke(scheduler.remove_stage(stage->id));
   active_stages.erase(stage->id);
-  for (const auto& input : stage->reads) {
-    if (!input) continue;
-    if (auto at = retained.find(input->id); at != retained.end() && at->second.readers > 0) --at->second.readers;
-    release_if_unused(input->id);
-  }
+  release_inputs(*stage);
 }
 
 // --- Parts (mutex held)
@@ -307,7 +314,7 @@ void Farm::Impl::take_part(const RunningStage& stage, Worker& worker, const Item
     worker.session->drop_part(id, items.first, sent.digest);
   }
   made_part(id);
-  for (const WorkerId liar : outcome.outvoted) quarantine(liar, what + ": made other records than two others");
+  for (const WorkerId liar : outcome.outvoted) distrust(liar, what + ": made other records than two others");
 }
 
 // Nothing that it made counts any more: its parts are lost, its leases go to others, and it gets none. It stays
@@ -325,6 +332,7 @@ void Farm::Impl::quarantine(WorkerId id, const std::string& why) {
   scheduler.worker_lost(id, now());
   worker.draining = true;
   worker.aside = why;
+  tell_worker(worker, "aside", why);
   unserved.erase(id);
   lose_parts(id);
   drop_hopeless_rechecks();
@@ -350,7 +358,7 @@ void Farm::Impl::made_part(const ArtifactId& id) {
   std::vector<std::shared_ptr<RunningStage>> makers;
   for (const auto& [stage_id, stage] : active_stages) {
     if (stage->paused) pause_if_inputs_lack(*stage);
-    if (stage->artifact == id && !stage->computes_again) makers.push_back(stage);
+    if (stage->artifact == id && stage->makes_output()) makers.push_back(stage);
   }
   for (const auto& maker : makers) deliver_if_complete(maker);
 }

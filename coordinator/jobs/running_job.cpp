@@ -82,6 +82,7 @@ void add_frames(const Job& job, JobStatus& status) {
 JobStatus status_of(const Job& job, Seconds now) {
   JobStatus status;
   status.id = job.id;
+  status.owner = job.request.owner;
   status.name = job.request.name;
   status.paused = job.paused;
   status.priority = job.request.priority;

@@ -27,7 +27,8 @@ struct Job : std::enable_shared_from_this<Job> {
   std::uint64_t memory = 0;  // predicted bytes of a frame's plan
   double submitted_unix_seconds = 0;
   bool cancel = false;
-  bool paused = false;    // nothing of it is handed out
+  bool paused = false;  // nothing of it is handed out
+  Seconds paused_since = 0;
   bool restored = false;  // from the journal
 
   std::map<std::uint64_t, std::shared_ptr<Frame>> frames;       // that run, by the place at which they began

@@ -86,6 +86,7 @@ void Farm::Impl::lose(WorkerId id, const std::string& why) {
   scheduler.worker_lost(id, now());
   settings.log("worker " + found->second.name + " is gone" + (why.empty() ? "" : ": " + why) + "; it held " +
                std::to_string(found->second.leases.size()) + " batches");
+  tell_worker(found->second, "left", why);
   for (Epoch epoch : std::set<Epoch>(found->second.leases)) leases.erase(epoch);
   if (!why.empty()) found->second.session->close(why);
   tokens.erase(found->second.hello.token);
@@ -160,6 +161,7 @@ Farm::Joined Farm::join(const WorkerHello& hello, std::shared_ptr<WorkerSession>
   Worker& stored = impl_->workers[id] = std::move(worker);
   if (!hello.token.empty()) impl_->tokens[hello.token] = id;
   impl_->settings.log("worker " + name + " joined: " + hello.device.name + ", " + hello.device.tracer);
+  impl_->tell_worker(stored, "joined");
   impl_->scheduler.worker_joined(id, impl_->now());
   stored.session->welcome(name);
   impl_->offer(stored);
@@ -188,7 +190,7 @@ void Farm::drain(WorkerId id) {
   std::lock_guard lock(impl_->mutex);
   auto worker = impl_->workers.find(id);
   if (worker == impl_->workers.end()) return;
-  worker->second.draining = true;
+  if (!std::exchange(worker->second.draining, true)) impl_->tell_worker(worker->second, "draining");
   impl_->unserved.erase(id);
   impl_->scheduler.worker_draining(id);
   worker->second.session->drain();

@@ -4,9 +4,9 @@
 #include <span>
 #include <system_error>
 
-#include "coordinator/film/atomic_file.h"
 #include "coordinator/film/write.h"
 #include "coordinator/jobs/engine.h"
+#include "proto/atomic_file.h"
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {

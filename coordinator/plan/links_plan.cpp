@@ -23,6 +23,8 @@ using Artifact = Graph::Artifact;
 // Stages of links wait for each other, the paths for nothing: paths fill what the others leave free.
 constexpr int kFirst = 1;
 constexpr Extent kOwnItems = Extent::own_items;
+// What links follow from: neither lights, nor what glows, nor colours.
+constexpr unsigned kShapes = kGeometry | kMaterials;
 // Points at which an element's albedo is read.
 constexpr std::uint32_t kAlbedoSamples = 16;
 // Bounces go on until all that are left would add less than this share of the light.
@@ -38,7 +40,7 @@ constexpr float kWavesOfScene = 6.0f;
 struct LinksSettings {
   std::uint32_t vertices, directions, light_samples, bounces;
   double smooth_angle;  // degrees
-  bool refine, compress, exact;
+  bool refine, compress, exact, solo_exchange;
 };
 
 LinksSettings read_settings(const FrameSettings& settings) {
@@ -52,7 +54,8 @@ LinksSettings read_settings(const FrameSettings& settings) {
           .smooth_angle = real_setting(settings, "links.smooth_angle").value_or(0),
           .refine = flag_setting(settings, "links.refine").value_or(true),
           .compress = flag_setting(settings, "links.compress").value_or(true),
-          .exact = flag_setting(settings, "links.exact_weights").value_or(false)};
+          .exact = flag_setting(settings, "links.exact_weights").value_or(false),
+          .solo_exchange = flag_setting(settings, "links.solo_exchange").value_or(false)};
 }
 
 void check(const FrameSettings& settings) {
@@ -137,7 +140,7 @@ class LinksPlan final : public GraphPlan {
   Artifact ask_probe(const std::string& name, const Artifact& mesh, std::uint32_t directions);
   void link(const LinksMeshFacts& facts);
   void gather(std::uint32_t bounce);
-  bool is_enough(std::uint32_t bounce, const LinksFluxFacts& facts);
+  void exchange();
   void shade(const Artifact& gathered);
   LinksParameters element_parameters() const;
   StageSpec elements(const std::string& name, const char* kind, unsigned scene_parts, const StageOutput& output,
@@ -146,14 +149,14 @@ class LinksPlan final : public GraphPlan {
   FrameSettings settings_;
   LinksSettings links_;
   PathSampler paths_;
-  std::uint32_t most_bounces_ = 0, bounces_ = 0, elements_ = 0;
+  std::uint32_t most_bounces_ = 0, elements_ = 0;
   std::uint64_t link_words_ = 0;
   double triangles_ = 0;  // of the scene
   bool linked_ = false;   // the mesh is known
   float wave_ = 0;        // 1/m
   LinksMeshFacts mesh_facts_{};
   Artifact mesh_, probe_, albedo_, made_, light_, sent_;
-  double grown_ = 0, left_ = 0;  // by the last bounce, W; the share that bounces to come would add
+  LinksBounces bounces_;
 };
 
 void LinksPlan::begin() {
@@ -189,7 +192,7 @@ Artifact LinksPlan::ask_mesh(const std::string& name, std::uint32_t vertices, st
                  .kind = "links_mesh",
                  .items = 1,
                  .solo = true,
-                 .scene_parts = kSurfaces,
+                 .scene_parts = kGeometry,
                  .priority = kFirst,
                  .output = reusable(retained_words(0xffffffffu))};
   return graph_.add(std::move(mesh), LinksMeshParameters{vertices, {}}, std::move(inputs));
@@ -213,7 +216,7 @@ Graph::Artifact LinksPlan::ask_probe(const std::string& name, const Artifact& me
   LinksParameters p = element_parameters();
   p.directions = directions;
   p.wave = wave_;
-  return graph_.add(elements(name, "links_probe", kSurfaces, reusable(retained(PROBE_WORDS * 4)), directions), p,
+  return graph_.add(elements(name, "links_probe", kShapes, reusable(retained(PROBE_WORDS * 4)), directions), p,
                     {{"mesh", mesh}});
 }
 
@@ -252,13 +255,14 @@ void LinksPlan::link(const LinksMeshFacts& facts) {
   probe_ = ask_probe("links.probe", mesh_, kInsideDirections);
   LinksParameters p = element_parameters();
   p.samples = kAlbedoSamples;
-  albedo_ = graph_.add(elements("links.albedo", "links_albedo", kSurfaces, reusable(retained(ALBEDO_WORDS * 4)), 1), p,
-                       {{"mesh", mesh_}});
+  albedo_ =
+      graph_.add(elements("links.albedo", "links_albedo", kShapes | kColors, reusable(retained(ALBEDO_WORDS * 4)), 1),
+                 p, {{"mesh", mesh_}});
   p = element_parameters();
   p.directions = links_.directions;
   p.compress = links_.compress;
   p.exact = links_.exact;
-  made_ = graph_.add(elements("links.make", "links_make", kSurfaces,
+  made_ = graph_.add(elements("links.make", "links_make", kShapes,
                               reusable(retained_words(std::uint64_t{6} * links_.directions)), links_.directions),
                      p, {{"mesh", mesh_}, {"probe", probe_}});
   p = element_parameters();
@@ -268,7 +272,27 @@ void LinksPlan::link(const LinksMeshFacts& facts) {
                       p, {{"mesh", mesh_}, {"albedo", albedo_}});
   sent_ = light_;
   graph_.when({made_}, [this, made = made_] { link_words_ = made.record_count(); });
-  gather(1);
+  if (links_.solo_exchange)
+    exchange();
+  else
+    gather(1);
+}
+
+// All bounces on one worker, which fetches the links that others made.
+void LinksPlan::exchange() {
+  StageSpec all = elements("links.exchange", "links_exchange", kNoScene, reusable(retained(RADIOSITY_WORDS * 4)),
+                           std::min(most_bounces_, kUsualBounces));
+  all.solo = true;
+  const LinksExchangeParameters p{elements_, links_.exact ? 1u : 0u, most_bounces_,
+                                  links_.bounces ? 0.0f : static_cast<float>(kLeastShare)};
+  const Artifact exchanged =
+      graph_.add(std::move(all), p, {{"mesh", mesh_}, {"links", made_}, {"light", light_}, {"albedo", albedo_}});
+  graph_.when({exchanged}, [this, exchanged] {
+    const auto facts = exchanged.facts<LinksExchangeFacts>();
+    bounces_.done = facts.bounces;
+    bounces_.left = facts.left;
+    shade(exchanged);
+  });
 }
 
 void LinksPlan::gather(std::uint32_t bounce) {
@@ -285,7 +309,7 @@ void LinksPlan::gather(std::uint32_t bounce) {
     return;
   }
   if (bounce == most_bounces_) {
-    bounces_ = bounce;
+    bounces_.done = bounce;
     shade(sent_);
     return;
   }
@@ -299,22 +323,11 @@ void LinksPlan::gather(std::uint32_t bounce) {
   const Artifact measured = graph_.add(std::move(flux), LinksFluxParameters{elements_, {}},
                                        {{"mesh", mesh_}, {"radiosity", sent_}, {"before", before}});
   graph_.when({measured}, [this, bounce, measured] {
-    if (is_enough(bounce, measured.facts<LinksFluxFacts>())) {
-      bounces_ = bounce;
+    if (bounces_.is_enough(measured.facts<LinksFluxFacts>(), double{static_cast<float>(kLeastShare)}))
       shade(sent_);
-    } else {
+    else
       gather(bounce + 1);
-    }
   });
-}
-
-// Bounces shrink by a ratio that soon is steady: what is left of them is a geometric series.
-bool LinksPlan::is_enough(std::uint32_t bounce, const LinksFluxFacts& facts) {
-  if (!(facts.flux > 0)) return true;
-  const double ratio = bounce > 1 && grown_ > 0 ? std::clamp(facts.grown / grown_, 0.0, 0.99) : 0.5;
-  grown_ = facts.grown;
-  left_ = facts.grown / facts.flux * ratio / (1 - ratio);
-  return bounce > 1 && left_ < kLeastShare;
 }
 
 // What pixels see is smoothed; what flows over the links is not.
@@ -323,7 +336,7 @@ void LinksPlan::shade(const Artifact& gathered) {
   LinksSmoothParameters smooth{};
   smooth.elements = elements_;
   smooth.least_cosine = smooths ? static_cast<float>(std::cos(links_.smooth_angle * std::numbers::pi / 180)) : 2.0f;
-  StageSpec smoothing = elements("links.smooth", "links_smooth", kNoScene, retained(RADIOSITY_WORDS * 4), 0);
+  StageSpec smoothing = elements("links.smooth", "links_smooth", kNoScene, reusable(retained(RADIOSITY_WORDS * 4)), 0);
   smoothing.solo = true;
   const Artifact irradiance =
       graph_.add(std::move(smoothing), smooth, {{"mesh", mesh_}, {"probe", probe_}, {"irradiance", gathered}});
@@ -357,8 +370,8 @@ std::string LinksPlan::parameters_json() const {
                    {"triangles_divided", mesh_facts_.divided},
                    {"directions", links_.directions},
                    {"light_samples", links_.light_samples},
-                   {"bounces", bounces_},
-                   {"left_after_bounces", left_},
+                   {"bounces", bounces_.done},
+                   {"left_after_bounces", bounces_.left},
                    {"rays", std::uint64_t{elements_} * links_.directions},
                    {"bytes", link_words_ * 4}};
   return json.dump();
@@ -377,9 +390,11 @@ std::vector<std::string> LinksPlan::outline() const {
     lines.push_back("links.albedo: what each side of them reflects, split");
     lines.push_back("links.make: " + std::to_string(links_.directions) + " directions of each side, split");
     lines.push_back("links.light: " + std::to_string(links_.light_samples) + " light samples of each side, split");
-    lines.push_back("links.gather.1 and on: a bounce each, split: " +
-                    (links_.bounces ? std::to_string(most_bounces_)
-                                    : "until the next would hardly be seen, at most " + std::to_string(most_bounces_)));
+    const std::string bounces = links_.bounces
+                                    ? std::to_string(most_bounces_)
+                                    : "until the next would hardly be seen, at most " + std::to_string(most_bounces_);
+    lines.push_back(links_.solo_exchange ? "links.exchange: bounces, solo: " + bounces
+                                         : "links.gather.1 and on: a bounce each, split: " + bounces);
     lines.push_back("links.smooth: " +
                     (links_.smooth_angle > 0 ? "within edges of " + std::to_string(links_.smooth_angle) + " degrees"
                                              : std::string("vertices that hang on edges")) +
@@ -416,6 +431,8 @@ Method links_method() {
            "shadow rays of each side of a vertex, a multiple of 16"},
           {"links.bounces", whole, 0, 1024, "0",
            "bounces of indirect light; 0: until what is left would add less than a thousandth"},
+          {"links.solo_exchange", flag, 0, 1, "0; in a session 1",
+           "1: one worker exchanges all bounces, to which the links travel once; 0: each bounce is shared out"},
           {"links.compress", flag, 0, 1, "1", "0: links of the same ends are kept apart"},
           {"links.exact_weights", flag, 0, 1, "0", "1: weights are floats instead of 16 bits"},
       }};

@@ -45,18 +45,25 @@ struct StageOutput {
 enum SceneParts : std::uint8_t {
   kNoScene = 0,
   kGeometry = 1,
-  kMaterials = 2,                      // with what shines of them
-  kLights = 4,                         // that are no surfaces
-  kSurfaces = kGeometry | kMaterials,  // what can be seen of what
-  kWholeScene = kGeometry | kMaterials | kLights,
+  kMaterials = 2,  // how they scatter, without base colours
+  kLights = 4,     // that are no surfaces
+  kColors = 8,     // base colours of materials, without alpha
+  kEmission = 16,  // what materials emit
+  kSurfaces = kGeometry | kMaterials | kColors | kEmission,
+  kWholeScene = kSurfaces | kLights,
 };
+
+// Programs of stages that read light are compiled for the lights there are; those of all others know none
+// (worker: StageKind::reads_light)
+constexpr bool reads_light(unsigned parts) { return (parts & (kLights | kEmission)) != 0; }
 
 // Names a scene, part by part, for the names of what is made of it (artifact_id). Of a scene that is a base in a state:
 // its blob, and what the state says otherwise.
 struct SceneLineage {
-  std::string base;                         // id of the scene's blob
-  std::string geometry, materials, lights;  // digests of what a state says of them; empty: they are the base's
-  // How many of its lights shine: programs of kernels differ in that, whatever they read.
+  std::string base;  // id of the scene's blob
+  // Digests of what a state says of the parts; empty: they are the base's.
+  std::string geometry, materials, lights, colors, emission;
+  // How many of its lights and which of its materials shine: programs that read light differ in that.
   std::string shining;
 
   SceneLineage() = default;
@@ -68,10 +75,16 @@ struct SceneLineage {
   std::string of(unsigned parts) const {
     if (parts == kNoScene) return {};
     std::string name = base;
-    if (parts & kGeometry && !geometry.empty()) name += "+geometry " + geometry;
-    if (parts & kMaterials && !materials.empty()) name += "+materials " + materials;
-    if (parts & kLights && !lights.empty()) name += "+lights " + lights;
-    return shining.empty() ? name : name + "+shining " + shining;
+    const auto add = [&](SceneParts part, const char* word, const std::string& digest) {
+      if (parts & part && !digest.empty()) name.append("+").append(word).append(" ").append(digest);
+    };
+    add(kGeometry, "geometry", geometry);
+    add(kMaterials, "materials", materials);
+    add(kLights, "lights", lights);
+    add(kColors, "colors", colors);
+    add(kEmission, "emission", emission);
+    if (reads_light(parts) && !shining.empty()) name.append("+shining ").append(shining);
+    return name;
   }
 };
 

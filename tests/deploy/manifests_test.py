@@ -46,12 +46,55 @@ def option_complaints(where, words):
 # ------------------------------------------------------------------------------------------------ docker compose
 
 
-def read_compose():
-    text = (DEPLOY / "docker-compose.yml").read_text()
+def read_compose(file="docker-compose.yml"):
+    text = (DEPLOY / file).read_text()
     text = re.sub(r"\$\{[A-Z_]+:-([^}]*)\}", r"\1", text)
     if "${" in text:
-        raise ValueError("docker-compose.yml: expected a default for every variable")
+        raise ValueError(f"{file}: expected a default for every variable")
     return yaml.safe_load(text)
+
+
+def merged(below, above):
+    """As docker compose and kustomize do it: maps by key, lists of named things by name, other lists one behind the other."""
+    if isinstance(below, dict) and isinstance(above, dict):
+        both = dict(below)
+        for key, value in above.items():
+            if value is None:  # what it names is taken out; a volume without options is named by itself
+                both = {name: one for name, one in both.items() if name != key} if both.get(key) else {**both, key: None}
+            else:
+                both[key] = merged(both[key], value) if key in both else value
+        return both
+    if isinstance(below, list) and isinstance(above, list):
+        if not all(isinstance(one, dict) and "name" in one for one in below + above):
+            return below + above
+        names = {one["name"]: one for one in below}
+        for one in above:
+            names[one["name"]] = merged(names.get(one["name"], {}), one)
+        return list(names.values())
+    return above
+
+
+def read_compose_with_keys():
+    return merged(read_compose(), read_compose("docker-compose.keys.yml"))
+
+
+def compose_keys_complaints(compose):
+    """Each part gets its own keys and no others; the authority's stay with who makes them."""
+    found = compose_complaints(compose)
+    services = compose["services"]
+    mounts = {name: [volume.split(":") for volume in service["volumes"]] for name, service in services.items()}
+    for name, volume in (("coordinator", "coordinator-keys"), ("worker", "worker-keys"), ("gleaner", "person-keys")):
+        if services[name].get("environment", {}).get("GLEANER_KEYS") != "/keys":
+            found.append(f"{name}: expected GLEANER_KEYS")
+        if [mount for mount in mounts[name] if mount[1] == "/keys"] != [[volume, "/keys", "ro"]]:
+            found.append(f"{name}: expected {volume} at /keys, read-only")
+        if any(mount[0] == "authority" for mount in mounts[name]):
+            found.append(f"{name}: the authority's key is open to it")
+    if services["coordinator"]["depends_on"].get("keys", {}).get("condition") != "service_completed_successfully":
+        found.append("coordinator: starts before there are keys")
+    if services["keys"].get("network_mode") != "none":
+        found.append("keys: needs no network")
+    return found
 
 
 def compose_complaints(compose):
@@ -108,6 +151,39 @@ def read_kubernetes():
     for file in yaml.safe_load((DEPLOY / "kubernetes/kustomization.yaml").read_text())["resources"]:
         objects += [one for one in yaml.safe_load_all((DEPLOY / "kubernetes" / file).read_text())]
     return objects
+
+
+def read_kubernetes_with_keys():
+    folder = DEPLOY / "kubernetes-keys"
+    objects = {(one["kind"], one["metadata"]["name"]): one for one in read_kubernetes()}
+    overlay = yaml.safe_load((folder / "kustomization.yaml").read_text())
+    if overlay["resources"] != ["../kubernetes"]:
+        raise ValueError(f"kubernetes-keys: expected it to begin with ../kubernetes, found {overlay['resources']}")
+    for patch in overlay["patches"]:
+        above = yaml.safe_load((folder / patch["path"]).read_text())
+        name = (above["kind"], above["metadata"]["name"])
+        objects[name] = merged(objects[name], above)
+    return list(objects.values())
+
+
+def kubernetes_keys_complaints(objects):
+    found = kubernetes_complaints(objects)
+    for one in objects:
+        if one["kind"] not in ("Deployment", "StatefulSet"):
+            continue
+        name = one["metadata"]["name"]
+        pod = one["spec"]["template"]["spec"]
+        container = pod["containers"][0]
+        if {"name": "GLEANER_KEYS", "value": "/keys"} not in container.get("env", []):
+            found.append(f"{name}: expected GLEANER_KEYS")
+        if {"name": "keys", "mountPath": "/keys", "readOnly": True} not in container["volumeMounts"]:
+            found.append(f"{name}: expected keys at /keys, read-only")
+        secrets = [volume["secret"]["secretName"] for volume in pod["volumes"] if "secret" in volume]
+        if secrets != [f"{name}-keys"]:
+            found.append(f"{name}: expected the secret {name}-keys alone, found {secrets}")
+        if "grpc" in container.get("readinessProbe", {}):
+            found.append(f"{name}: the kubelet has no certificate to call it with")
+    return found
 
 
 def schema_complaints(objects):
@@ -304,6 +380,37 @@ class Manifests(unittest.TestCase):
                 (put(*services, "worker", "depends_on", {"coordinator": {"condition": "service_started"}}), "expected a healthy coordinator"),
                 (put(*services, "worker", "container_name", "worker"), "--scale"),
                 (put(*services, "coordinator", "build", "dockerfile", "Dockerfile"), "no file Dockerfile"),
+            ],
+        )
+
+    def test_compose_with_keys(self):
+        services = ("services",)
+        self.check(
+            read_compose_with_keys,
+            compose_keys_complaints,
+            [
+                (put(*services, "keys", "read_only", False), "keys.read_only"),
+                (drop(*services, "worker", "environment", "GLEANER_KEYS"), "worker: expected GLEANER_KEYS"),
+                (put(*services, "worker", "volumes", ["coordinator-keys:/keys:ro"]), "expected worker-keys at /keys"),
+                (put(*services, "gleaner", "volumes", ["person-keys:/keys:ro", "authority:/a"]), "the authority's key is open"),
+                (drop(*services, "coordinator", "depends_on", "keys"), "starts before there are keys"),
+                (drop(*services, "keys", "network_mode"), "needs no network"),
+                (drop("volumes", "person-keys"), "person-keys is not declared"),
+            ],
+        )
+
+    def test_kubernetes_with_keys(self):
+        index = {(one["kind"], one["metadata"]["name"]): i for i, one in enumerate(read_kubernetes_with_keys())}
+        worker = (index["Deployment", "worker"], "spec", "template", "spec")
+        coordinator = (index["StatefulSet", "coordinator"], "spec", "template", "spec")
+        self.check(
+            read_kubernetes_with_keys,
+            kubernetes_keys_complaints,
+            [
+                (drop(*worker, "containers", 0, "env"), "worker: expected GLEANER_KEYS"),
+                (put(*coordinator, "containers", 0, "volumeMounts", [{"name": "data", "mountPath": "/data"}]), "coordinator: expected keys at /keys"),
+                (put(*worker, "volumes", [{"name": "keys", "secret": {"secretName": "coordinator-keys"}}]), "worker: expected the secret"),
+                (put(*coordinator, "containers", 0, "readinessProbe", {"grpc": {"port": 8780}}), "the kubelet has no certificate"),
             ],
         )
 

@@ -579,8 +579,8 @@ TEST_F(Farm, KeysMakeAFarmOfEncryptedConnections) {
     ProcessFarm farm(folder("farm"), programs);
     farm.add_worker("w0");
     farm.add_worker("w1");
-    const json report = farm.finish(farm.submit(frame(16)));
-    EXPECT_EQ(report["pixels_sha256"], embedded_sha256(16));
+    const json report = farm.finish(farm.submit(frame(1024)));
+    EXPECT_EQ(report["pixels_sha256"], embedded_sha256(1024));
     EXPECT_THAT(farm.gleaner({"workers"}).out, HasSubstr("w1"));
     ::unsetenv("GLEANER_KEYS");
     const Ran stranger = farm.gleaner({"list"});
@@ -642,6 +642,54 @@ TEST_F(Farm, ReplayKnowsTheFramesOfATrajectory) {
   EXPECT_NE(record("vpl.shade.0", {"--frame", "7"}), first);
   for (const char* shared : {"vpl.points.2", "vpl.point_cluster"})
     EXPECT_EQ(record(shared, {"--frame", "7"}), record(shared, {})) << shared;
+}
+
+TEST_F(Farm, AWorkerOfEachDevice) {
+  ProcessFarm farm(folder("devices"), programs);
+  // PoCL makes as many devices as it is told.
+  Process workers({(programs / "gleaner-worker").string(), "--coordinator", farm.address(), "--name", "host",
+                   "--all-devices", "--threads", "1"},
+                  folder("all-workers"), {{"POCL_DEVICES", "basic basic"}, {"POCL_MAX_PTHREAD_COUNT", "1"}});
+  ASSERT_TRUE(farm.wait_for_workers(2)) << workers.err();
+  std::set<std::string> names;
+  for (const auto& worker : farm.workers()) names.insert(worker.id());
+  EXPECT_EQ(names, (std::set<std::string>{"host-0", "host-1"}));
+  const json report = farm.finish(farm.submit(frame(1024)));
+  EXPECT_EQ(report["pixels_sha256"], embedded_sha256(1024));
+  std::set<std::string> used;
+  for (const auto& stage : report["stages"])
+    for (const auto& [name, share] : stage["workers"].items()) used.insert(name);
+  EXPECT_EQ(used, names);
+  workers.signal(SIGTERM);
+  EXPECT_EQ(workers.wait(), 0);
+}
+
+// A render of many frames that is ended after some of them.
+TEST_F(Farm, ARenderThatIsEndedSaysWhatItWroteAndLeavesNothingElse) {
+  for (const int signal : {SIGKILL, SIGINT}) {
+    const fs::path out = folder("ended" + std::to_string(signal));
+    fs::create_directories(out);
+    Process render(
+        {(programs / "gleaner").string(), "render", scene().string(), "--size", "320x240", "--spp", "4", "--frames",
+         "1-2000", "--look-at", "0,1,3,0,1,0", "--seed", "1", "-o", (out / "f.####.exr").string()},
+        folder("render" + std::to_string(signal)));
+    ASSERT_TRUE(eventually([&] { return fs::exists(out / "f.0002.exr") || !render.running(); }, 120));
+    ASSERT_TRUE(render.running()) << render.err();
+    render.signal(signal);
+    const int status = render.wait();
+    EXPECT_NE(status, 0);
+    std::size_t pictures = 0;
+    for (const auto& entry : fs::directory_iterator(out)) {
+      const std::string name = entry.path().filename().string();
+      EXPECT_TRUE(name.starts_with("f.") && (name.ends_with(".exr") || name.ends_with(".png"))) << name;
+      pictures += name.ends_with(".exr");
+    }
+    EXPECT_GE(pictures, 2u);
+    if (signal == SIGINT) {
+      EXPECT_THAT(render.err(), HasSubstr("frames were written before"));
+      EXPECT_THAT(render.err(), Not(HasSubstr("nothing was written")));
+    }
+  }
 }
 
 TEST_F(Farm, HelpIsNoError) {

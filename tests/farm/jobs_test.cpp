@@ -411,6 +411,30 @@ TEST_F(FarmJobs, APausedJobHandsOutNothingAndLetsOthersRun) {
   EXPECT_EQ(report(farm, paused)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
 }
 
+TEST_F(FarmJobs, ATimeLimitDoesNotRunWhileTheJobIsPaused) {
+  std::atomic<double> time{0};
+  FarmSettings farm_settings = settings();
+  farm_settings.clock = [&] { return time.load(); };
+  farm_settings.silence = 1e9;
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  JobRequest limited = request();
+  limited.time_limit = 100;
+  const std::string job = farm.submit(limited);
+  auto offer = worker.next();
+  ASSERT_TRUE(offer);
+  ASSERT_TRUE(farm.pause(job, true));
+  time = 900;
+  worker.deliver(*offer, worker.compute(*offer, blobs_));
+  EXPECT_FALSE(ended(farm.status(job)->state));
+  farm.pause(job, false);
+  serve(farm, worker, job);
+  EXPECT_EQ(end_of(farm, job).state, JobState::done);
+  EXPECT_EQ(report(farm, job)["time_limit"]["reached"], false);
+  EXPECT_EQ(report(farm, job)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+}
+
 TEST_F(FarmJobs, AJobAfterOneThatIsNotThereIsRefused) {
   Farm farm(settings(), blobs_);
   JobRequest lost = request();

@@ -13,6 +13,7 @@
 #include <random>
 #include <set>
 
+#include "tests/farm/postgres_server.h"
 #include "tests/farm/processes.h"
 #include "tests/unit/import_files.h"
 
@@ -57,26 +58,41 @@ class Restart : public testing::Test {
 struct Kind {
   const char* method;
   unsigned workers;
+  bool postgres = false;  // the journal lies there
 };
 
 class RestartOf : public Restart, public testing::WithParamInterface<Kind> {
  protected:
   void SetUp() override {
     Restart::SetUp();
-    farm_ = std::make_unique<ProcessFarm>(folder_.path() / "farm", programs);
+    std::vector<std::string> options;
+    if (GetParam().postgres) {
+#ifndef GLEANER_POSTGRES
+      GTEST_SKIP() << "the coordinator was built without PostgreSQL";
+#endif
+      if (const std::string why = PostgresServer::missing(); !why.empty()) GTEST_SKIP() << why;
+      postgres_ = std::make_unique<PostgresServer>();
+      options = {"--journal", postgres_->address()};
+    }
+    farm_ = std::make_unique<ProcessFarm>(folder_.path() / "farm", programs, options);
     for (unsigned i = 0; i < GetParam().workers; ++i) farm_->add_worker("worker-" + std::to_string(i));
     ASSERT_TRUE(farm_->wait_for_workers(GetParam().workers));
     words_ = frame(GetParam().method, 512);
     whole_ = farm_->finish(farm_->submit(words_));
   }
 
+  std::unique_ptr<PostgresServer> postgres_;
   std::unique_ptr<ProcessFarm> farm_;
   std::vector<std::string> words_;
   json whole_;  // report of the frame that nobody disturbed
 };
 INSTANTIATE_TEST_SUITE_P(Farm, RestartOf,
-                         testing::Values(Kind{"path", 1}, Kind{"path", 3}, Kind{"vpl", 1}, Kind{"vpl", 3}),
-                         [](const auto& kind) { return kind.param.method + std::to_string(kind.param.workers); });
+                         testing::Values(Kind{"path", 1}, Kind{"path", 3}, Kind{"vpl", 1}, Kind{"vpl", 3},
+                                         Kind{"path", 1, true}),
+                         [](const auto& kind) {
+                           return kind.param.method + std::to_string(kind.param.workers) +
+                                  (kind.param.postgres ? "postgres" : "");
+                         });
 
 TEST_P(RestartOf, SameBitsWhereverTheCoordinatorIsKilled) {
   const double seconds = whole_["seconds"];

@@ -6,6 +6,7 @@
 
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <set>
 
 #include "cli/embedded.h"
 #include "coordinator/plan/trajectory.h"
@@ -266,6 +267,66 @@ TEST(FarmMovingScenes, SurfacesServeEveryLight) {
     }
     for (const char* stage : {"vpl.trace.0", "vpl.shade.0"}) EXPECT_THAT(run, Contains(stage)) << "frame " << k + 1;
     if (!again) continue;
+    EXPECT_EQ(pixels(base, {states[k]}, request, 2)[0], frames[k]["pixels_sha256"]) << "frame " << k + 1 << " alone";
+    EXPECT_EQ(pixels(scene::posed(base, states[k], "own"), {}, request, 1)[0], frames[k]["pixels_sha256"])
+        << "frame " << k + 1 << ", a scene of its own";
+  }
+}
+
+// Of a frame's stages of `links`: those that ran, and those whose records were there.
+struct LinksStages {
+  std::set<std::string> run, reused;
+};
+LinksStages links_stages(const json& report) {
+  LinksStages stages;
+  for (const std::string& name : names(report["stages"], "name"))
+    if (name.starts_with("links.")) stages.run.insert(name);
+  for (const std::string& what : names(report["skips"], "what"))
+    if (what.starts_with("stage links.")) stages.reused.insert(what.substr(6));
+  return stages;
+}
+
+// Links follow from shapes alone: while lights, what glows, colours or the camera change, light flows over them anew.
+TEST(FarmMovingScenes, LinksServeEveryLight) {
+  scene::Scene base = scene::make_scene("cornell-box", {});
+  base.lights = scene::make_scene("furnace-point").lights;
+  for (int k = 0; k < 3; ++k) base.lights[0].position[k] = base.cameras.front().camera.origin[k];
+  const auto lamp = static_cast<std::uint32_t>(
+      std::ranges::find_if(base.materials, [](const scene::Material& m) { return m.emission[0] > 0; }) -
+      base.materials.begin());
+  ASSERT_LT(lamp, base.materials.size());
+  const std::uint32_t wall = lamp == 0 ? 1 : 0;
+  const auto state = [&](float x, float glow, float color) {
+    scene::FrameState shown;
+    shown.light_indices = {0};
+    shown.lights = base.lights;
+    shown.lights[0].position[0] += x;
+    shown.material_indices = {std::min(lamp, wall), std::max(lamp, wall)};
+    for (const std::uint32_t index : shown.material_indices) shown.materials.push_back(base.materials[index]);
+    for (float& e : shown.materials[lamp < wall ? 0 : 1].emission) e *= glow;
+    for (float& c : shown.materials[lamp < wall ? 1 : 0].base_color) c *= color;
+    return shown;
+  };
+  // The light moves, the lamp glows less, both at once, a wall is painted, the lamp goes out.
+  const std::vector<scene::FrameState> states = {state(0, 1, 1),     state(0.2f, 1, 1),     state(0.2f, 0.5f, 1),
+                                                 state(0, 0.25f, 1), state(0, 0.25f, 0.5f), state(0, 0, 0.5f)};
+  JobRequest request = request_of(base);
+  request.settings.method = "links";
+  request.settings.set = {{"links.vertices", "400"}, {"links.directions", "64"}, {"links.bounces", "2"}};
+  const std::vector<json> frames = reports(base, states, request, 1);
+  ASSERT_EQ(frames.size(), states.size());
+  const std::set<std::string> light = {"links.light", "links.gather.1", "links.gather.2", "links.smooth",
+                                       "links.shade"};
+  const std::set<std::string> links = {"links.coarse_mesh", "links.coarse_probe", "links.mesh", "links.probe",
+                                       "links.make"};
+  for (std::size_t k = 1; k < frames.size(); ++k) {
+    const LinksStages stages = links_stages(frames[k]);
+    std::set<std::string> run = light, reused = links;
+    (k == 4 ? run : reused).insert("links.albedo");
+    EXPECT_EQ(stages.run, run) << "frame " << k + 1;
+    EXPECT_EQ(stages.reused, reused) << "frame " << k + 1;
+    EXPECT_NE(frames[k]["pixels_sha256"], frames[k - 1]["pixels_sha256"]) << "frame " << k + 1;
+    // No picture depends on what was there.
     EXPECT_EQ(pixels(base, {states[k]}, request, 2)[0], frames[k]["pixels_sha256"]) << "frame " << k + 1 << " alone";
     EXPECT_EQ(pixels(scene::posed(base, states[k], "own"), {}, request, 1)[0], frames[k]["pixels_sha256"])
         << "frame " << k + 1 << ", a scene of its own";

@@ -16,13 +16,25 @@ namespace gleaner::test {
 
 namespace pb = gleaner::v1;
 
+struct WireBounds {
+  std::uint64_t upload_bytes = 64 << 20;
+  unsigned most_workers = 16;
+  coordinator::Seconds silence = 30;
+  std::shared_ptr<const Keys> keys{};
+  gateway::CallerLimits caller{};
+  std::size_t jobs_an_owner = 0;
+};
+
 class WireFarm {
  public:
+  explicit WireFarm(const WireBounds& bounds)
+      : blobs_(folder_.path() / "blobs"),
+        farm_(farm_settings(bounds), blobs_),
+        server_(farm_, blobs_, server_settings(bounds)) {}
   explicit WireFarm(std::uint64_t upload_bytes = 64 << 20, unsigned most_workers = 16,
                     coordinator::Seconds silence = 30, std::shared_ptr<const Keys> keys = {})
-      : blobs_(folder_.path() / "blobs"),
-        farm_(farm_settings(silence), blobs_),
-        server_(farm_, blobs_, server_settings(upload_bytes, most_workers, std::move(keys))) {}
+      : WireFarm(WireBounds{
+            .upload_bytes = upload_bytes, .most_workers = most_workers, .silence = silence, .keys = std::move(keys)}) {}
 
   coordinator::Farm& farm() { return farm_; }
   coordinator::BlobStore& blobs() { return blobs_; }
@@ -44,9 +56,10 @@ class WireFarm {
   }
 
  private:
-  coordinator::FarmSettings farm_settings(coordinator::Seconds silence) {
+  coordinator::FarmSettings farm_settings(const WireBounds& bounds) {
     coordinator::FarmSettings settings;
-    settings.silence = silence;
+    settings.silence = bounds.silence;
+    settings.jobs_an_owner = bounds.jobs_an_owner;
     settings.plan = [](const coordinator::FrameSettings& frame, const coordinator::SceneSummary& scene) {
       return frame.set.contains("chain") ? make_fake_chain(frame, scene) : make_fake_plan(frame, scene);
     };
@@ -58,14 +71,14 @@ class WireFarm {
     };
     return settings;
   }
-  static gateway::ServerSettings server_settings(std::uint64_t upload_bytes, unsigned most_workers,
-                                                 std::shared_ptr<const Keys> keys) {
+  static gateway::ServerSettings server_settings(const WireBounds& bounds) {
     gateway::ServerSettings settings;
     settings.listen = "127.0.0.1:0";
-    settings.upload_bytes = upload_bytes;
-    settings.most_workers = most_workers;
+    settings.upload_bytes = bounds.upload_bytes;
+    settings.most_workers = bounds.most_workers;
     settings.heartbeat_seconds = 0.2;
-    settings.keys = std::move(keys);
+    settings.keys = bounds.keys;
+    settings.caller = bounds.caller;
     return settings;
   }
 

@@ -257,6 +257,24 @@ TEST(Links, RecordsDoNotDependOnBatches) {
   }
 }
 
+// All bounces on one worker are those of a stage each, to the bit, and end at the same one.
+TEST(Links, SoloExchangeIsThatOfStages) {
+  for (const char* bounces : {"0", "3"}) {
+    Frame frame = frame_of(scene::make_scene("cornell-box", {}), "", 16, 1,
+                           {{"links.vertices", "400"}, {"links.bounces", bounces}, {"links.directions", "64"}});
+    const Rendered split = render(frame);
+    frame.settings.set["links.solo_exchange"] = "1";
+    const Rendered solo = render(frame);
+    const auto done = split.parameters["links"]["bounces"].get<unsigned>();
+    EXPECT_GE(done, 3u);
+    EXPECT_EQ(solo.parameters["links"]["bounces"], done);
+    EXPECT_EQ(solo.parameters["links"]["left_after_bounces"], split.parameters["links"]["left_after_bounces"]);
+    EXPECT_EQ(solo.results.at("links.exchange").records,
+              split.results.at("links.gather." + std::to_string(done)).records);
+    EXPECT_EQ(solo.results.at("links.shade").records, split.results.at("links.shade").records);
+  }
+}
+
 // Frames in which lights and cameras alone differ ask for the same links, and get the same records.
 TEST(Links, LinksKnowNoLightAndNoCamera) {
   const Settings set = {{"links.vertices", "600"}};

@@ -74,25 +74,37 @@ TEST(ArtifactName, NamesThePartsOfTheSceneThatAStageReads) {
   scene::Scene base;
   base.lights.resize(2);
   base.lights[0].intensity[1] = 3;
+  base.materials.resize(1);
   const auto named = [&](const scene::FrameState& state, unsigned parts) {
     StageSpec stage = sample();
     stage.scene_parts = parts;
     return artifact_id(lineage_of(scene_a, base, state), stage);
   };
   const scene::FrameState none;
-  scene::FrameState moved, lit, painted, dark;
+  scene::FrameState moved, lit, painted, colored, glowing, dark;
   moved.matrices = {{1, 0, 0, 2, 0, 1, 0, 0, 0, 0, 1, 0}};
   lit.light_indices = {0};
   lit.lights = {base.lights[0]};
   lit.lights[0].intensity[1] = 4;
   painted.material_indices = {0};
-  painted.materials.resize(1);
+  painted.materials = base.materials;
   painted.materials[0].alpha = 0.5f;
-  for (const unsigned parts : {0u, 1u, 2u, 3u, 4u, 5u, 6u, 7u}) {
+  colored = glowing = painted;
+  colored.materials[0] = glowing.materials[0] = base.materials[0];
+  colored.materials[0].base_color[2] = 0.25f;
+  glowing.materials[0].emission[0] = 2;
+  for (unsigned parts = 0; parts <= kWholeScene; ++parts) {
     EXPECT_EQ(named(moved, parts) == named(none, parts), !(parts & kGeometry)) << parts;
     EXPECT_EQ(named(painted, parts) == named(none, parts), !(parts & kMaterials)) << parts;
     EXPECT_EQ(named(lit, parts) == named(none, parts), !(parts & kLights)) << parts;
+    EXPECT_EQ(named(colored, parts) == named(none, parts), !(parts & kColors)) << parts;
+    // It begins to shine.
+    EXPECT_EQ(named(glowing, parts) == named(none, parts), !(parts & (kEmission | kLights))) << parts;
   }
+  // A state that says of a material what the base does changes nothing.
+  scene::FrameState same = painted;
+  same.materials[0] = base.materials[0];
+  EXPECT_EQ(named(same, kWholeScene), named(none, kWholeScene));
   // Which of the parts it is makes a difference.
   scene::FrameState weighed;
   weighed.morph_weights = {1, 0, 0, 2, 0, 1, 0, 0, 0, 0, 1, 0};

@@ -19,9 +19,9 @@
 #include <random>
 #include <thread>
 
-#include "coordinator/film/atomic_file.h"
 #include "coordinator/film/read.h"
 #include "coordinator/film/write.h"
+#include "proto/atomic_file.h"
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {

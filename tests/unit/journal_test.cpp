@@ -10,6 +10,7 @@
 #include "coordinator/journal/sqlite_journal.h"
 #include "scene/model/error.h"
 #include "tests/farm/fake_frame.h"
+#include "tests/unit/journal_rows.h"
 
 namespace gleaner::test {
 namespace {
@@ -19,33 +20,6 @@ using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::SizeIs;
-
-JournalJob job(const std::string& id) {
-  return {
-      .id = id, .state = "queued", .message = {}, .submitted = 1.5e9, .request = bytes_of(std::vector<int>{4, 0, 5})};
-}
-
-JournalRange range(const std::string& of, const std::string& artifact, std::uint64_t first, std::uint64_t frame = 0) {
-  return {.job = of,
-          .frame = frame,
-          .artifact = artifact,
-          .first = first,
-          .count = 16,
-          .offset = first * 8,
-          .bytes = 128,
-          .digest = std::string("\0\xff 32 bytes", 11),
-          .facts = bytes_of(std::vector<int>{1})};
-}
-
-std::string failure_of(const std::function<void()>& call) {
-  try {
-    call();
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::failed);
-    return error.what();
-  }
-  return "nothing was thrown";
-}
 
 class SqliteJournal : public testing::Test {
  protected:
@@ -79,7 +53,7 @@ TEST_F(SqliteJournal, JobsComeBackInTheirOrder) {
   EXPECT_EQ(jobs[0].id, "a");
   EXPECT_EQ(jobs[0].state, "failed");
   EXPECT_EQ(jobs[0].message, odd);
-  EXPECT_EQ(jobs[0].submitted, 1.5e9);
+  EXPECT_EQ(jobs[0].submitted, job("a").submitted);
   EXPECT_EQ(jobs[0].ended, 1.6e9);
   const auto over = journal->frames_over("a");
   ASSERT_THAT(over, SizeIs(2));

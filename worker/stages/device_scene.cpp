@@ -29,7 +29,7 @@ std::string kernel_needs(const scene::Scene& scene, const scene::SceneNeeds& nee
     emission_textures = emission_textures || (material.emission_texture != GLEANER_NONE && needs.emissive_triangles);
     const bool emits = material.emission[0] > 0 || material.emission[1] > 0 || material.emission[2] > 0;
     const bool may_fade = material.flags & (GLEANER_MATERIAL_ALPHA_MASK | GLEANER_MATERIAL_ALPHA_BLEND);
-    alpha_emitters = alpha_emitters || (needs.alpha && emits && may_fade &&
+    alpha_emitters = alpha_emitters || (needs.emissive_triangles && needs.alpha && emits && may_fade &&
                                         (needs.vertex_colors || scene::is_see_through(scene, material)));
   }
   const std::pair<bool, const char*> words[] = {
@@ -69,6 +69,12 @@ std::string kernel_needs(const scene::Scene& scene, const scene::SceneNeeds& nee
                          std::strcmp(word, "ENVIRONMENT"))))
       options += std::string(" -D NEED_") + word;
   return options;
+}
+
+// Those of programs that read no light: the same, whatever shines.
+std::string surface_needs(const scene::Scene& scene, scene::SceneNeeds needs) {
+  needs.emissive_triangles = needs.two_sided_emitters = needs.punctual_lights = needs.environment = false;
+  return kernel_needs(scene, needs, false);
 }
 
 }  // namespace
@@ -188,6 +194,7 @@ LightTables DeviceScene::load_tables(cl::CommandQueue& queue, const std::shared_
     if (material.albedo_table != GLEANER_NONE)
       albedo_rows_[material.albedo_table] = std::max(albedo_rows_[material.albedo_table], material.albedo_rows);
   options_ = "-D LANES=" + std::to_string(device_.lanes()) + kernel_needs(*scene, needs, lights.cluster_slots > 0);
+  surface_options_ = "-D LANES=" + std::to_string(device_.lanes()) + surface_needs(*scene, needs);
   if (lights.cluster_slots) options_ += " -D CLUSTERS=" + std::to_string(lights.cluster_slots);
   transparent_shadows_ = (needs.alpha || needs.panes || needs.media) && lights.cluster_slots;
   path_rows_ = needs.media ? MEDIA_PATH_ROWS : transparent_shadows_ ? TRANSPARENT_PATH_ROWS : PLAIN_PATH_ROWS;

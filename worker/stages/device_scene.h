@@ -32,6 +32,8 @@ class DeviceScene {
 
   // Compiler options that select the variant: one NEED_... a need, and how many light clusters there are.
   const std::string& kernel_options() const { return options_; }
+  // The same for programs that read no light: no lights are among them.
+  const std::string& surface_options() const { return surface_options_; }
   Tracer& tracer() { return *tracer_; }
   // Shadow rays may meet surfaces that light passes straight (kernels/path_layout.h: TRANSPARENT_SHADOWS).
   bool transparent_shadows() const { return transparent_shadows_; }
@@ -76,7 +78,7 @@ class DeviceScene {
   std::vector<scene::Mesh> meshes_;
   std::uint64_t triangle_count_ = 0, instance_count_ = 0;
 
-  std::string options_;
+  std::string options_, surface_options_;
   std::unique_ptr<Tracer> tracer_;
   cl::Buffer triangles_, textures_, texels_, srgb_, environment_;
   Table instances_, materials_, albedo_tables_, emitters_, clusters_, emission_;

@@ -40,11 +40,15 @@ struct Executor::Impl {
   // Once for each kind and variant of the kernels: scenes of the same needs share their programs.
   void compile_later(const StageKind& kind, const std::string& scene_id) {
     if (kind.later.empty()) return;
-    const std::string& variant = scene(scene_id).kernel_options();
+    const DeviceScene& shown = scene(scene_id);
+    const std::string& variant = shown.kernel_options();
     if (!asked_ahead.emplace(variant, kind.kind).second) return;
-    for (const LaterProgram& one : kind.later)
-      device.compile_ahead(std::string(one.file),
-                           (one.plain ? plain_options(device) : variant) + std::string(one.options));
+    for (const LaterProgram& one : kind.later) {
+      const std::string options = one.plain         ? plain_options(device)
+                                  : one.reads_light ? variant
+                                                    : shown.surface_options();
+      device.compile_ahead(std::string(one.file), options + std::string(one.options));
+    }
   }
 
   struct HeldScene {
@@ -187,6 +191,7 @@ BatchResult Executor::run(const StageTask& task, std::uint64_t first, std::uint6
                        .scene = impl_->scene(task.scene),
                        .task = task,
                        .programs = kind.programs,
+                       .reads_light = kind.reads_light,
                        .first = first,
                        .count = count};
   impl_->compile_later(kind, task.scene);

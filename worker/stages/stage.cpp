@@ -17,7 +17,7 @@ std::string StageRun::path_of(std::string_view file) const {
 }
 
 Program StageRun::build(std::string_view file, const std::string& options) const {
-  return device.build(path_of(file), scene.kernel_options() + options);
+  return device.build(path_of(file), (reads_light ? scene.kernel_options() : scene.surface_options()) + options);
 }
 
 Program StageRun::build_plain(std::string_view file, const std::string& options) const {

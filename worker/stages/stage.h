@@ -21,6 +21,7 @@ struct StageRun {
   DeviceScene& scene;
   const StageTask& task;
   std::span<const std::string_view> programs;  // files of kernels, from the stage's row in stage_table.cpp
+  bool reads_light = true;                     // likewise
   std::uint64_t first = 0, count = 0;
 
   std::string where() const { return "stage " + task.kind; }
@@ -36,8 +37,8 @@ struct StageRun {
   // The parameters in a buffer, as kernels read them.
   cl::Buffer parameter_buffer(cl::CommandQueue& queue) const;
 
-  // The stage's program whose file has this name, in the scene's variant. Throws Error::failed where the stage's row
-  // does not name it.
+  // The stage's program whose file has this name, in the scene's variant: without lights where the stage reads none.
+  // Throws Error::failed where the stage's row does not name it.
   Program build(std::string_view file, const std::string& options = {}) const;
   // The same without anything of the scene: one variant for all.
   Program build_plain(std::string_view file, const std::string& options = {}) const;

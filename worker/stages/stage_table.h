@@ -21,7 +21,8 @@ struct StageInputRule {
 struct LaterProgram {
   std::string_view file;
   std::string_view options{};
-  bool plain = false;  // as StageRun::build_plain()
+  bool plain = false;       // as StageRun::build_plain()
+  bool reads_light = true;  // as its stage
 };
 
 struct StageKind {
@@ -30,6 +31,9 @@ struct StageKind {
   std::vector<std::string_view> programs;  // files of kernels that it builds
   std::vector<StageInputRule> inputs;
   std::vector<LaterProgram> later{};  // of a frame's first stage: in the order in which they will be needed
+  // Whether its programs read lights or emission. Those of stages that do not are the same whatever shines, so that
+  // the coordinator need not tell what shines in the names of what they make (SceneLineage::shining).
+  bool reads_light = true;
 };
 
 const std::vector<StageKind>& stage_table();

@@ -49,13 +49,13 @@ class AlbedoThread : public HostThread {
 BatchResult run_links_albedo_stage(const StageRun& run) {
   const kernels::LinksParameters p = read_links_parameters(run);
   const double start = seconds_now();
-  const auto tables = mesh_tables(run, nullptr, 0);
-  check_elements(run, p.elements, tables->layout.elements());
+  const MeshTables tables = mesh_tables(run, nullptr, 0);
+  check_elements(run, p.elements, tables.layout.elements());
   BatchResult result;
   result.records.resize(run.count * ALBEDO_WORDS * 4);
   run_split(run, "albedo.cl", result,
             [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
-              return std::make_unique<AlbedoThread>(run, *tables, p, parameters, program, work, index);
+              return std::make_unique<AlbedoThread>(run, tables, p, parameters, program, work, index);
             });
   result.counters.seconds = seconds_now() - start;
   return result;

@@ -1,8 +1,12 @@
-// Stage kind "links_gather": one bounce of light over the links (kernels/links/gather.cl).
+// Stage kinds "links_gather": one bounce of light over the links (kernels/links/gather.cl), and "links_exchange": all
+// bounces on one worker.
 
 #include "scene/model/error.h"
+#include "worker/stages/links/flux.h"
+#include "worker/stages/links/mesh.h"
 #include "worker/stages/links/stages.h"
 #include "worker/stages/links/waves.h"
+#include "worker/stages/vpl/rows.h"
 #include "worker/wavefront/host_threads.h"
 #include "worker/wavefront/input_rows.h"
 
@@ -29,6 +33,7 @@ cl::Buffer as_buffer(const StageRun& run, cl::CommandQueue& queue, const InputRo
 
 // A batch's inputs, as its host threads read them.
 struct GatherBatch {
+  std::uint32_t elements = 0;  // of the mesh
   cl::Buffer parameters{}, words{}, starts{}, sent{}, light{}, albedo{}, records{}, faults{};
 };
 
@@ -40,9 +45,9 @@ cl::Buffer own_rows(const StageRun& run, cl::CommandQueue& queue, const char* na
 }
 
 // What all elements send, without the rest of their rows: half as much for links to look up.
-cl::Buffer sent_by_all(const StageRun& run, cl::CommandQueue& queue, std::uint64_t elements) {
+cl::Buffer sent_by_all(const StageRun& run, cl::CommandQueue& queue, const char* name, std::uint64_t elements) {
   constexpr std::size_t stride = RADIOSITY_WORDS * 4, part = (RADIOSITY_WORDS - RADIOSITY_SENT) * 4;
-  const InputRows rows(run.task, "radiosity", stride);
+  const InputRows rows(run.task, name, stride);
   rows.expect_rows(elements);
   cl::Buffer buffer = run.workspace.take("links.sent", elements * part);
   auto* out = static_cast<std::byte*>(
@@ -57,7 +62,14 @@ cl::Buffer sent_by_all(const StageRun& run, cl::CommandQueue& queue, std::uint64
   return buffer;
 }
 
-void put_links(const StageRun& run, cl::CommandQueue& queue, std::uint64_t elements, GatherBatch& batch) {
+// Links on the device, and where each element's begin.
+struct LinkTables {
+  TaskInput source{};  // the buffer may be its memory
+  cl::Buffer words{}, starts{};
+  std::size_t bytes() const { return words.getInfo<CL_MEM_SIZE>() + starts.getInfo<CL_MEM_SIZE>(); }
+};
+
+LinkTables links_of(const StageRun& run, cl::CommandQueue& queue, std::uint64_t elements) {
   const InputRows rows(run.task, "links", 4);
   const TaskInput& input = run.task.inputs.at("links");
   const std::uint64_t at = input.own_items ? run.first - input.first_item : run.first;
@@ -74,9 +86,12 @@ void put_links(const StageRun& run, cl::CommandQueue& queue, std::uint64_t eleme
     throw Error::bad_input(run.where(), "input links", "fewer than 2^32 words a batch", std::to_string(words));
   std::vector<cl_uint> starts(run.count + 1);
   for (std::uint64_t k = 0; k <= run.count; ++k) starts[k] = static_cast<cl_uint>(offset[k] - offset[0]);
-  batch.starts = run.device.make_buffer(starts.size() * 4);
-  queue.enqueueWriteBuffer(batch.starts, CL_TRUE, 0, starts.size() * 4, starts.data());
-  batch.words = as_buffer(run, queue, rows, input, offset[0] * 4, words * 4);
+  LinkTables tables;
+  tables.source = input;
+  tables.starts = run.device.make_buffer(starts.size() * 4);
+  queue.enqueueWriteBuffer(tables.starts, CL_TRUE, 0, starts.size() * 4, starts.data());
+  tables.words = as_buffer(run, queue, rows, input, offset[0] * 4, words * 4);
+  return tables;
 }
 
 class GatherThread : public HostThread {
@@ -113,6 +128,33 @@ class GatherThread : public HostThread {
   Kernel gather_;
 };
 
+// What stays for all bounces: their results, and what the host threads count.
+void make_room(const StageRun& run, cl::CommandQueue& queue, GatherBatch& batch) {
+  batch.records = run.workspace.take("links.gathered", run.count * RADIOSITY_WORDS * 4);
+  batch.faults = run.workspace.take("links.faults", 64);
+  constexpr cl_uint none = 0;
+  queue.enqueueWriteBuffer(batch.faults, CL_TRUE, 0, sizeof none, &none);
+}
+
+void put_parameters(const StageRun& run, cl::CommandQueue& queue, const LinksGatherParameters& p, GatherBatch& batch) {
+  batch.elements = p.elements;
+  batch.parameters = run.workspace.take("links.gather_parameters", sizeof p);
+  queue.enqueueWriteBuffer(batch.parameters, CL_TRUE, 0, sizeof p, &p);
+}
+
+// One bounce of the batch's elements, into the result's records.
+void gather(const StageRun& run, cl::CommandQueue& queue, const GatherBatch& batch, BatchResult& result) {
+  const Program program = run.build_plain("gather.cl");
+  WorkQueue work(run.count, host_threads(run.device), 0, run.task.given_up.get());
+  run_host_threads(work, result,
+                   [&](unsigned index) { return std::make_unique<GatherThread>(run, batch, program, work, index); });
+  cl_uint faults = 0;
+  queue.enqueueReadBuffer(batch.faults, CL_TRUE, 0, sizeof faults, &faults);
+  if (faults)
+    throw Error::bad_input(run.where(), "input links", "ends below " + std::to_string(batch.elements),
+                           std::to_string(faults) + " elements with others");
+}
+
 }  // namespace
 
 BatchResult run_links_gather_stage(const StageRun& run) {
@@ -123,26 +165,84 @@ BatchResult run_links_gather_stage(const StageRun& run) {
   constexpr std::size_t stride = RADIOSITY_WORDS * 4;
   cl::CommandQueue queue = run.device.make_queue();
   GatherBatch batch;
-  batch.parameters = run.parameter_buffer(queue);
-  put_links(run, queue, p.elements, batch);
+  put_parameters(run, queue, p, batch);
+  const LinkTables links = links_of(run, queue, p.elements);
+  batch.words = links.words;
+  batch.starts = links.starts;
   batch.light = own_rows(run, queue, "light", stride, p.elements);
   batch.albedo = own_rows(run, queue, "albedo", ALBEDO_WORDS * 4, p.elements);
-  batch.sent = sent_by_all(run, queue, p.elements);
-  batch.records = run.workspace.take("links.gathered", run.count * stride);
-  batch.faults = run.workspace.take("links.faults", 64);
-  constexpr cl_uint none = 0;
-  queue.enqueueWriteBuffer(batch.faults, CL_TRUE, 0, sizeof none, &none);
+  batch.sent = sent_by_all(run, queue, "radiosity", p.elements);
+  make_room(run, queue, batch);
   BatchResult result;
   result.records.resize(run.count * stride);
-  const Program program = run.build_plain("gather.cl");
-  WorkQueue work(run.count, host_threads(run.device), 0, run.task.given_up.get());
-  run_host_threads(work, result,
-                   [&](unsigned index) { return std::make_unique<GatherThread>(run, batch, program, work, index); });
-  cl_uint faults = 0;
-  queue.enqueueReadBuffer(batch.faults, CL_TRUE, 0, sizeof faults, &faults);
-  if (faults)
-    throw Error::bad_input(run.where(), "input links", "ends below " + std::to_string(p.elements),
-                           std::to_string(faults) + " elements with others");
+  gather(run, queue, batch, result);
+  result.counters.seconds = seconds_now() - start;
+  return result;
+}
+
+namespace {
+
+// What all elements send after a bounce, for the next one.
+void send(cl::CommandQueue& queue, const scene::Bytes& rows, const cl::Buffer& sent) {
+  constexpr std::size_t stride = RADIOSITY_WORDS * 4, part = (RADIOSITY_WORDS - RADIOSITY_SENT) * 4;
+  const std::size_t elements = rows.size() / stride;
+  auto* out = static_cast<std::byte*>(
+      queue.enqueueMapBuffer(sent, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, elements * part));
+  for (std::size_t e = 0; e < elements; ++e)
+    std::memcpy(out + e * part, &rows[e * stride + std::size_t{RADIOSITY_SENT} * 4], part);
+  queue.enqueueUnmapMemObject(sent, out);
+  queue.finish();
+}
+
+// Links serve every light: they stay on the device, whatever else the stage reads.
+std::shared_ptr<const LinkTables> kept_links(const StageRun& run, cl::CommandQueue& queue, std::uint64_t elements) {
+  StageTask links;
+  links.kind = run.task.kind;
+  links.inputs["links"] = run.task.inputs.at("links");
+  return run.tables.get<LinkTables>(links, [&] { return links_of(run, queue, elements); });
+}
+
+}  // namespace
+
+BatchResult run_links_exchange_stage(const StageRun& run) {
+  const auto p = run.parameters<kernels::LinksExchangeParameters>();
+  run.check_range(p.elements);
+  if (p.elements == 0 || run.count != p.elements)
+    throw Error::bad_input(run.where(), "elements", "1 or more, all of them", std::to_string(run.count));
+  if (p.most_bounces == 0 || !(p.least_share >= 0))
+    throw Error::bad_input(run.where(), "bounces", "1 or more, to a share that is not negative",
+                           std::to_string(p.most_bounces) + ", " + std::to_string(p.least_share));
+  const double start = seconds_now();
+  constexpr std::size_t stride = RADIOSITY_WORDS * 4;
+  cl::CommandQueue queue = run.device.make_queue();
+  GatherBatch batch;
+  put_parameters(run, queue, LinksGatherParameters{p.elements, p.exact, {}}, batch);
+  const std::shared_ptr<const LinkTables> links = kept_links(run, queue, p.elements);
+  batch.words = links->words;
+  batch.starts = links->starts;
+  batch.light = own_rows(run, queue, "light", stride, p.elements);
+  batch.albedo = own_rows(run, queue, "albedo", ALBEDO_WORDS * 4, p.elements);
+  batch.sent = sent_by_all(run, queue, "light", p.elements);
+  make_room(run, queue, batch);
+  const std::vector<float> areas = p.least_share > 0 ? mesh_areas(run.task) : std::vector<float>{};
+  if (p.least_share > 0 && 2 * areas.size() != p.elements)
+    throw Error::bad_input(run.where(), "input mesh", std::to_string(p.elements) + " elements",
+                           std::to_string(2 * areas.size()));
+  BatchResult result;
+  result.records.resize(run.count * stride);
+  std::vector<float> before = input_rows(run.task, "light", RADIOSITY_WORDS), after(before.size());
+  kernels::LinksBounces bounces;
+  for (bool enough = false; !enough && bounces.done < p.most_bounces;) {
+    gather(run, queue, batch, result);
+    send(queue, result.records, batch.sent);
+    std::memcpy(after.data(), result.records.data(), result.records.size());
+    if (p.least_share > 0)
+      enough = bounces.is_enough(flux_of(areas, after, before), double{p.least_share});
+    else
+      ++bounces.done;
+    after.swap(before);
+  }
+  set_facts(result, kernels::LinksExchangeFacts{bounces.done, 0, bounces.left});
   result.counters.seconds = seconds_now() - start;
   return result;
 }

@@ -103,13 +103,13 @@ class LightThread : public HostThread {
 BatchResult run_links_light_stage(const StageRun& run) {
   const kernels::LinksParameters p = read_links_parameters(run);
   const double start = seconds_now();
-  const auto tables = mesh_tables(run, "albedo", ALBEDO_WORDS);
-  check_elements(run, p.elements, tables->layout.elements());
+  const MeshTables tables = mesh_tables(run, "albedo", ALBEDO_WORDS);
+  check_elements(run, p.elements, tables.layout.elements());
   BatchResult result;
   result.records.resize(run.count * RADIOSITY_WORDS * 4);
   run_split(run, "light.cl", result,
             [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
-              return std::make_unique<LightThread>(run, *tables, p, parameters, program, work, index);
+              return std::make_unique<LightThread>(run, tables, p, parameters, program, work, index);
             });
   result.counters.seconds = seconds_now() - start;
   return result;

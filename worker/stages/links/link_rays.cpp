@@ -19,7 +19,7 @@ LinkRayThread::LinkRayThread(const LinkRayBatch& batch, WorkQueue& work, unsigne
       make_rays_(batch.run.device, batch.program, "links_rays") {
   batch.run.scene.set_arguments(make_rays_);
   make_rays_.set("parameters", batch.parameters)
-      .set("mesh", batch.tables->mesh)
+      .set("mesh", batch.tables.mesh)
       .set("side", static_cast<cl_uint>(std::lround(std::sqrt(directions_))))
       .set("rays", hits_);
 }

@@ -11,7 +11,7 @@ namespace gleaner::worker {
 struct LinkRayBatch {
   const StageRun& run;
   kernels::LinksParameters p;
-  std::shared_ptr<const MeshTables> tables;
+  MeshTables tables;
   Program program;  // includes kernels/links/rays.h
   cl::Buffer parameters{};
 };

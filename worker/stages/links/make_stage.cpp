@@ -23,8 +23,8 @@ class MakeThread : public LinkRayThread {
         link_(batch.run.device, batch.program, "links_hits"),
         compress_(batch.run.device, batch.program, "links_compress") {
     batch.run.scene.set_arguments(link_);
-    link_.set("mesh", batch.tables->mesh)
-        .set("probe", batch.tables->rows)
+    link_.set("mesh", batch.tables.mesh)
+        .set("probe", batch.tables.rows)
         .set("rays", hits_)
         .set("ends", ends_)
         .set("weights", weights_);
@@ -75,7 +75,7 @@ class MakeThread : public LinkRayThread {
 
 BatchResult run_links_make_stage(const StageRun& run) {
   LinkRayBatch batch{run, read_links_parameters(run), mesh_tables(run, "probe", PROBE_WORDS), run.build("make.cl")};
-  check_elements(run, batch.p.elements, batch.tables->layout.elements());
+  check_elements(run, batch.p.elements, batch.tables.layout.elements());
   const double start = seconds_now();
   BatchResult result;
   result.counts.resize(run.count);

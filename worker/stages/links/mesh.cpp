@@ -88,18 +88,6 @@ MeshLayout read_mesh_layout(const StageTask& task, const char* name) {
   return layout;
 }
 
-cl::Buffer mesh_to_device(const StageRun& run, cl::CommandQueue& queue, MeshLayout* layout) {
-  *layout = read_mesh_layout(run.task, "mesh");
-  if (layout->triangles != run.scene.triangles())
-    throw Error::bad_input(run.where(), "input mesh", std::to_string(run.scene.triangles()) + " triangles",
-                           std::to_string(layout->triangles));
-  const InputRows input(run.task, "mesh", 4);
-  MeshCheck check(input, *layout, run.scene.triangles());
-  return input.to_device(run.device, queue, [&](std::uint64_t row, std::span<const std::byte> words) {
-    for (std::size_t at = 0; at < words.size(); at += 4) check.word(row++, row_word<std::uint32_t>(&words[at], 0));
-  });
-}
-
 HostMesh read_mesh(const StageTask& task, const char* name) {
   HostMesh mesh{read_mesh_layout(task, name), {}};
   const InputRows input(task, name, 4);
@@ -112,24 +100,52 @@ HostMesh read_mesh(const StageTask& task, const char* name) {
   return mesh;
 }
 
-std::size_t MeshTables::bytes() const {
-  std::size_t sum = mesh.getInfo<CL_MEM_SIZE>();
-  if (rows()) sum += rows.getInfo<CL_MEM_SIZE>();
-  return sum;
+namespace {
+
+struct DeviceMesh {
+  MeshLayout layout;
+  cl::Buffer words{};
+  std::size_t bytes() const { return words.getInfo<CL_MEM_SIZE>(); }
+};
+
+struct DeviceRows {
+  cl::Buffer rows{};
+  std::size_t bytes() const { return rows.getInfo<CL_MEM_SIZE>(); }
+};
+
+// Names what is kept of one input: neither the scene nor the stage has a part in it.
+StageTask only(const StageTask& task, const char* input) {
+  StageTask key;
+  key.kind = std::string("links input ") + input;
+  key.inputs[input] = task.inputs.at(input);
+  return key;
 }
 
-std::shared_ptr<const MeshTables> mesh_tables(const StageRun& run, const char* rows, unsigned words) {
-  return run.tables.get<MeshTables>(run.task, [&] {
-    MeshTables tables;
-    cl::CommandQueue queue = run.device.make_queue();
-    tables.mesh = mesh_to_device(run, queue, &tables.layout);
-    if (rows) {
-      const InputRows input(run.task, rows, std::size_t{words} * 4);
-      input.expect_rows(tables.layout.elements());
-      tables.rows = input.to_device(run.device, queue, {});
-    }
-    return tables;
+}  // namespace
+
+MeshTables mesh_tables(const StageRun& run, const char* rows, unsigned words) {
+  cl::CommandQueue queue = run.device.make_queue();
+  const auto mesh = run.tables.get<DeviceMesh>(only(run.task, "mesh"), [&] {
+    DeviceMesh made{read_mesh_layout(run.task, "mesh")};
+    const InputRows input(run.task, "mesh", 4);
+    MeshCheck check(input, made.layout, made.layout.triangles);
+    made.words = input.to_device(run.device, queue, [&](std::uint64_t row, std::span<const std::byte> bytes) {
+      for (std::size_t at = 0; at < bytes.size(); at += 4) check.word(row++, row_word<std::uint32_t>(&bytes[at], 0));
+    });
+    return made;
   });
+  if (mesh->layout.triangles != run.scene.triangles())
+    throw Error::bad_input(run.where(), "input mesh", std::to_string(run.scene.triangles()) + " triangles",
+                           std::to_string(mesh->layout.triangles));
+  MeshTables tables{mesh->layout, mesh->words};
+  if (!rows) return tables;
+  const InputRows input(run.task, rows, std::size_t{words} * 4);
+  input.expect_rows(tables.layout.elements());
+  tables.rows =
+      run.tables
+          .get<DeviceRows>(only(run.task, rows), [&] { return DeviceRows{input.to_device(run.device, queue, {})}; })
+          ->rows;
+  return tables;
 }
 
 namespace {

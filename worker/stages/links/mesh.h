@@ -31,17 +31,14 @@ constexpr std::uint64_t nodes_of_level(std::uint32_t level) {
 // A task's input, a mesh. Throws Error::bad_input where its size is not what its header says.
 MeshLayout read_mesh_layout(const StageTask& task, const char* input = "mesh");
 
-// The same, checked: what its sections name exists. `triangles`: of the scene.
-cl::Buffer mesh_to_device(const StageRun& run, cl::CommandQueue& queue, MeshLayout* layout);
-
 // What stages on devices keep of a mesh, and of rows that they read with it.
 struct MeshTables {
   MeshLayout layout;
   cl::Buffer mesh{}, rows{};
-  std::size_t bytes() const;
 };
 // The rows come from input `rows`, `words` words an element; none where it is null.
-std::shared_ptr<const MeshTables> mesh_tables(const StageRun& run, const char* rows, unsigned words);
+// Kept for all stages and frames that read the same.
+MeshTables mesh_tables(const StageRun& run, const char* rows, unsigned words);
 
 // Rows of a scene's triangles (kernels/scene_layout.h).
 struct TriangleRows {

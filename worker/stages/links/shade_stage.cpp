@@ -65,12 +65,12 @@ BatchResult run_links_shade_stage(const StageRun& run) {
   if (run.first % RAY_BLOCK != 0)
     throw Error::bad_input(run.where(), "items", "a range that begins at a multiple of 16", std::to_string(run.first));
   const double start = seconds_now();
-  const auto tables = mesh_tables(run, "irradiance", RADIOSITY_WORDS);
+  const MeshTables tables = mesh_tables(run, "irradiance", RADIOSITY_WORDS);
   BatchResult result;
   result.records.resize(run.count * 12);
   run_split(run, "shade.cl", result,
             [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
-              return std::make_unique<ShadeThread>(run, *tables, p, parameters, program, work, index);
+              return std::make_unique<ShadeThread>(run, tables, p, parameters, program, work, index);
             });
   result.counters.seconds = seconds_now() - start;
   return result;

@@ -12,6 +12,7 @@ BatchResult run_links_albedo_stage(const StageRun& run);
 BatchResult run_links_make_stage(const StageRun& run);
 BatchResult run_links_light_stage(const StageRun& run);
 BatchResult run_links_gather_stage(const StageRun& run);
+BatchResult run_links_exchange_stage(const StageRun& run);
 BatchResult run_links_shade_stage(const StageRun& run);
 
 // On the worker's host.

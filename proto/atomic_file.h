@@ -7,14 +7,15 @@
 #include <span>
 #include <string>
 
-namespace gleaner::coordinator {
+namespace gleaner {
 
 // Temporary name in the same folder, fsync, rename, fsync of the folder. A symbolic link is followed. Several writers
 // of one path: the last rename wins, whole. All throw Error::failed naming the path and the reason (missing folder, no
 // space, not a regular file).
 class AtomicFile {
  public:
-  explicit AtomicFile(const std::string& path);
+  // `mode`: of the new file, as open() takes it.
+  explicit AtomicFile(const std::string& path, unsigned mode = 0666);
   ~AtomicFile();  // without commit() the temporary file is gone then, and an older file stands untouched
   AtomicFile(const AtomicFile&) = delete;
   AtomicFile& operator=(const AtomicFile&) = delete;
@@ -33,6 +34,6 @@ class AtomicFile {
   int descriptor_ = -1;
 };
 
-void write_atomically(const std::string& path, std::span<const std::byte> bytes);
+void write_atomically(const std::string& path, std::span<const std::byte> bytes, unsigned mode = 0666);
 
-}  // namespace gleaner::coordinator
+}  // namespace gleaner

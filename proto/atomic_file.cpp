@@ -1,4 +1,4 @@
-#include "coordinator/film/atomic_file.h"
+#include "proto/atomic_file.h"
 
 #include <fcntl.h>
 #include <sys/stat.h>
@@ -12,7 +12,7 @@
 
 #include "scene/model/error.h"
 
-namespace gleaner::coordinator {
+namespace gleaner {
 namespace {
 
 [[noreturn]] void fail(const std::string& path, const std::string& step, int code) {
@@ -34,7 +34,7 @@ std::string make_beside(const std::filesystem::path& folder, const std::string& 
 
 }  // namespace
 
-AtomicFile::AtomicFile(const std::string& path) : path_(path), target_(path) {
+AtomicFile::AtomicFile(const std::string& path, unsigned mode) : path_(path), target_(path) {
   std::error_code ignored;
   for (int hops = 0; hops < 40 && std::filesystem::is_symlink(target_, ignored); ++hops)
     target_ = target_.parent_path() / std::filesystem::read_symlink(target_, ignored);
@@ -44,11 +44,11 @@ AtomicFile::AtomicFile(const std::string& path) : path_(path), target_(path) {
     throw Error::failed(path_ + ": cannot write: not a regular file");
   folder_ = target_.has_parent_path() ? target_.parent_path() : std::filesystem::path(".");
   // Without a name, nothing of it is left where the process is killed.
-  descriptor_ = ::open(folder_.c_str(), O_TMPFILE | O_WRONLY | O_CLOEXEC, 0666);
+  descriptor_ = ::open(folder_.c_str(), O_TMPFILE | O_WRONLY | O_CLOEXEC, mode);
   if (descriptor_ >= 0) return;
   // Not every file system has such files.
   temporary_ = make_beside(folder_, path_, [&](const char* name) {
-    return descriptor_ = ::open(name, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
+    return descriptor_ = ::open(name, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, mode);
   });
 }
 
@@ -97,10 +97,10 @@ void AtomicFile::commit() {
   check(::fsync(descriptor_) == 0 || errno == EINVAL, "flush the folder of");
 }
 
-void write_atomically(const std::string& path, std::span<const std::byte> bytes) {
-  AtomicFile file(path);
+void write_atomically(const std::string& path, std::span<const std::byte> bytes, unsigned mode) {
+  AtomicFile file(path, mode);
   file.append(bytes);
   file.commit();
 }
 
-}  // namespace gleaner::coordinator
+}  // namespace gleaner
