@@ -187,6 +187,7 @@ std::optional<std::vector<std::string>> Farm::why(const std::string& id) const {
     compared += frame->rechecks.size();
     const std::string which =
         job->frames.size() > 1 ? "frame " + std::to_string(frame_at(job->request, frame->place)) + ", " : "";
+    if (!frame->full_disk.empty()) reasons.push_back(which + "it is whole, and waits for room: " + frame->full_disk);
     for (const auto& stage : frame->stages) {
       if (stage->delivered || !impl_->active_stages.count(stage->id)) continue;
       std::string reason = impl_->scheduler.why_waiting(stage->id, impl_->now(), names);

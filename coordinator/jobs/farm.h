@@ -65,6 +65,7 @@ struct FarmSettings {
   // Of accepted batches, the share that another worker of the same kind computes again, beside each worker's first
   // batch of each kind of stage (jobs/recheck.cpp).
   double recheck_share = 0;
+  Seconds disk_patience = 0;      // for which a frame that is whole waits for room on a full disk, before it fails
   std::size_t jobs_an_owner = 0;  // that run or wait; 0: any number
   // Jobs that ended are listed, and their files are fetched, until there are more of them or they are older. Files
   // stay.
