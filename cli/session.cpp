@@ -94,7 +94,7 @@ class Pictures {
     if (const std::string name = path.filename().string(); name.find('#') != std::string::npos)
       path = path.parent_path() / scene::file_of_frame(name, ++count_);
     if (format_ == pb::PICTURE_FORMAT_PNG) {
-      coordinator::write_atomically(path.string(), std::as_bytes(std::span(bytes)));
+      write_atomically(path.string(), std::as_bytes(std::span(bytes)));
       return;
     }
     if (bytes.size() != pixels * 12) throw Error::failed("a picture of another size than it says");
