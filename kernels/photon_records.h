@@ -161,8 +161,16 @@ struct PhotonClusterFacts {
   double reach = 0;          // m: the median
 };
 
-// Stage kind "photon_cluster_smooth" (input "records", of stage kind "photon_cluster_gather"); solo. One item: as many
-// rows of the cache as there are records.
+// Stage kind "photon_cluster_refine" (inputs "points" and "records", of stage kind "photon_cluster_gather"); solo. One
+// item: places of more sample points, 0 or more, where records that points read differ much.
+struct PhotonClusterRefineParameters {
+  std::uint32_t width = 0, height = 0, samples = 0;  // as SplatPointParameters
+  std::uint32_t most = 0;                            // places
+};
+static_assert(sizeof(PhotonClusterRefineParameters) == 16);
+
+// Stage kind "photon_cluster_smooth" (input "records", of stage kind "photon_cluster_gather", and more of them in
+// "more"); solo. One item: as many rows of the cache as there are records.
 struct PhotonClusterSmoothParameters {
   std::uint32_t reserved[4] = {};
 };

@@ -25,7 +25,7 @@ constexpr double kReadsOfACut = 200'000;
 constexpr std::uint32_t kCut = 4096;
 constexpr std::uint32_t kPhotonsOfACut = 50'000;
 
-constexpr std::uint32_t kCausticPaths = 200'000, kSamplesOfAPass = 8, kMostPasses = 64;
+constexpr std::uint32_t kCausticPaths = 200'000, kSamplesOfAPass = 4, kLeastPasses = 2, kMostPasses = 64;
 
 std::uint32_t whole(double number, double least, double most) {
   return static_cast<std::uint32_t>(std::lround(std::clamp(number, least, most)));
@@ -41,7 +41,7 @@ PhotonCounts choose_photon_counts(std::uint64_t pixels, std::uint32_t spp, doubl
   PhotonCounts counts;
   counts.count = given.count.value_or(whole(all * kPathsOfASample, kLeastPaths, kMostPaths));
   counts.caustics = given.caustics.value_or(kCausticPaths);
-  counts.passes = given.passes.value_or(whole(samples / kSamplesOfAPass, 1, kMostPasses));
+  counts.passes = given.passes.value_or(whole(samples / kSamplesOfAPass, kLeastPasses, kMostPasses));
   const double finer = std::clamp(std::sqrt(samples / kUsualSamples), 0.5, 2.0);
   counts.clusters = given.clusters.value_or(
       whole(kClustersOfAnEdge * std::sqrt(static_cast<double>(pixels)) * finer, kLeastClusters, kMostClusters));

@@ -30,9 +30,13 @@ constexpr double kShrinkage = 2.0 / 3;
 constexpr std::uint32_t kGlobalPass = 0, kGuidePass = 1, kFirstPass = 2;
 // Turns of k-means.
 constexpr std::uint32_t kIterations = 6;
+// Samples that are added where records differ: one for so many clusters, at most.
+constexpr std::uint32_t kRefined = 4;
 // Photons of the estimates at a cut's nodes, rounds of its refinement, and the ratio of section 3.3.
 constexpr std::uint32_t kCutNeighbours = 24, kCutRounds = 4;
 constexpr float kCutRatio = 1.2f;
+// Noise of a sample's record of one ray, over its light, as pixels share it.
+constexpr double kRecordNoise = 0.5;
 // Maps wait for each other, paths that read none for nothing: these fill what the others leave free.
 constexpr int kFirst = 1;
 
@@ -66,6 +70,23 @@ double diagonal_of(const scene::Bounds& bounds) {
 bool has_sharp_parts(const scene::SceneNeeds& n) {
   return n.specular || n.glossy || n.metallic || n.transmissive || n.clearcoat || n.sheen || n.iridescence;
 }
+
+// What photons alone bring to the picture: mean radiance, and predicted squared error, over pixels and channels.
+struct OwnLight {
+  double mean = 0, squared_error = 0;
+
+  // Light whose standard deviation is `noise` of itself.
+  void add(const std::vector<float>& picture, double noise) {
+    double sum = 0, squares = 0;
+    for (const float value : picture) {
+      sum += double{value};
+      squares += double{value} * value;
+    }
+    const double count = std::max<double>(1, static_cast<double>(picture.size()));
+    mean += sum / count;
+    squared_error += noise * noise * squares / count;
+  }
+};
 
 PhotonMapFacts checked_facts(const Graph::Artifact& map) {
   const auto facts = map.facts<PhotonMapFacts>();
@@ -123,7 +144,9 @@ class PhotonPlan final : public GraphPlan {
   std::vector<Graph::Input> light_of(const Artifact& map) const;
   void gather(const Artifact& map);
   void ask_clusters(const Artifact& map);
+  Artifact ask_records(const std::string& name, const Artifact& map, const Artifact& places, std::uint64_t count);
   void gather_clusters(const Artifact& map, const Artifact& points, const Artifact& places);
+  void shade_clusters(const Artifact& points, std::vector<Graph::Input> records);
   void show_clusters(std::vector<float> picture);
   void ask_caustics(std::uint32_t pass);
   void shade_caustics(std::uint32_t pass);
@@ -139,7 +162,10 @@ class PhotonPlan final : public GraphPlan {
   PixelCache cache_;
   Strata strata_;
   PhotonClusterFacts clusters_;
+  std::uint64_t refined_ = 0;       // places that were added
   std::shared_ptr<Beside> beside_;  // the passes: the clusters' light
+  Artifact first_caustics_;         // an event, where a target error waits for the first pass
+  OwnLight own_;
   bool clusters_asked_ = false, caustics_asked_ = false;
   Artifact guide_;
   std::vector<Pass> passes_;
@@ -181,6 +207,12 @@ PhotonEstimate PhotonPlan::estimate(std::uint32_t neighbours) const {
 
 void PhotonPlan::begin() {
   if (has_clusters()) beside_ = std::make_shared<Beside>(graph_.event());
+  // Samples for a target error are as many as the rest of the picture leaves to them.
+  std::vector<Artifact> known;
+  if (settings_.target_error > 0 && gathers()) {
+    if (has_clusters()) known.push_back(beside_->known);
+    if (has_caustics()) known.push_back(first_caustics_ = graph_.event());
+  }
   if (has_caustics()) {
     guide_ = ask_map("guide", kGuidePass, photon_.caustics, PHOTON_CLASS_BIT(PHOTON_CAUSTIC));
     ask_caustics(0);
@@ -188,7 +220,8 @@ void PhotonPlan::begin() {
   if (gathers()) {
     const Artifact map = ask_map("global", kGlobalPass, photon_.count, PHOTON_ALL_CLASSES);
     if (photon_.cut) cut_ = ask_cut(map);
-    graph_.when({cut_ ? cut_ : map}, [this, map] {
+    known.push_back(cut_ ? cut_ : map);
+    graph_.when(std::move(known), [this, map] {
       gathered_ = checked_facts(map);
       if (cut_) cut_facts_ = cut_.facts<PhotonCutFacts>();
       gather(map);
@@ -282,7 +315,7 @@ void PhotonPlan::gather(const Artifact& map) {
     std::uint32_t cut_depth, reserved;
   } program{.estimate = estimate(kGatherNeighbours), .cut_depth = cut_depth(), .reserved = 0};
   static_assert(sizeof(PathParameters) + sizeof program == sizeof(PhotonGatherParameters));
-  paths_.begin({.classes = classes(), .limit = limit()},
+  paths_.begin({.classes = classes(), .limit = limit(), .mean = own_.mean, .squared_error = own_.squared_error},
                {.kind = "photon_gather", .method_parameters = bytes_of(program), .inputs = light_of(map)});
 }
 
@@ -314,18 +347,39 @@ void PhotonPlan::ask_clusters(const Artifact& map) {
   });
 }
 
-void PhotonPlan::gather_clusters(const Artifact& map, const Artifact& points, const Artifact& places) {
+// Stage `name`: records of so many places.
+Artifact PhotonPlan::ask_records(const std::string& name, const Artifact& map, const Artifact& places,
+                                 std::uint64_t count) {
   PhotonClusterGatherParameters p{};
-  p.records = cache_.gather_parameters(clusters_.places, strata_);
+  p.records = cache_.gather_parameters(count, strata_);
   p.records.samples.filter = PATH_CLASS_DIFFUSE | PATH_CLASS_CAUSTIC | PATH_CLASS_MIXED;
   p.records.samples.clamp = limit();
   p.estimate = estimate(kGatherNeighbours);
   p.cut_depth = cut_depth();
   std::vector<Graph::Input> inputs = light_of(map);
   inputs.push_back({"places", places});
-  const Artifact records = graph_.add(
-      PixelCache::gathering("photon.cluster_gather", "photon_cluster_gather", kFirst, clusters_.places, strata_), p,
-      std::move(inputs));
+  return graph_.add(PixelCache::gathering(name, "photon_cluster_gather", kFirst, count, strata_), p, std::move(inputs));
+}
+
+// Where records that a point reads differ much, there are more.
+void PhotonPlan::gather_clusters(const Artifact& map, const Artifact& points, const Artifact& places) {
+  const Artifact records = ask_records("photon.cluster_gather", map, places, clusters_.places);
+  PhotonClusterRefineParameters p{};
+  p.width = settings_.width;
+  p.height = settings_.height;
+  p.samples = cache_.samples();
+  p.most = std::max(1u, photon_.clusters / kRefined);
+  const Artifact more = graph_.add(cache_.choosing("photon.cluster_refine", "photon_cluster_refine", kFirst), p,
+                                   {{"points", points}, {"records", records}});
+  graph_.when({more}, [this, map, points, records, more] {
+    refined_ = more.record_count();
+    std::vector<Graph::Input> inputs = {{"records", records}};
+    if (refined_ > 0) inputs.push_back({"more", ask_records("photon.cluster_gather.1", map, more, refined_)});
+    shade_clusters(points, std::move(inputs));
+  });
+}
+
+void PhotonPlan::shade_clusters(const Artifact& points, std::vector<Graph::Input> records) {
   const Artifact cache = graph_.add({.name = "photon.cluster_smooth",
                                      .kind = "photon_cluster_smooth",
                                      .items = 1,
@@ -333,9 +387,9 @@ void PhotonPlan::gather_clusters(const Artifact& map, const Artifact& points, co
                                      .priority = kFirst,
                                      .output = {.record_bytes = CACHE_WORDS * 4,
                                                 .counted = true,
-                                                .most_records = low(clusters_.places),
+                                                .most_records = low(clusters_.places + refined_),
                                                 .placement = Placement::retain}},
-                                    PhotonClusterSmoothParameters{}, {{"records", records}});
+                                    PhotonClusterSmoothParameters{}, std::move(records));
   const Artifact shaded = cache_.ask_shading(graph_, "photon", kFirst, points, cache);
   cache_.preview(graph_, film_, shaded);
   graph_.when({shaded}, [this, shaded] { show_clusters(cache_.picture_of(shaded.records())); });
@@ -343,6 +397,7 @@ void PhotonPlan::gather_clusters(const Artifact& map, const Artifact& points, co
 
 // The clusters' light is a part of every pass of caustics, and a pass of its own where there is none.
 void PhotonPlan::show_clusters(std::vector<float> picture) {
+  if (settings_.target_error > 0) own_.add(picture, kRecordNoise / std::sqrt(strata_.count()));
   if (has_caustics())
     beside_->light = std::move(picture);
   else
@@ -385,6 +440,15 @@ void PhotonPlan::shade_caustics(std::uint32_t pass) {
                                       .output = {.record_bytes = 12, .floats = true}},
                                      p, {{"guide", guide_}, {"map", s.map}});
   s.map = {};
+  if (first_caustics_ && pass == 0)
+    graph_.when({shaded}, [this, shaded] {
+      const Bytes& records = shaded.records();
+      std::vector<float> picture(records.size() / sizeof(float));
+      std::memcpy(picture.data(), records.data(), records.size());
+      // Of a pass; radii shrink, so that variance falls by less than the passes' number.
+      own_.add(picture, std::pow(passes_.size(), -kShrinkage / 2) / std::sqrt(kCausticNeighbours));
+      graph_.announce(first_caustics_);
+    });
   preview_pass(shaded);
   add_pass(shaded, beside_);
   caustics_asked_ = pass + 1 == passes_.size();
@@ -424,6 +488,7 @@ std::string PhotonPlan::parameters_json() const {
     photon["points"] = clusters_.points;
     photon["places"] = clusters_.places;
     photon["strays"] = clusters_.strays;
+    photon["refined"] = refined_;
     photon["reach"] = clusters_.reach;
   }
   if (has_caustics()) {
@@ -452,6 +517,8 @@ std::vector<std::string> PhotonPlan::outline() const {
     lines.push_back("photon.clusters: " + std::to_string(photon_.clusters) + " clusters of these, solo");
     lines.push_back("photon.cluster_gather: " + std::to_string(strata_.count()) +
                     " rays of each cluster's sample point, which read the map, split");
+    lines.push_back("photon.cluster_refine: sample points more where records differ, at most one for " +
+                    std::to_string(kRefined) + " clusters, solo");
     lines.push_back("photon.shade: " + std::to_string(cache_.tiles()) + " tiles lit by the samples near them, split");
   }
   if (has_caustics()) {
@@ -485,7 +552,7 @@ Method photon_method() {
            "light paths of the map that paths read behind their first surface; 0: no such map, paths go on"},
           {"photon.caustics", whole, 0, 1u << 24, "200000",
            "light paths of each pass of caustics; 0: paths find the caustics"},
-          {"photon.passes", whole, 1, 4096, "`--spp` / 8, 1 to 64",
+          {"photon.passes", whole, 1, 4096, "`--spp` / 4, 2 to 64",
            "independent passes of caustics, each of a smaller radius; their mean is the picture"},
           {"photon.clusters", whole, 0, 1u << 20, "4 to 16 times the root of the number of pixels",
            "clusters of the points that pixels show, at whose sample points indirect light on diffuse layers is "

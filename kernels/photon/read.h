@@ -2,6 +2,7 @@
 #ifndef GLEANER_KERNELS_PHOTON_READ_H
 #define GLEANER_KERNELS_PHOTON_READ_H
 
+#include "kernels/photon/area.h"
 #include "kernels/photon/cut.h"
 #include "kernels/photon/layer.h"
 
@@ -28,6 +29,7 @@ kernel void photon_read(global const float* restrict reads, uint count, SCENE_PA
   PhotonMap photons = photon_map(map, map_nodes);
   float radius2 = estimate_radius2(&photons, &place, neighbours, most_radius);
   v3 sum = splat3(zero_f());
+  PhotonSpread spread = photon_spread(&place);
   uint at = 0u;
   for (;;) {
     uint block = next_leaf(&photons, &place, radius2, &at);
@@ -35,10 +37,12 @@ kernel void photon_read(global const float* restrict reads, uint count, SCENE_PA
     for (uint part = 0; part < MAP_PARTS; ++part) {
       vf distance2;
       vi near = photons_near(&photons, block, part, &place, radius2, &distance2);
-      if (any_lane(near)) sum = add3(sum, layer_takes(&scene_value, &photons, block, part, read, near));
+      if (!any_lane(near)) continue;
+      sum = add3(sum, layer_takes(&scene_value, &photons, block, part, read, near));
+      spread_add(&spread, &photons, block, part, &place, near & (distance2 > zero_f()));
     }
   }
-  float scale = INV_PI / radius2;
+  float scale = 1.0f / spread_area(&spread, radius2);
   global float* to = slots + SLOT_WORDS * slot + SLOT_INDIRECT;
   to[0] += read[READ_FACTOR] * scale * sum_lanes(sum.x);
   to[1] += read[READ_FACTOR + 1u] * scale * sum_lanes(sum.y);

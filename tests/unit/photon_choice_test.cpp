@@ -49,6 +49,8 @@ TEST(PhotonChoice, TargetsAskForWhatTheirSamplesWould) {
   EXPECT_EQ(wide.clusters, samples.clusters);
   EXPECT_GT(fine.rays, 2 * wide.rays);
   EXPECT_GT(fine.clusters, wide.clusters);
+  EXPECT_GT(fine.passes, wide.passes);
+  EXPECT_GE(wide.passes, 2u);
 }
 
 TEST(PhotonChoice, LeavesOutWhatDoesNotPay) {

@@ -11,9 +11,11 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <limits>
 #include <unordered_map>
 
 #include "kernels/photon_records.h"
+#include "worker/stages/photon/clusters.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/splat/points.h"
 #include "worker/stages/splat/scalar.h"
@@ -28,6 +30,9 @@ namespace {
 constexpr float kSmoothing = 0.2f, kMostReach = 3;
 // Rounds in which R learns of R_j.
 constexpr int kClampRounds = 3;
+// A record that is brighter than so many times another that lies in its reach is weighed there for no more than this
+// part of the other's light: what is beside a window would shine otherwise.
+constexpr double kBrighter = 2, kMostLeak = 0.5;
 // Bounds of the radius that weighs a record: of its reach, and by normals that hardly turn.
 constexpr float kLeastRadius = 0.05f, kLeastTurn = 0.1f;
 
@@ -43,7 +48,9 @@ class Smoothing {
     for (std::uint32_t i = 0; i < records_.size(); ++i) cells_[key_of(cell_at(i))].push_back(i);
     radius_.reserve(records_.size());
     for (const CacheRecord& record : records_) radius_.push_back(record.radius);
+    weighing_.assign(records_.size(), std::numeric_limits<float>::infinity());
     near_.resize(records_.size());
+    readable_.resize(records_.size());
     for (std::uint32_t i = 0; i < records_.size(); ++i) find_near(i);
   }
 
@@ -54,6 +61,19 @@ class Smoothing {
         for (const std::uint32_t j : near_[i]) clamped[i] = std::min(clamped[i], radius_[j] + offset(i, j).distance);
       radius_ = std::move(clamped);
     }
+  }
+
+  // Weights fall as the radius over the distance.
+  void bound_leaks() {
+    const auto light = [&](std::uint32_t i) {
+      const auto& e = records_[i].irradiance;
+      return double{e[0]} + e[1] + e[2];
+    };
+    for (std::uint32_t i = 0; i < records_.size(); ++i)
+      for (const std::uint32_t j : readable_[i])
+        if (light(j) > kBrighter * light(i))
+          weighing_[j] = std::min(weighing_[j],
+                                  static_cast<float>(kMostLeak * double{offset(i, j).distance} * light(i) / light(j)));
   }
 
   void smooth_gradients() {
@@ -141,6 +161,7 @@ class Smoothing {
           for (const std::uint32_t j : found->second) {
             if (j == i) continue;
             const Offset off = offset(i, j);
+            if (off.distance <= reach(j) && off.turn <= turn(j) && !hidden(i, j, off)) readable_[i].push_back(j);
             if (off.distance > most || off.turn > std::min(turn(i), turn(j)) || hidden(i, j, off)) continue;
             near_[i].push_back(j);
           }
@@ -185,7 +206,7 @@ class Smoothing {
     each_weighted(i, add);
     for (std::size_t c = 0; c < 3; ++c) result.irradiance[c] = static_cast<float>(e[c] / weights);
     const float most = reach(i) / std::max(turn(i), kLeastTurn);
-    const float r = std::clamp(radius_[i], kLeastRadius * reach(i), most);
+    const float r = std::clamp(std::min(radius_[i], weighing_[i]), kLeastRadius * reach(i), most);
     result.radius = r;
     result.accuracy = reach(i) / r + turn(i);
     result.spare = {};
@@ -193,14 +214,16 @@ class Smoothing {
   }
 
   std::vector<CacheRecord> records_;
-  std::vector<float> radius_;
+  std::vector<float> radius_, weighing_;
   float cell_ = 1;
   std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> cells_;
-  std::vector<std::vector<std::uint32_t>> near_;
+  std::vector<std::vector<std::uint32_t>> near_, readable_;  // the latter: records that reach a record's place
 };
 
-std::vector<CacheRecord> read_records(const StageTask& task) {
-  const InputRows input(task, "records", sizeof(CacheRecord));
+}  // namespace
+
+std::vector<CacheRecord> read_cluster_records(const StageTask& task, const std::string& name) {
+  const InputRows input(task, name, sizeof(CacheRecord));
   std::vector<CacheRecord> records(input.rows());
   input.visit(0, input.rows(), [&](std::uint64_t first, std::span<const std::byte> piece) {
     std::memcpy(&records[first], piece.data(), piece.size());
@@ -217,11 +240,15 @@ std::vector<CacheRecord> read_records(const StageTask& task) {
   return records;
 }
 
-}  // namespace
-
 BatchResult smooth_photon_clusters(const StageTask& task) {
-  Smoothing smoothing(read_records(task));
+  std::vector<CacheRecord> records = read_cluster_records(task, "records");
+  if (task.inputs.contains("more")) {
+    const std::vector<CacheRecord> more = read_cluster_records(task, "more");
+    records.insert(records.end(), more.begin(), more.end());
+  }
+  Smoothing smoothing(std::move(records));
   smoothing.clamp_radii();
+  smoothing.bound_leaks();
   smoothing.smooth_gradients();
   const std::vector<CacheRecord> rows = smoothing.smoothed();
   BatchResult result;

@@ -152,18 +152,9 @@ BatchResult run_photon_cluster_stage(const StageRun& run) {
     samples = cluster(run, p, data);
     facts.strays = extend_samples(data.screen, points, data.members, samples);
   }
-  BatchResult result;
-  result.records.resize(samples.size() * sizeof(SplatPoint));
-  std::byte* to = result.records.data();
-  for (const ClusterSample& sample : samples) {
-    SplatPoint row = points[sample.point];
-    row.factor = {sample.reach, sample.turn, sample.spacing};
-    std::memcpy(to, &row, sizeof row);
-    to += sizeof row;
-  }
+  BatchResult result = sample_places(samples, points);
   facts.places = samples.size();
   facts.reach = median_reach(samples);
-  result.counts = {static_cast<std::uint32_t>(samples.size())};
   set_facts(result, facts);
   result.counters.seconds = seconds_now() - start;
   result.counters.kernel_seconds = result.counters.seconds;

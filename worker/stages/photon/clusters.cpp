@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 #include "kernels/records.h"
 #include "worker/stages/splat/scalar.h"
@@ -17,21 +18,6 @@ constexpr float kMostTurn = 0.5f, kMostSpread = 3;
 constexpr float kLeastTurn = 0.05f;
 // A stray's sample: pixels that it reaches, and how far normals may turn.
 constexpr float kStrayPixels = 8, kStrayTurn = 0.35f;
-
-struct Offset {
-  float distance = 0, turn = 0;
-  bool hidden = false;
-};
-
-Offset offset_of(const SplatPoint& from, const SplatPoint& to) {
-  const auto& [x, y, z] = std::array<float, 3>{to.position[0] - from.position[0], to.position[1] - from.position[1],
-                                               to.position[2] - from.position[2]};
-  const auto &n = to.normal, &m = from.normal;
-  float turned = 0;
-  for (std::size_t k = 0; k < 3; ++k) turned += (n[k] - m[k]) * (n[k] - m[k]);
-  return {std::sqrt(x * x + y * y + z * z), std::sqrt(turned / 2),
-          splat::splat_is_hidden(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], SPLAT_MOST_DEPTH * (1 - SPLAT_SLACK))};
-}
 
 class Extents {
  public:
@@ -52,13 +38,13 @@ class Extents {
     std::vector<double> squared(clusters_, 0);
     std::vector<std::uint32_t> count(clusters_, 0);
     for (const ClusterMember& member : members_) {
-      const Offset off = offset(member);
+      const PointOffset off = offset(member);
       if (off.hidden || off.turn > kMostTurn) continue;
       squared[member.sample] += double{off.distance} * off.distance;
       ++count[member.sample];
     }
     for (const ClusterMember& member : members_) {
-      const Offset off = offset(member);
+      const PointOffset off = offset(member);
       ClusterSample& sample = samples_[member.sample];
       const double most = kMostSpread * std::sqrt(squared[member.sample] / std::max(1u, count[member.sample]));
       if (off.hidden || off.turn > kMostTurn || off.distance > most) continue;
@@ -85,12 +71,14 @@ class Extents {
   std::uint64_t strays() const { return samples_.size() - clusters_; }
 
  private:
-  Offset offset(const ClusterMember& member) const {
-    return offset_of(points_[samples_[member.sample].point], points_[member.point]);
+  PointOffset offset_of(const ClusterSample& sample, std::size_t point) const {
+    const SplatPoint& from = points_[sample.point];
+    return point_offset(from.position, from.normal, points_[point]);
   }
+  PointOffset offset(const ClusterMember& member) const { return offset_of(samples_[member.sample], member.point); }
 
   bool covers(const ClusterSample& sample, std::size_t point) const {
-    const Offset off = offset_of(points_[sample.point], points_[point]);
+    const PointOffset off = offset_of(sample, point);
     return off.distance <= sample.reach && off.turn <= sample.turn && !off.hidden;
   }
 
@@ -113,11 +101,7 @@ class Extents {
   void cover_stray(std::size_t point) {
     for (std::size_t k = samples_.size(); k > clusters_; --k)
       if (covers(samples_[k - 1], point)) return;
-    const float pixel = points_[point].footprint;
-    samples_.push_back({.point = static_cast<std::uint32_t>(point),
-                        .reach = kStrayPixels * pixel,
-                        .turn = kStrayTurn,
-                        .spacing = kStrayPixels / kOverlap * pixel});
+    samples_.push_back(stray_sample(static_cast<std::uint32_t>(point), points_[point].footprint));
   }
 
   PointScreen screen_;
@@ -129,6 +113,37 @@ class Extents {
 };
 
 }  // namespace
+
+PointOffset point_offset(const std::array<float, 3>& position, const std::array<float, 3>& m, const SplatPoint& to) {
+  const auto& [x, y, z] =
+      std::array<float, 3>{to.position[0] - position[0], to.position[1] - position[1], to.position[2] - position[2]};
+  const auto& n = to.normal;
+  float turned = 0;
+  for (std::size_t k = 0; k < 3; ++k) turned += (n[k] - m[k]) * (n[k] - m[k]);
+  return {std::sqrt(x * x + y * y + z * z), std::sqrt(turned / 2),
+          splat::splat_is_hidden(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], SPLAT_MOST_DEPTH * (1 - SPLAT_SLACK))};
+}
+
+ClusterSample stray_sample(std::uint32_t point, float footprint) {
+  return {.point = point,
+          .reach = kStrayPixels * footprint,
+          .turn = kStrayTurn,
+          .spacing = kStrayPixels / kOverlap * footprint};
+}
+
+BatchResult sample_places(const std::vector<ClusterSample>& samples, std::span<const SplatPoint> points) {
+  BatchResult result;
+  result.records.resize(samples.size() * sizeof(SplatPoint));
+  std::byte* to = result.records.data();
+  for (const ClusterSample& sample : samples) {
+    SplatPoint row = points[sample.point];
+    row.factor = {sample.reach, sample.turn, sample.spacing};
+    std::memcpy(to, &row, sizeof row);
+    to += sizeof row;
+  }
+  result.counts = {static_cast<std::uint32_t>(samples.size())};
+  return result;
+}
 
 std::uint64_t extend_samples(const PointScreen& screen, std::span<const SplatPoint> points,
                              std::span<const ClusterMember> members, std::vector<ClusterSample>& samples) {

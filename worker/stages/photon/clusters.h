@@ -1,12 +1,15 @@
 #pragma once
 // Which samples shading clusters have, and how far each of them is read (Wang et al. 2009, section 3.2).
 
+#include <array>
 #include <cstdint>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "worker/stages/photon/seeding.h"
 #include "worker/stages/splat/points.h"
+#include "worker/wavefront/stage_task.h"
 
 namespace gleaner::worker {
 
@@ -37,9 +40,25 @@ struct ClusterMember {
   std::uint32_t point = 0, sample = 0;
 };
 
+// How a point lies to a sample's.
+struct PointOffset {
+  float distance = 0, turn = 0;  // m; sqrt(1 - n.m)
+  bool hidden = false;           // below the sample's surface
+};
+PointOffset point_offset(const std::array<float, 3>& position, const std::array<float, 3>& normal,
+                         const SplatPoint& to);
+
+// A sample at a point that is too unlike all others near it: it is read a few pixels around.
+ClusterSample stray_sample(std::uint32_t point, float footprint);
+
+// The samples as rows of places (kernels/splat_records.h), in one item.
+BatchResult sample_places(const std::vector<ClusterSample>& samples, std::span<const SplatPoint> points);
+
+// Records that were gathered at samples: their reach and turn are `spare`. Throws Error::bad_input.
+std::vector<CacheRecord> read_cluster_records(const StageTask& task, const std::string& input);
+
 // Gives the samples (whose points are set) their extents, such that each point that a pixel shows may read one: where
 // it is too unlike all near it, it becomes a sample itself, or reads one that did. Returns how many did.
-
 std::uint64_t extend_samples(const PointScreen& screen, std::span<const SplatPoint> points,
                              std::span<const ClusterMember> members, std::vector<ClusterSample>& samples);
 
