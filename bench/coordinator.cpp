@@ -6,6 +6,9 @@
 //   bench_coordinator memory HOST:PORT PROCESS [WIDTH HEIGHT SPP [QUEUED]]
 //     The memory of a coordinator that runs there, by a frame of the path tracer with others waiting behind it (3840
 //     2160 64, 50). bench/coordinator_memory starts one.
+//   bench_coordinator jobs HOST:PORT PROCESS [JOBS [CANCELLED]]
+//     Its memory after small jobs one after the other, and after jobs that were cancelled while they waited (300
+//     2000). bench/coordinator_memory jobs starts one.
 
 #include <grpcpp/grpcpp.h>
 #include <sys/resource.h>
@@ -169,61 +172,6 @@ double memory_of(const std::string& process, const std::string& line) {
   throw Error::failed("process " + process + ": no " + line);
 }
 
-// A frame of the path tracer, with others queued behind it, on a coordinator that runs elsewhere: what memory it takes.
-int measure_memory(const std::string& address, const std::string& process, const FrameSettings& settings,
-                   unsigned queued) {
-  auto stub = pb::Farm::NewStub(grpc::CreateChannel(address, grpc::InsecureChannelCredentials()));
-  scene::Scene scene = scene::make_scene("cornell-box", {});
-  pb::SubmitJobRequest request;
-  request.set_scene_name("cornell-box");
-  const auto upload = [&](const Bytes& bytes) {
-    grpc::ClientContext context;
-    pb::UploadBlobReply reply;
-    auto writer = stub->UploadBlob(&context, &reply);
-    pb::UploadBlobRequest part;
-    part.mutable_header()->set_id(sha256_hex(bytes));
-    part.mutable_header()->set_bytes(bytes.size());
-    writer->Write(part);
-    part.set_data(bytes.data(), bytes.size());
-    writer->Write(part);
-    writer->WritesDone();
-    if (const grpc::Status status = writer->Finish(); !status.ok()) throw Error::failed(status.error_message());
-    return sha256_hex(bytes);
-  };
-  request.set_scene_blob(upload(scene::serialize(scene)));
-  request.set_bvh_blob(upload(scene::serialize(scene::build_bvh(scene))));
-  *request.mutable_settings() = gateway::to_proto(settings);
-  const auto submit = [&] {
-    grpc::ClientContext context;
-    pb::SubmitJobReply reply;
-    if (const grpc::Status status = stub->SubmitJob(&context, request, &reply); !status.ok())
-      throw Error::failed(status.error_message());
-    return reply.job();
-  };
-  std::printf("before any job            %.1f MiB\n", memory_of(process, "VmRSS"));
-  const std::string job = submit();
-  std::this_thread::sleep_for(std::chrono::seconds(3));  // its plan is made
-  const double alone = memory_of(process, "VmRSS");
-  for (unsigned i = 0; i < queued; ++i) submit();
-  if (queued > 0) std::printf("a job that waits          %.3f MiB\n", (memory_of(process, "VmRSS") - alone) / queued);
-
-  std::vector<std::thread> threads = start_workers(address, 4, 2e6);
-  pb::Job status;
-  do {
-    std::this_thread::sleep_for(std::chrono::milliseconds(200));
-    grpc::ClientContext context;
-    pb::GetJobRequest get;
-    get.set_job(job);
-    if (const grpc::Status got = stub->GetJob(&context, get, &status); !got.ok())
-      throw Error::failed(got.error_message());
-  } while (status.state() == pb::JOB_STATE_RUNNING || status.state() == pb::JOB_STATE_QUEUED);
-  std::printf("%ux%u, %u spp: %s, %.1f s\n", settings.width, settings.height, settings.spp,
-              status.state() == pb::JOB_STATE_DONE ? "done" : status.message().c_str(), status.seconds());
-  std::printf("peak                      %.1f MiB\n", memory_of(process, "VmHWM"));
-  std::fflush(stdout);
-  ::_exit(status.state() == pb::JOB_STATE_DONE ? 0 : 1);  // the workers' streams end with the process
-}
-
 FrameSettings frame_settings(std::uint32_t width, std::uint32_t height, std::uint32_t spp) {
   FrameSettings settings;
   settings.width = width;
@@ -233,6 +181,119 @@ FrameSettings frame_settings(std::uint32_t width, std::uint32_t height, std::uin
   settings.camera.forward[2] = -1;
   settings.camera.half_width = settings.camera.half_height = 0.5f;
   return settings;
+}
+
+void check(const grpc::Status& status) {
+  if (!status.ok()) throw Error::failed(status.error_message());
+}
+
+// Frames of the Cornell box on a coordinator that runs elsewhere.
+class Customer {
+ public:
+  Customer(const std::string& address, const FrameSettings& settings)
+      : stub_(pb::Farm::NewStub(grpc::CreateChannel(address, grpc::InsecureChannelCredentials()))) {
+    const scene::Scene scene = scene::make_scene("cornell-box", {});
+    request_.set_scene_name("cornell-box");
+    request_.set_scene_blob(upload(scene::serialize(scene)));
+    request_.set_bvh_blob(upload(scene::serialize(scene::build_bvh(scene))));
+    *request_.mutable_settings() = gateway::to_proto(settings);
+  }
+
+  std::string submit() {
+    grpc::ClientContext context;
+    pb::SubmitJobReply reply;
+    check(stub_->SubmitJob(&context, request_, &reply));
+    return reply.job();
+  }
+  void cancel(const std::string& job) {
+    grpc::ClientContext context;
+    pb::CancelJobRequest request;
+    request.set_job(job);
+    pb::Job reply;
+    check(stub_->CancelJob(&context, request, &reply));
+  }
+  // As it stood when it ended.
+  pb::Job end_of(const std::string& job) {
+    pb::Job status;
+    do {
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+      grpc::ClientContext context;
+      pb::GetJobRequest get;
+      get.set_job(job);
+      check(stub_->GetJob(&context, get, &status));
+    } while (status.state() == pb::JOB_STATE_RUNNING || status.state() == pb::JOB_STATE_QUEUED);
+    return status;
+  }
+
+ private:
+  std::string upload(const Bytes& bytes) {
+    grpc::ClientContext context;
+    pb::UploadBlobReply reply;
+    auto writer = stub_->UploadBlob(&context, &reply);
+    pb::UploadBlobRequest part;
+    part.mutable_header()->set_id(sha256_hex(bytes));
+    part.mutable_header()->set_bytes(bytes.size());
+    writer->Write(part);
+    part.set_data(bytes.data(), bytes.size());
+    writer->Write(part);
+    writer->WritesDone();
+    check(writer->Finish());
+    return sha256_hex(bytes);
+  }
+
+  std::unique_ptr<pb::Farm::Stub> stub_;
+  pb::SubmitJobRequest request_;
+};
+
+// A frame of the path tracer, with others queued behind it: what memory it takes.
+int measure_memory(const std::string& address, const std::string& process, const FrameSettings& settings,
+                   unsigned queued) {
+  Customer customer(address, settings);
+  std::printf("before any job            %.1f MiB\n", memory_of(process, "VmRSS"));
+  const std::string job = customer.submit();
+  std::this_thread::sleep_for(std::chrono::seconds(3));  // its plan is made
+  const double alone = memory_of(process, "VmRSS");
+  for (unsigned i = 0; i < queued; ++i) customer.submit();
+  if (queued > 0) std::printf("a job that waits          %.3f MiB\n", (memory_of(process, "VmRSS") - alone) / queued);
+
+  std::vector<std::thread> threads = start_workers(address, 4, 2e6);
+  const pb::Job status = customer.end_of(job);
+  std::printf("%ux%u, %u spp: %s, %.1f s\n", settings.width, settings.height, settings.spp,
+              status.state() == pb::JOB_STATE_DONE ? "done" : status.message().c_str(), status.seconds());
+  std::printf("peak                      %.1f MiB\n", memory_of(process, "VmHWM"));
+  std::fflush(stdout);
+  ::_exit(status.state() == pb::JOB_STATE_DONE ? 0 : 1);  // the workers' streams end with the process
+}
+
+// Small jobs one after the other, then jobs that are cancelled while they wait: what memory they leave behind.
+int measure_jobs(const std::string& address, const std::string& process, unsigned jobs, unsigned cancelled) {
+  FrameSettings settings = frame_settings(32, 24, 4);
+  Customer customer(address, settings);
+  std::vector<std::thread> threads = start_workers(address, 1, 2e6);
+  for (unsigned i = 1; i <= jobs; ++i) {
+    if (const pb::Job job = customer.end_of(customer.submit()); job.state() != pb::JOB_STATE_DONE)
+      throw Error::failed(job.message());
+    if (i == 1 || i == jobs / 3 || i == 2 * jobs / 3 || i == jobs)
+      std::printf("after %4u small jobs      %.1f MiB\n", i, memory_of(process, "VmRSS"));
+  }
+  settings.spp = 65536;
+  Customer large(address, settings);
+  large.submit();
+  large.submit();  // what comes behind these two waits
+  std::this_thread::sleep_for(std::chrono::seconds(3));
+  std::vector<std::string> waiting;
+  const double before = memory_of(process, "VmRSS");
+  for (unsigned i = 0; i < cancelled; ++i) {
+    if (waiting.size() == 500) {
+      for (const std::string& job : waiting) large.cancel(job);
+      waiting.clear();
+    }
+    waiting.push_back(large.submit());
+  }
+  for (const std::string& job : waiting) large.cancel(job);
+  std::printf("after %4u cancelled       %+.1f MiB\n", cancelled, memory_of(process, "VmRSS") - before);
+  std::fflush(stdout);
+  ::_exit(0);
 }
 
 }  // namespace
@@ -246,9 +307,11 @@ int main(int argc, char** argv) try {
   if (words.size() >= 3 && words[0] == "memory")
     return measure_memory(words[1], words[2], frame_settings(number(3, 3840), number(4, 2160), number(5, 64)),
                           number(6, 50));
+  if (words.size() >= 3 && words[0] == "jobs") return measure_jobs(words[1], words[2], number(3, 300), number(4, 2000));
   std::fprintf(stderr,
                "usage: bench_coordinator rate [WORKERS [SECONDS]]\n"
-               "       bench_coordinator memory HOST:PORT PROCESS [WIDTH HEIGHT SPP [QUEUED]]\n");
+               "       bench_coordinator memory HOST:PORT PROCESS [WIDTH HEIGHT SPP [QUEUED]]\n"
+               "       bench_coordinator jobs HOST:PORT PROCESS [JOBS [CANCELLED]]\n");
   return 2;
 } catch (const std::exception& error) {
   std::fprintf(stderr, "bench_coordinator: error: %s\n", error.what());

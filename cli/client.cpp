@@ -19,11 +19,23 @@ using gateway::from_proto;
 
 namespace {
 
-constexpr std::chrono::seconds connect_patience{3};
-constexpr std::chrono::seconds call_patience{60};  // calls that do not stream; a submission parses its scene
+constexpr std::chrono::seconds connect_patience{3};  // with nobody there
+constexpr std::chrono::seconds busy_patience{15};    // with one that is there and has not spoken yet
+constexpr std::chrono::seconds call_patience{60};    // calls that do not stream; a submission parses its scene
 
 void set_deadline(grpc::ClientContext& context) {
   context.set_deadline(std::chrono::system_clock::now() + call_patience);
+}
+
+// A coordinator with thousands of connections before this one takes its time.
+bool connects(grpc::Channel& channel) {
+  const auto begun = std::chrono::system_clock::now();
+  for (auto state = channel.GetState(true); state != GRPC_CHANNEL_READY; state = channel.GetState(true)) {
+    const auto until = begun + (state == GRPC_CHANNEL_CONNECTING ? busy_patience : connect_patience);
+    if (std::chrono::system_clock::now() >= until) return false;
+    channel.WaitForStateChange(state, until);
+  }
+  return true;
 }
 
 }  // namespace
@@ -46,12 +58,15 @@ Client::Client(const std::string& address) : address_(address) {
   const std::shared_ptr<const Keys> keys = own_keys();
   const auto credentials = channel_credentials(keys.get(), Role::coordinate, arguments);
   auto channel = grpc::CreateCustomChannel(address_, credentials, arguments);
-  if (!channel->WaitForConnected(std::chrono::system_clock::now() + connect_patience))
+  if (!connects(*channel))
     throw Error::connection("no coordinator answers at " + address_ +
                             (keys ? ", or not one of this farm (keys of " + keys->folder.string() + ")"
                                   : std::string(", or none that takes connections without keys (--keys)")));
   stub_ = pb::Farm::NewStub(channel);
 }
+
+Client::Client(const std::shared_ptr<grpc::Channel>& channel)
+    : address_("this process"), stub_(pb::Farm::NewStub(channel)) {}
 
 void Client::check(const grpc::Status& status) const {
   switch (status.error_code()) {

@@ -40,7 +40,8 @@ using namespace gleaner::coordinator;
 namespace {
 
 constexpr double gib = 1024.0 * 1024 * 1024;
-constexpr Seconds grace = 5;  // for a plan that computes when the coordinator is to end
+constexpr Seconds disk_patience = 3600;  // somebody may be asleep
+constexpr Seconds grace = 5;             // for a plan that computes when the coordinator is to end
 
 struct CoordinatorOptions {
   std::string listen = "127.0.0.1:8780";
@@ -113,6 +114,7 @@ int coordinate(const CoordinatorOptions& options) {
   settings.scheduler.incarnation = settings.journal->begin();
   settings.records = data / "records";
   settings.recheck_share = options.recheck;
+  settings.disk_patience = disk_patience;
   settings.jobs_an_owner = options.jobs_an_owner;
   settings.active_jobs = options.active_jobs;
   settings.frames_at_once = options.frames_at_once;

@@ -16,7 +16,9 @@ namespace gleaner {
 namespace {
 
 [[noreturn]] void fail(const std::string& path, const std::string& step, int code) {
-  throw Error::failed(path + ": cannot " + step + ": " + std::generic_category().message(code));
+  const std::string words = path + ": cannot " + step + ": " + std::generic_category().message(code);
+  if (code == ENOSPC || code == EDQUOT) throw DiskFull(words);
+  throw Error::failed(words);
 }
 
 // Calls `make` with names of temporary files in the folder until one is free. They do not grow from the target's, which

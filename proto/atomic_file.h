@@ -7,11 +7,18 @@
 #include <span>
 #include <string>
 
+#include "scene/model/error.h"
+
 namespace gleaner {
 
+// There is no room, now: somebody may make some.
+struct DiskFull : Error {
+  explicit DiskFull(std::string message) : Error(ErrorKind::failed, std::move(message)) {}
+};
+
 // Temporary name in the same folder, fsync, rename, fsync of the folder. A symbolic link is followed. Several writers
-// of one path: the last rename wins, whole. All throw Error::failed naming the path and the reason (missing folder, no
-// space, not a regular file).
+// of one path: the last rename wins, whole. All throw Error::failed naming the path and the reason (missing folder, not
+// a regular file); DiskFull where there is no room.
 class AtomicFile {
  public:
   // `mode`: of the new file, as open() takes it.

@@ -190,8 +190,10 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   bool conclude(Frame& frame, std::unique_lock<std::mutex>& lock);
   // Whatever the frame still has with scheduler and workers is taken back; its figures move into the report.
   void end_frame(Frame& frame);
-  JobRemains withdraw(Frame& frame);  // mutex held; as end_frame()
-  void write(Frame& frame, const Film& film);
+  JobRemains withdraw(Frame& frame);           // mutex held; as end_frame()
+  void write(Frame& frame, const Film& film);  // waits for room where the disk is full
+  void write_files(Frame& frame, const Film& film);
+  void give_picture(Frame& frame, Film film);  // to Farm::show()
 
   // Stages (stages.cpp).
   // Hands a step's stages to the scheduler. The memory for their results is taken while the first batches run.

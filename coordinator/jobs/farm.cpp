@@ -100,7 +100,8 @@ std::optional<JobStatus> Farm::status(const std::string& id) const {
 std::vector<JobStatus> Farm::list() const {
   std::lock_guard lock(impl_->mutex);
   std::vector<JobStatus> all;
-  for (const auto& job : impl_->order) all.push_back(status_of(*job, impl_->now()));
+  for (const auto& job : impl_->order)
+    if (!job->showing) all.push_back(status_of(*job, impl_->now()));
   return all;
 }
 
@@ -114,6 +115,8 @@ std::optional<JobStatus> Farm::wait(const std::string& id, std::uint64_t seen, S
 }
 
 void Farm::Impl::tell(FarmEvent event) {
+  // Frames that are shown come many a second, and are nobody else's.
+  if (const auto job = find(event.job); job && job->showing) return;
   event_log.add(std::move(event));
   event_told.notify_all();
 }
@@ -184,6 +187,7 @@ std::optional<std::vector<std::string>> Farm::why(const std::string& id) const {
     compared += frame->rechecks.size();
     const std::string which =
         job->frames.size() > 1 ? "frame " + std::to_string(frame_at(job->request, frame->place)) + ", " : "";
+    if (!frame->full_disk.empty()) reasons.push_back(which + "it is whole, and waits for room: " + frame->full_disk);
     for (const auto& stage : frame->stages) {
       if (stage->delivered || !impl_->active_stages.count(stage->id)) continue;
       std::string reason = impl_->scheduler.why_waiting(stage->id, impl_->now(), names);

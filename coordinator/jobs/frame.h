@@ -139,6 +139,7 @@ struct Frame : std::enable_shared_from_this<Frame> {
   std::condition_variable events;  // with the farm's mutex: something below changed
   bool computing = false;          // the thread is in a call of the plan
   std::string failure;
+  std::string full_disk;                              // it is whole, and waits for room: what could not be written
   std::vector<std::shared_ptr<RunningStage>> stages;  // in the order of their start
   std::deque<std::shared_ptr<RunningStage>> finished;
   std::vector<std::shared_ptr<RunningStage>> to_start;  // by the frame's thread: they followed another frame's

@@ -1,5 +1,6 @@
 // A frame's files: EXR, PNG and report.
 
+#include <chrono>
 #include <future>
 #include <span>
 #include <system_error>
@@ -13,7 +14,33 @@ namespace gleaner::coordinator {
 
 namespace fs = std::filesystem;
 
+namespace {
+
+constexpr std::chrono::seconds between_tries{2};  // to write on a full disk
+
+}  // namespace
+
 void Farm::Impl::write(Frame& frame, const Film& film) {
+  const Seconds begun = now();
+  for (;;) {
+    try {
+      write_files(frame, film);
+      break;
+    } catch (const DiskFull& error) {
+      if (now() - begun >= settings.disk_patience) throw;
+      std::unique_lock lock(mutex);
+      if (frame.full_disk.empty())
+        settings.log("job " + frame.job->id + ": " + error.what() + "; the frame waits until there is room");
+      frame.full_disk = error.what();
+      frame.events.wait_for(lock, between_tries, [&] { return frame.job->cancel || stopping; });
+      if (frame.job->cancel || stopping) throw Cancelled{};
+    }
+  }
+  std::lock_guard lock(mutex);
+  frame.full_disk.clear();
+}
+
+void Farm::Impl::write_files(Frame& frame, const Film& film) {
   const Job& job = *frame.job;
   FrameReport report;
   {
@@ -26,7 +53,9 @@ void Farm::Impl::write(Frame& frame, const Film& film) {
     if (path.empty() || path.parent_path().empty()) continue;
     std::error_code code;
     fs::create_directories(path.parent_path(), code);
-    if (code) throw Error::failed(path.parent_path().string() + ": cannot make the folder: " + code.message());
+    const std::string words = path.parent_path().string() + ": cannot make the folder: " + code.message();
+    if (code == std::errc::no_space_on_device) throw DiskFull(words);
+    if (code) throw Error::failed(words);
   }
   Seconds begun_writing = now();
   // Compressing takes longer than the disk does: the PNG is made beside the EXR.

@@ -39,8 +39,10 @@ const char* format_of(std::string_view head, const std::filesystem::path& path) 
 class OpenImage {
  public:
   OpenImage(const ImageSource& source, const std::string& file) : source_(source), file_(file) {
-    const char* format = format_of(head(), source.path);
+    const std::string first = head();
+    const char* format = format_of(first, source.path);
     if (!format) fail("a PNG or JPEG image", "other bytes");
+    if (std::string_view(format) == "gif") check_canvas(first);
     reader_ = OIIO::ImageInput::create(format);
     if (!reader_) fail("an image that OpenImageIO reads", std::string(format) + ": " + OIIO::geterror());
     OIIO::ImageSpec wanted;
@@ -51,7 +53,9 @@ class OpenImage {
       reader_->set_ioproxy(&*memory_);
     }
     const std::string name = source.path.empty() ? "embedded." + std::string(format) : source.path.string();
-    if (!reader_->open(name, spec_, wanted)) fail("an image", one_line(reader_->geterror()));
+    decode([&] {
+      if (!reader_->open(name, spec_, wanted)) fail("an image", one_line(reader_->geterror()));
+    });
     if (!(spec_.width >= 1 && spec_.width <= int(kMaxTextureSide) && spec_.height >= 1 &&
           spec_.height <= int(kMaxTextureSide) && spec_.depth <= 1 && spec_.nchannels >= 1))
       fail("1 to " + std::to_string(kMaxTextureSide) + " texels a side",
@@ -90,8 +94,10 @@ class OpenImage {
     const std::size_t count = std::size_t(width()) * height();
     std::fill_n(texels, count, 0xffffffffu);
     const int channels = std::min(spec_.nchannels, 4);
-    if (!reader_->read_image(0, 0, 0, channels, OIIO::TypeDesc::UINT8, texels, sizeof *texels))
-      fail("an image that can be decoded", one_line(reader_->geterror()));
+    decode([&] {
+      if (!reader_->read_image(0, 0, 0, channels, OIIO::TypeDesc::UINT8, texels, sizeof *texels))
+        fail("an image that can be decoded", one_line(reader_->geterror()));
+    });
     // A JPEG that ends too soon is grey from there on and no error to its reader; other complaints are for people.
     const std::string complaint = reader_->geterror();
     if (complaint.find("Premature end") != std::string::npos) fail("a whole image", one_line(complaint));
@@ -100,6 +106,32 @@ class OpenImage {
   }
 
  private:
+  // What readers throw is said in our words.
+  template <typename Call>
+  void decode(const Call& call) const {
+    try {
+      call();
+    } catch (const Error&) {
+      throw;
+    } catch (const std::exception& error) {
+      fail("an image that can be decoded", std::string("one at which its reader fails: ") + error.what());
+    }
+  }
+
+  // A GIF's reader takes the memory of its canvas when it opens the file. A code of at most 12 bits stands for at most
+  // 4096 texels.
+  void check_canvas(const std::string& first) const {
+    const auto side = [&](std::size_t at) {
+      return static_cast<unsigned char>(first[at]) + 256u * static_cast<unsigned char>(first[at + 1]);
+    };
+    const std::uint64_t width = side(6), height = side(8);
+    const std::string size = std::to_string(width) + "x" + std::to_string(height);
+    if (width > kMaxTextureSide || height > kMaxTextureSide)
+      fail("1 to " + std::to_string(kMaxTextureSide) + " texels a side", size);
+    if (width * height > bytes() * 8 / 9 * 4096)
+      fail("an image of as many bytes as its " + size + " texels take", std::to_string(bytes()));
+  }
+
   [[noreturn]] void fail(const std::string& expected, const std::string& found) const {
     const std::string name = source_.path.empty() ? "" : " (" + source_.path.filename().string() + ")";
     throw Error::bad_input(file_, source_.element + name, expected, found);

@@ -2,6 +2,10 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/mount.h>
+
+#include <cerrno>
+#include <cstring>
 
 #include <system_error>
 
@@ -433,6 +437,45 @@ TEST_F(FarmJobs, ATimeLimitDoesNotRunWhileTheJobIsPaused) {
   EXPECT_EQ(end_of(farm, job).state, JobState::done);
   EXPECT_EQ(report(farm, job)["time_limit"]["reached"], false);
   EXPECT_EQ(report(farm, job)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+}
+
+TEST_F(FarmJobs, AFrameWaitsForRoomOnAFullDisk) {
+  const std::filesystem::path disk = folder_.path() / "disk";
+  std::filesystem::create_directory(disk);
+  if (::mount("tmpfs", disk.c_str(), "tmpfs", 0, "size=64k") != 0)
+    GTEST_SKIP() << "no small disk can be mounted here: " << std::strerror(errno);
+  const std::shared_ptr<void> unmounts(nullptr, [&](void*) { ::umount2(disk.c_str(), MNT_DETACH); });
+  {
+    std::ofstream filler(disk / "filler");
+    while (filler << std::string(4096, 'x') << std::flush) continue;
+  }
+  FarmSettings farm_settings = settings();
+  farm_settings.paths = [&](const std::string&, std::uint32_t) {
+    return FramePaths{disk / "frame.exr", disk / "frame.png", disk / "frame.json"};
+  };
+  for (const bool patient : {false, true}) {
+    farm_settings.disk_patience = patient ? 100 : 0;
+    Farm farm(farm_settings, blobs_);
+    ScriptedWorker worker;
+    worker.join(farm);
+    const std::string job = farm.submit(request());
+    const auto waits = [&] {
+      const auto reasons = farm.why(job);
+      return !reasons->empty() && reasons->front().find("waits for room") != std::string::npos;
+    };
+    while (!ended(farm.status(job)->state) && !waits()) {
+      if (auto offer = worker.next(0.05)) worker.deliver(*offer, worker.compute(*offer, blobs_));
+    }
+    if (!patient) {
+      EXPECT_EQ(end_of(farm, job).state, JobState::failed);
+      EXPECT_THAT(farm.status(job)->message, HasSubstr("No space left on device"));
+      continue;
+    }
+    EXPECT_THAT(farm.why(job)->front(), HasSubstr("frame.exr: cannot write: No space left on device"));
+    std::filesystem::remove(disk / "filler");
+    EXPECT_EQ(end_of(farm, job).state, JobState::done);
+    EXPECT_EQ(report(farm, job)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
+  }
 }
 
 TEST_F(FarmJobs, AJobAfterOneThatIsNotThereIsRefused) {

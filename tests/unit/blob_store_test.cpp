@@ -152,6 +152,37 @@ TEST(BlobStore, AnUploadThatAnotherClientMakesIsWaitedFor) {
   EXPECT_EQ(waited, 5);
 }
 
+// MiB of this process.
+double resident() {
+  std::ifstream file("/proc/self/statm");
+  std::uint64_t size = 0, pages = 0;
+  file >> size >> pages;
+  return static_cast<double>(pages) * 4096 / (1 << 20);
+}
+
+TEST(BlobStore, ManyUploadsOfWrongBytesTakeLittleMemory) {
+  test::TemporaryFolder folder;
+  BlobStore store(folder.path());
+  constexpr std::size_t piece = 1 << 20, pieces = 24;
+  const Bytes bytes = noise(piece);
+  const double before = resident();
+  std::vector<std::thread> clients;
+  std::atomic<int> refused{0};
+  for (int i = 0; i < 20; ++i)
+    clients.emplace_back([&, i] {
+      auto upload = store.begin_upload(std::string(63, 'a') + "0123456789abcdefghij"[i % 16], pieces * piece, 0);
+      if (!upload) return;
+      for (std::size_t at = 0; at < pieces; ++at) upload->append(bytes);
+      EXPECT_THROW(upload->commit(), Error);
+      ++refused;
+    });
+  for (std::thread& client : clients) client.join();
+  EXPECT_GE(refused, 16);
+  EXPECT_LT(resident() - before, 64) << "of 480 MiB that were sent";
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(folder.path()))
+    EXPECT_FALSE(entry.is_regular_file()) << entry.path() << " stays";
+}
+
 TEST(BlobStore, AnUploadThatEndsWithoutItsBlobLetsTheNextOneBegin) {
   const Bytes all = noise(1000);
   const std::string id = sha256_hex(all);

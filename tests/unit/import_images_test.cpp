@@ -236,6 +236,18 @@ TEST_F(Textures, BadOnesAreNamed) {
   EXPECT_THAT(refused(textured({{"uri", "data:image/png;base64,"}})), HasSubstr("images[0].uri"));
   EXPECT_THAT(refused(textured({{"uri", "data:image/png;base64," + base64(good.substr(0, 60))}})),
               HasSubstr("images[0].uri"));
+  // GIFs: cut short, noise behind a header, and a canvas of 17 GB, which their reader would take at once.
+  const std::string canvas("GIF89a\x10\x00\x10\x00\x80\x00\x00\x00\x00\x00\xff\xff\xff", 19);
+  std::string noisy = "GIF89a";
+  for (int i = 0; i < 200; ++i) noisy += static_cast<char>(i);
+  for (const auto& [name, bytes] : {std::pair<const char*, std::string>("cut.gif", canvas + ",1234"),
+                                    {"head.gif", "GIF89a"},
+                                    {"noise.gif", noisy},
+                                    {"huge.gif", "GIF89a\xff\xff\xff\xff" + canvas.substr(10)},
+                                    {"large.gif", std::string("GIF89a\x00\x40\x00\x40", 10) + canvas.substr(10)}}) {
+    folder_.write(name, bytes);
+    EXPECT_THAT(refused(textured({{"uri", name}})), word(name)) << name;
+  }
   EXPECT_THAT(refused(textured({{"name", "nothing"}})), AllOf(HasSubstr("images[0].bufferView"), HasSubstr("none")));
   GltfFile file = textured({{"uri", "good.png"}});
   file.json["textures"][0].erase("source");
