@@ -8,6 +8,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <stop_token>
 #include <string>
 
@@ -64,7 +65,7 @@ class SessionCall {
   coordinator::JobRequest request_;
   gleaner::v1::PictureFormat format_;
   std::uint32_t first_spp_ = 1, refine_to_;
-  bool says_how_to_sample_ = false;  // the request: links.sample_lights is not ours to set
+  std::set<std::string> given_;  // settings of the request
   std::shared_ptr<const scene::Scene> base_;
 
   // Of the state that was rendered last.

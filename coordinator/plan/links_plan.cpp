@@ -27,8 +27,8 @@ constexpr Extent kOwnItems = Extent::own_items;
 constexpr unsigned kShapes = kGeometry | kMaterials;
 // Points at which an element's albedo is read.
 constexpr std::uint32_t kAlbedoSamples = 16;
-// Bounces go on until all that are left would add less than this share of the light.
-constexpr double kLeastShare = 1e-3;
+// Bounces go on until all that are left would add less than this share of the light, unless a setting says which.
+constexpr double kUsualLeastShare = 1e-3;
 constexpr std::uint32_t kMostBounces = 64, kUsualBounces = 8;
 constexpr std::uint32_t kMostShadeSamples = 16;
 // Rays that show where irradiance bends; the test lights' longest wave is about the scene's size.
@@ -40,6 +40,7 @@ constexpr float kWavesOfScene = 6.0f;
 struct LinksSettings {
   std::uint32_t vertices, directions, light_samples, bounces;
   double smooth_angle;  // degrees
+  double least_share;   // single precision, as stages are told
   bool refine, compress, exact, solo_exchange, sample_lights;
 };
 
@@ -47,16 +48,18 @@ LinksSettings read_settings(const FrameSettings& settings) {
   const auto whole = [&](const char* name, std::uint32_t usual) {
     return whole_setting(settings, name).value_or(usual);
   };
-  return {.vertices = whole("links.vertices", GLEANER_NONE),
-          .directions = whole("links.directions", 256),
-          .light_samples = whole("links.light_samples", 16),
-          .bounces = whole("links.bounces", 0),
-          .smooth_angle = real_setting(settings, "links.smooth_angle").value_or(0),
-          .refine = flag_setting(settings, "links.refine").value_or(true),
-          .compress = flag_setting(settings, "links.compress").value_or(true),
-          .exact = flag_setting(settings, "links.exact_weights").value_or(false),
-          .solo_exchange = flag_setting(settings, "links.solo_exchange").value_or(false),
-          .sample_lights = flag_setting(settings, "links.sample_lights").value_or(false)};
+  return {
+      .vertices = whole("links.vertices", GLEANER_NONE),
+      .directions = whole("links.directions", 256),
+      .light_samples = whole("links.light_samples", 16),
+      .bounces = whole("links.bounces", 0),
+      .smooth_angle = real_setting(settings, "links.smooth_angle").value_or(0),
+      .least_share = double{static_cast<float>(real_setting(settings, "links.least_share").value_or(kUsualLeastShare))},
+      .refine = flag_setting(settings, "links.refine").value_or(true),
+      .compress = flag_setting(settings, "links.compress").value_or(true),
+      .exact = flag_setting(settings, "links.exact_weights").value_or(false),
+      .solo_exchange = flag_setting(settings, "links.solo_exchange").value_or(false),
+      .sample_lights = flag_setting(settings, "links.sample_lights").value_or(false)};
 }
 
 void check(const FrameSettings& settings) {
@@ -286,7 +289,7 @@ void LinksPlan::exchange() {
                            std::min(most_bounces_, kUsualBounces));
   all.solo = true;
   const LinksExchangeParameters p{elements_, links_.exact ? 1u : 0u, most_bounces_,
-                                  links_.bounces ? 0.0f : static_cast<float>(kLeastShare)};
+                                  links_.bounces ? 0.0f : static_cast<float>(links_.least_share)};
   const Artifact exchanged =
       graph_.add(std::move(all), p, {{"mesh", mesh_}, {"links", made_}, {"light", light_}, {"albedo", albedo_}});
   graph_.when({exchanged}, [this, exchanged] {
@@ -325,7 +328,7 @@ void LinksPlan::gather(std::uint32_t bounce) {
   const Artifact measured = graph_.add(std::move(flux), LinksFluxParameters{elements_, {}},
                                        {{"mesh", mesh_}, {"radiosity", sent_}, {"before", before}});
   graph_.when({measured}, [this, bounce, measured] {
-    if (bounces_.is_enough(measured.facts<LinksFluxFacts>(), double{static_cast<float>(kLeastShare)}))
+    if (bounces_.is_enough(measured.facts<LinksFluxFacts>(), links_.least_share))
       shade(sent_);
     else
       gather(bounce + 1);
@@ -432,7 +435,9 @@ Method links_method() {
           {"links.light_samples", whole, 16, LINKS_MOST_SAMPLES, "16",
            "shadow rays of each side of a vertex, a multiple of 16"},
           {"links.bounces", whole, 0, 1024, "0",
-           "bounces of indirect light; 0: until what is left would add less than a thousandth"},
+           "bounces of indirect light; 0: until what is left would add less than links.least_share"},
+          {"links.least_share", real, 1e-6, 0.5, "0.001; of a session's first pictures 0.01",
+           "share of the light that bounces to come may add when no more follow"},
           {"links.solo_exchange", flag, 0, 1, "0; in a session 1",
            "1: one worker exchanges all bounces, to which the links travel once; 0: each bounce is shared out"},
           {"links.sample_lights", flag, 0, 1, "0; of a session's first pictures 1",

@@ -184,7 +184,10 @@ TEST_F(Session, RefinesWhileNothingChanges) {
   EXPECT_EQ(all[0].samples_per_pixel(), 1u);
   EXPECT_EQ(all[1].samples_per_pixel(), 4u);
   EXPECT_EQ(all[2].samples_per_pixel(), 8u);
-  EXPECT_THAT(reused(all[1]), Contains("links.smooth"));
+  // More bounces, once; then pixels alone.
+  EXPECT_THAT(made(all[1]), Contains("links.exchange"));
+  EXPECT_THAT(reused(all[1]), Contains("links.light"));
+  EXPECT_THAT(reused(all[2]), Contains("links.smooth"));
 }
 
 TEST_F(Session, RefusesWhatTheSceneLacksAndGoesOn) {
