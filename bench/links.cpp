@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -72,7 +73,22 @@ std::map<std::string, StageTime> run(worker::Executor& on, const std::string& id
   return times;
 }
 
-void measure(unsigned threads, std::uint32_t vertices, double stream) {
+// What grows with the number of vertices.
+struct Growth {
+  double vertices = 0, raw = 0, links = 0, bytes = 0, seconds = 0;
+};
+
+// The exponent of `of` in the vertices' number, by least squares of logarithms.
+double exponent(const std::vector<Growth>& all, double Growth::*of) {
+  double n = 0, x = 0, y = 0, xx = 0, xy = 0;
+  for (const Growth& one : all) {
+    const double a = std::log(one.vertices), b = std::log(one.*of);
+    n += 1, x += a, y += b, xx += a * a, xy += a * b;
+  }
+  return (n * xy - x * y) / (n * xx - x * x);
+}
+
+Growth measure(unsigned threads, std::uint32_t vertices, double stream) {
   worker::Executor on({.device = -1, .threads = static_cast<int>(threads), .trace = worker::TraceKind::automatic});
   const auto scene = std::make_shared<const scene::Scene>(
       scene::make_scene("hall", {{"triangles", std::to_string(std::max(100u, vertices))}}));
@@ -104,6 +120,7 @@ void measure(unsigned threads, std::uint32_t vertices, double stream) {
       static_cast<double>(make.bytes) / 1e6, rays / make.seconds / 1e3, make.trace / make.seconds, light.seconds * 1e3,
       gather * 1e3, scratch, scratch / update, moved / gather / stream);
   std::fflush(stdout);
+  return {static_cast<double>(make.items) / 2, raw_links, links, static_cast<double>(make.bytes), make.seconds};
 }
 
 }  // namespace
@@ -120,5 +137,10 @@ int main(int count, char** words) {
       "| vertices | raw | compressed | ratio | memory | rays/s | of the bare trace | light links | a bounce | from "
       "scratch "
       "| over a light move | of STREAM |\n|---|---|---|---|---|---|---|---|---|---|---|---|\n");
-  for (const std::uint32_t vertices : sizes) measure(threads, vertices, stream);
+  std::vector<Growth> all;
+  for (const std::uint32_t vertices : sizes) all.push_back(measure(threads, vertices, stream));
+  if (all.size() > 1)
+    std::printf("\nas a power of the vertices' number: raw links %.2f, compressed %.2f, bytes %.2f, making them %.2f\n",
+                exponent(all, &Growth::raw), exponent(all, &Growth::links), exponent(all, &Growth::bytes),
+                exponent(all, &Growth::seconds));
 }

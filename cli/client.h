@@ -26,6 +26,8 @@ class Client {
   // Empty address: what $GLEANER_COORDINATOR says. Throws Error::usage where neither is given, Error::connection where
   // nobody answers within a few seconds.
   explicit Client(const std::string& address);
+  // Of a farm of this process's own.
+  explicit Client(const std::shared_ptr<grpc::Channel>& channel);
 
   void upload_missing(const std::vector<std::pair<std::string, const scene::Bytes*>>& blobs);  // (id, bytes)
   std::string submit(const gleaner::v1::SubmitJobRequest& request);
@@ -46,6 +48,9 @@ class Client {
   std::vector<gleaner::v1::File> files(const std::string& job);
   void fetch_file(const std::string& job, const std::string& name,
                   const std::function<void(const std::string&)>& on_piece);
+  using Session = grpc::ClientReaderWriter<gleaner::v1::SessionRequest, gleaner::v1::SessionPicture>;
+  std::unique_ptr<Session> session(grpc::ClientContext& context) { return stub_->Session(&context); }
+  void end(Session& session) const { check(session.Finish()); }
   std::vector<coordinator::WorkerStatus> workers();
   void drain(const std::string& worker);
 

@@ -15,6 +15,7 @@ using Run = std::function<int()>;
 
 void add_render(CLI::App& app, Run& run);
 void add_submit(CLI::App& app, Run& run);
+void add_session(CLI::App& app, Run& run);
 void add_watch(CLI::App& app, Run& run);
 void add_events(CLI::App& app, Run& run);
 void add_fetch(CLI::App& app, Run& run);

@@ -32,6 +32,7 @@ class EmbeddedFarm {
   bool needs_bvh() const { return needs_bvh_; }
   coordinator::BlobStore& blobs() { return blobs_; }
   coordinator::Farm& farm() { return farm_; }
+  std::shared_ptr<grpc::Channel> channel() { return server_.in_process_channel(); }
 
  private:
   bool needs_bvh_ = false;

@@ -243,6 +243,13 @@ LoadedFrame load_frame(const FrameOptions& options) {
   return frame;
 }
 
+scene::Camera look_at_camera(const std::string& words, const scene::Scene& scene,
+                             const coordinator::FrameSettings& settings) {
+  scene::Camera camera = camera_of(parse_look_at(words), scene).camera;
+  fit_to_film(camera, settings);
+  return camera;
+}
+
 FrameLook look_of(const FrameOptions& options, const LoadedFrame& frame, std::uint32_t number) {
   FrameLook look;
   const double since = static_cast<double>(number) - static_cast<double>(frame.frame_numbers.first);

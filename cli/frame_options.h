@@ -54,6 +54,10 @@ struct LoadedFrame {
 // quiet. Throws Error::usage for malformed words, Error::bad_input for what the files say.
 LoadedFrame load_frame(const FrameOptions& options);
 
+// The camera of --look-at's words, as wide as the film is. Throws Error::usage for malformed ones.
+scene::Camera look_at_camera(const std::string& words, const scene::Scene& scene,
+                             const coordinator::FrameSettings& settings);
+
 // One of the frames of a scene that moves.
 struct FrameLook {
   // Of the file's base. None: no state of it looks so, and the file's scene_at(seconds) is the frame's scene.

@@ -7,7 +7,7 @@ file(GLOB gleaner_sources CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/*.cpp)
 list(FILTER gleaner_sources EXCLUDE REGEX "/(gleaner_(coordinator|worker)|data_lock)\\.cpp$")
 
 set(gleaner_commands "")
-foreach(command render submit watch events fetch show list cancel pause resume retry workers drain why replay explain methods info compare scene devices keys)
+foreach(command render session submit watch events fetch show list cancel pause resume retry workers drain why replay explain methods info compare scene devices keys)
   if(EXISTS ${CMAKE_CURRENT_SOURCE_DIR}/${command}.cpp)
     string(APPEND gleaner_commands " X(${command})")
   endif()

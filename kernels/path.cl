@@ -193,6 +193,9 @@ FN Connection sample_direct_light(const Scene* scene, const Path* path, const Pa
   v3 f = light_reflectance(scene, v, filter, clamp_to, light.direction, &pdf, &seen);
   vf weight = power_heuristic(light.pdf, pdf);
   weight = pick(weight, one_f(), light.delta);
+#ifdef FILTER_ENDS_AT_ONCE
+  weight = one_f();
+#endif
   c.contribution = scale3(mul3(mul3(path->throughput, f), light.radiance), weight / light.pdf);
   c.connected = lit & seen & (light.pdf > zero_f()) & (max_component(c.contribution) > zero_f());
   c.origin = offset_ray_origin(v->hit.p, v->hit.error, v->hit.geometric, light.direction);
@@ -396,6 +399,11 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   sample_pair(pair_key, path.sample, GLEANER_PATH_SEQUENCE, 0u, &u_choice, &u_roulette);
   Connection c = sample_direct_light(scene, &path, &filter, &v, spent, parameters->clamp, pair_key, u_choice);
   write_connection(shadows, block, &c, &v, path.slot, slot_count);
+#ifdef FILTER_ENDS_AT_ONCE
+  uint sampled;
+  rank_lanes(c.connected, &sampled);
+  if (sampled) atomic_add(counters + COUNTER_SHADOW, sampled);
+#else
   Carried carried;
   NextRay ray = scatter_path(scene, &path, &filter, &v, spent, parameters, pair_key, u_lobe, u_glass, u_roulette,
                              row_f(paths, PATH_ROWS, block, ROW_ETA), c.total, &carried);
@@ -406,4 +414,5 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   if (kept == 0u) return;
   uint place = atomic_add(counters + COUNTER_ALIVE, kept);
   write_survivors(next, capacity, place, rank, &path, &ray, &carried, &v);
+#endif
 }

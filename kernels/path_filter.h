@@ -42,7 +42,7 @@
 // For two of the branches below: each file is included once, and within an #if that would be in the first branch alone.
 #include "kernels/layer_filter.h"
 
-#if defined(PATH_FILTER) && PATH_FILTER == PATH_CLASS_RADIOSITY
+#if defined(PATH_FILTER) && (PATH_FILTER == PATH_CLASS_RADIOSITY || PATH_FILTER == PATH_CLASS_SAMPLED_RADIOSITY)
 #include "kernels/radiosity_filter.h"
 #elif defined(PATH_FILTER) && PATH_FILTER == PATH_CLASS_IRRADIANCE
 #include "kernels/irradiance_filter.h"

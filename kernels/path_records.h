@@ -26,6 +26,9 @@ namespace gleaner::kernels {
 // Instead of these: indirect light that leaves the first surface by its diffuse layer, but for caustics of perfect
 // mirrors and smooth glass (kernels/irradiance_filter.h).
 #define PATH_CLASS_IRRADIANCE 32u
+// As RADIOSITY. Where every surface is diffuse, paths also end at their first surface, and light samples alone bring
+// direct light.
+#define PATH_CLASS_SAMPLED_RADIOSITY 128u
 // With DIFFUSE and MIXED, which photon maps gather: what of these leaves the first surface by its diffuse layer is
 // interpolated between records (kernels/photon/cluster_gather.cl), so that paths gather the rest alone.
 #define PATH_CLASS_LAYER 64u

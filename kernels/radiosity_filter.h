@@ -1,5 +1,5 @@
-// The path filter of PATH_CLASS_RADIOSITY (kernels/path_filter.h says what a filter is): the partner has what radiosity
-// computes.
+// The path filter of PATH_CLASS_RADIOSITY and PATH_CLASS_SAMPLED_RADIOSITY (kernels/path_filter.h says what a filter
+// is): the partner has what radiosity computes.
 //
 // The first surface that a camera path meets past mirrors and glass shows the partner's light where that leaves by its
 // diffuse layer and came straight from another surface's diffuse layer, this from another's, and so on to one that a
@@ -20,6 +20,9 @@
 // Where no other part could turn up on a path's way, it ends at the second surface.
 #if !defined(NEED_LOBE) && !defined(NEED_TRANSMISSIVE) && !defined(NEED_ALPHA) && !defined(NEED_UNLIT)
 #define FILTER_ENDS_CHAINS
+#if PATH_FILTER == PATH_CLASS_SAMPLED_RADIOSITY
+#define FILTER_ENDS_AT_ONCE
+#endif
 #endif
 
 typedef struct {

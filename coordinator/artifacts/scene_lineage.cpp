@@ -49,19 +49,20 @@ bool emits(const scene::Material& material) {
   return std::ranges::any_of(material.emission, [](float channel) { return channel > 0; });
 }
 
-// A digest of those parts of the state's materials that are not the base's; empty where all are.
-template <typename PartOf>
-std::string digest_of_changes(const scene::Scene& base, const scene::FrameState& state, PartOf part_of) {
-  using Part = decltype(part_of(base.materials.front()));
-  std::vector<std::uint32_t> indices;
+// A digest of those parts of a state's materials or lights that are not the base's; empty where all are.
+template <typename Record, typename PartOf>
+std::string digest_of_changes(const std::vector<Record>& base, const std::vector<std::uint32_t>& indices,
+                              const std::vector<Record>& shown, PartOf part_of) {
+  using Part = decltype(part_of(base.front()));
+  std::vector<std::uint32_t> changed;
   std::vector<Part> parts;
-  for (std::size_t i = 0; i < state.materials.size(); ++i) {
-    const Part part = part_of(state.materials[i]), before = part_of(base.materials.at(state.material_indices[i]));
+  for (std::size_t i = 0; i < shown.size(); ++i) {
+    const Part part = part_of(shown[i]), before = part_of(base.at(indices[i]));
     if (std::memcmp(&part, &before, sizeof part) == 0) continue;
-    indices.push_back(state.material_indices[i]);
+    changed.push_back(indices[i]);
     parts.push_back(part);
   }
-  return indices.empty() ? std::string() : digest_of(indices, parts);
+  return changed.empty() ? std::string() : digest_of(changed, parts);
 }
 
 // Which lights shine, and which materials.
@@ -84,11 +85,15 @@ SceneLineage lineage_of(const std::string& blob, const scene::Scene& base, const
   SceneLineage lineage = blob;
   if (!state.matrices.empty() || !state.morph_weights.empty())
     lineage.geometry = digest_of(state.matrices, state.morph_weights);
-  lineage.materials = digest_of_changes(base, state, without_color_and_emission);
+  const auto of_materials = [&](auto part_of) {
+    return digest_of_changes(base.materials, state.material_indices, state.materials, part_of);
+  };
+  lineage.materials = of_materials(without_color_and_emission);
   if (!state.albedo_tables.empty()) lineage.materials += digest_of(state.albedo_tables);
-  lineage.colors = digest_of_changes(base, state, color_of);
-  lineage.emission = digest_of_changes(base, state, emission_of);
-  if (!state.lights.empty()) lineage.lights = digest_of(state.light_indices, state.lights);
+  lineage.colors = of_materials(color_of);
+  lineage.emission = of_materials(emission_of);
+  lineage.lights = digest_of_changes(base.lights, state.light_indices, state.lights,
+                                     [](const scene::Light& light) { return light; });
   lineage.shining = shining_of(base, state);
   return lineage;
 }

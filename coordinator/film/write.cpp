@@ -67,14 +67,10 @@ void write_exr(const Film& film, const std::map<std::string, std::string>& metad
   file.commit();
 }
 
-scene::Bytes encode_png(const Film& film, double exposure_stops) {
-  const auto planes = rgb(film);
-  const double scale = std::exp2(exposure_stops);
-  const std::size_t pixels = std::size_t{film.width} * film.height;
-  std::vector<std::uint8_t> values(3 * pixels);
-  for (std::size_t i = 0; i < pixels; ++i)
-    for (std::size_t c = 0; c < 3; ++c) values[3 * i + c] = srgb8(scale * double{planes[c][i]});
+namespace {
 
+// Of 3 bytes a pixel.
+scene::Bytes png_of(const Film& film, const void* values) {
   png_image image{};
   image.version = PNG_IMAGE_VERSION;
   image.width = film.width;
@@ -83,9 +79,45 @@ scene::Bytes encode_png(const Film& film, double exposure_stops) {
   image.flags = PNG_IMAGE_FLAG_FAST;
   png_alloc_size_t size = PNG_IMAGE_PNG_SIZE_MAX(image);
   scene::Bytes bytes(size);
-  if (!png_image_write_to_memory(&image, bytes.data(), &size, 0, values.data(), 0, nullptr))
+  if (!png_image_write_to_memory(&image, bytes.data(), &size, 0, values, 0, nullptr))
     throw Error::failed("PNG of " + size_of(film) + ": " + image.message);
   bytes.resize(size);
+  return bytes;
+}
+
+}  // namespace
+
+scene::Bytes encode_png(const Film& film, double exposure_stops) {
+  const auto planes = rgb(film);
+  const double scale = std::exp2(exposure_stops);
+  const std::size_t pixels = std::size_t{film.width} * film.height;
+  std::vector<std::uint8_t> values(3 * pixels);
+  for (std::size_t i = 0; i < pixels; ++i)
+    for (std::size_t c = 0; c < 3; ++c) values[3 * i + c] = srgb8(scale * double{planes[c][i]});
+  return png_of(film, values.data());
+}
+
+scene::Bytes encode_fast_png(const Film& film, double exposure_stops) {
+  return png_of(film, encode_rgb8(film, exposure_stops).data());
+}
+
+scene::Bytes encode_rgb8(const Film& film, double exposure_stops) {
+  constexpr std::size_t steps = 16384;  // sRGB is steepest at black: 0.2 of a value a step
+  static const std::vector<std::uint8_t> table = [] {
+    std::vector<std::uint8_t> values(steps + 1);
+    for (std::size_t k = 0; k <= steps; ++k) values[k] = srgb8(static_cast<double>(k) / steps);
+    return values;
+  }();
+  const auto planes = rgb(film);
+  const auto scale = static_cast<float>(std::exp2(exposure_stops) * steps);
+  const std::size_t pixels = std::size_t{film.width} * film.height;
+  scene::Bytes bytes(3 * pixels);
+  for (std::size_t i = 0; i < pixels; ++i)
+    for (std::size_t c = 0; c < 3; ++c) {
+      const float x = scale * planes[c][i];
+      const std::size_t at = x > 0 ? x < static_cast<float>(steps) ? static_cast<std::size_t>(x + 0.5f) : steps : 0;
+      bytes[3 * i + c] = static_cast<std::byte>(table[at]);
+    }
   return bytes;
 }
 

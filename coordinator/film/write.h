@@ -16,6 +16,9 @@ void write_exr(const Film& film, const std::map<std::string, std::string>& metad
 
 // 8-bit sRGB picture of R, G, B times 2^exposure_stops, clamped to [0, 1]; what is not a number is black.
 scene::Bytes encode_png(const Film& film, double exposure_stops);
+// The same picture without a file around it: 3 bytes a pixel, row by row from the top; a value may differ by one.
+scene::Bytes encode_rgb8(const Film& film, double exposure_stops);
+scene::Bytes encode_fast_png(const Film& film, double exposure_stops);  // a PNG of these values
 void write_png(const Film& film, const std::string& path, double exposure_stops);
 
 // Hexadecimal SHA-256 of the 32-bit little-endian values R, G, B of each pixel, row by row from the top.

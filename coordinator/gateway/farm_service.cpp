@@ -8,6 +8,7 @@
 
 #include "coordinator/film/write.h"
 #include "coordinator/gateway/convert.h"
+#include "coordinator/gateway/session_call.h"
 #include "scene/model/error.h"
 #include "scene/model/frame_state.h"
 #include "scene/model/names.h"
@@ -340,6 +341,25 @@ std::string FarmService::remember_preview(const std::string& job, std::string pn
   std::string& last = previews_[job];
   if (!png.empty()) last = std::move(png);
   return last;
+}
+
+Status FarmService::Session(grpc::ServerContext* context,
+                            grpc::ServerReaderWriter<pb::SessionPicture, pb::SessionRequest>* stream) {
+  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
+  const Seat seat(sessions_);
+  if (seat.before >= settings_.most_sessions)
+    return {StatusCode::RESOURCE_EXHAUSTED,
+            "this coordinator has " + std::to_string(settings_.most_sessions) + " sessions, and takes no more"};
+  return guarded([&]() -> Status {
+    pb::SessionRequest first;
+    {
+      SilenceWatch::Call call(silence_, *context, settings_.silent_seconds);
+      if (!stream->Read(&first) || !first.has_open())
+        return {StatusCode::INVALID_ARGUMENT, "a session begins with its scene"};
+    }
+    SessionCall(farm_, blobs_, first.open()).run(*context, *stream);
+    return Status::OK;
+  });
 }
 
 Status FarmService::Why(grpc::ServerContext* context, const pb::WhyRequest* request, pb::WhyReply* reply) {

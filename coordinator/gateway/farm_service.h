@@ -37,6 +37,8 @@ class FarmService final : public pb::Farm::Service {
   grpc::Status WatchEvents(grpc::ServerContext*, const pb::WatchEventsRequest*,
                            grpc::ServerWriter<pb::Event>*) override;
   grpc::Status GetPreview(grpc::ServerContext*, const pb::GetPreviewRequest*, pb::GetPreviewReply*) override;
+  grpc::Status Session(grpc::ServerContext*,
+                       grpc::ServerReaderWriter<pb::SessionPicture, pb::SessionRequest>*) override;
   grpc::Status Why(grpc::ServerContext*, const pb::WhyRequest*, pb::WhyReply*) override;
   grpc::Status ListFiles(grpc::ServerContext*, const pb::ListFilesRequest*, pb::ListFilesReply*) override;
   grpc::Status FetchFile(grpc::ServerContext*, const pb::FetchFileRequest*,
@@ -57,7 +59,7 @@ class FarmService final : public pb::Farm::Service {
   SilenceWatch& silence_;
   Callers& callers_;
   const ServerSettings settings_;
-  std::atomic<unsigned> uploads_{0};
+  std::atomic<unsigned> uploads_{0}, sessions_{0};
   std::mutex summaries_mutex_;
   std::map<std::string, coordinator::SceneSummary> summaries_;  // by scene blob
   std::mutex previews_mutex_;

@@ -35,7 +35,8 @@ Role role_for(std::string_view method) {
   for (const std::string_view name :
        {"ListJobs", "GetJob", "WatchJob", "WatchEvents", "GetPreview", "Why", "ListFiles", "FetchFile", "ListWorkers"})
     if (method == name) return Role::observe;
-  for (const std::string_view name : {"MissingBlobs", "UploadBlob", "SubmitJob", "CancelJob", "PauseJob", "RetryJob"})
+  for (const std::string_view name :
+       {"MissingBlobs", "UploadBlob", "SubmitJob", "CancelJob", "PauseJob", "RetryJob", "Session"})
     if (method == name) return Role::submit;
   return Role::administer;
 }

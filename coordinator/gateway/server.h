@@ -21,6 +21,7 @@ struct ServerSettings {
   double hello_seconds = 10;   // in which a worker must say who it is
   double silent_seconds = 60;  // in which a peer that uploads or fetches must send or take a piece
   unsigned most_uploads = 256;
+  unsigned most_sessions = 16;
   CallerLimits caller{.requests_a_second = 1000, .calls = 256};  // each of the people
   std::shared_ptr<const Keys> keys;                              // null: in the clear
 };

@@ -193,6 +193,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   JobRemains withdraw(Frame& frame);           // mutex held; as end_frame()
   void write(Frame& frame, const Film& film);  // waits for room where the disk is full
   void write_files(Frame& frame, const Film& film);
+  void give_picture(Frame& frame, Film film);  // to Farm::show()
 
   // Stages (stages.cpp).
   // Hands a step's stages to the scheduler. The memory for their results is taken while the first batches run.

@@ -100,7 +100,8 @@ std::optional<JobStatus> Farm::status(const std::string& id) const {
 std::vector<JobStatus> Farm::list() const {
   std::lock_guard lock(impl_->mutex);
   std::vector<JobStatus> all;
-  for (const auto& job : impl_->order) all.push_back(status_of(*job, impl_->now()));
+  for (const auto& job : impl_->order)
+    if (!job->showing) all.push_back(status_of(*job, impl_->now()));
   return all;
 }
 
@@ -114,6 +115,8 @@ std::optional<JobStatus> Farm::wait(const std::string& id, std::uint64_t seen, S
 }
 
 void Farm::Impl::tell(FarmEvent event) {
+  // Frames that are shown come many a second, and are nobody else's.
+  if (const auto job = find(event.job); job && job->showing) return;
   event_log.add(std::move(event));
   event_told.notify_all();
 }

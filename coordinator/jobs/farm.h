@@ -7,6 +7,7 @@
 #include <limits>
 #include <memory>
 #include <optional>
+#include <stop_token>
 #include <string>
 #include <thread>
 #include <vector>
@@ -17,6 +18,7 @@
 #include "coordinator/film/film.h"
 #include "coordinator/jobs/event_log.h"
 #include "coordinator/jobs/job.h"
+#include "coordinator/jobs/report.h"
 #include "coordinator/jobs/session.h"
 #include "coordinator/plan/plan.h"
 #include "coordinator/schedule/scheduler.h"
@@ -91,6 +93,14 @@ class Farm {
   // settings that no plan takes or that need more memory than there may be, Error::bad_input for a blob that is not
   // there, Error::failed where the journal cannot be written.
   std::string submit(const JobRequest& request);
+  struct Picture {
+    Film film;
+    FrameReport report;
+  };
+  // Renders one frame for someone who waits for it. It goes before all jobs, is in no list, and leaves neither files
+  // nor a word in the journal. `shown`: of the scene as the request's state shows it, with its lineage. None: `stop`
+  // was requested. Throws as submit(), and Error::failed where the frame failed.
+  std::optional<Picture> show(const JobRequest& request, const SceneSummary& shown, const std::stop_token& stop);
   // The status after it; none: no such job. What has ended stays as it ended. A job whose plan computes has ended when
   // this returns: nobody waits for the plan.
   std::optional<JobStatus> cancel(const std::string& job);

@@ -56,8 +56,11 @@ void Farm::Impl::render_and_write(const std::shared_ptr<Frame>& frame) {
   Job& job = *frame->job;
   if (job.restored) recall(*frame);
   const std::uint32_t rendered = frame_at(job.request, frame->place);
-  const Film film = render_trusted(frame);
-  write(*frame, film);
+  Film film = render_trusted(frame);
+  if (job.showing)
+    give_picture(*frame, std::move(film));
+  else
+    write(*frame, film);
   std::unique_lock lock(mutex);
   while (frame_over(*frame, "")) {
     lock.unlock();
@@ -84,6 +87,7 @@ Film Farm::Impl::render_trusted(const std::shared_ptr<Frame>& frame) {
 }
 
 SceneSummary Farm::Impl::summary_of(const Frame& frame) {
+  if (frame.job->showing) return frame.job->showing->shown;
   const FrameScene& shown = frame.scene;
   if (shown.state_blob.empty()) return shown.summary;
   Job& job = *frame.job;

@@ -130,7 +130,7 @@ std::shared_ptr<Job> Farm::Impl::next_queued() const {
 
 std::size_t Farm::Impl::active() const {
   return static_cast<std::size_t>(
-      std::count_if(running.begin(), running.end(), [](const auto& job) { return !job->paused; }));
+      std::count_if(running.begin(), running.end(), [](const auto& job) { return !job->paused && !job->showing; }));
 }
 
 void Farm::Impl::start_queued() {
@@ -193,10 +193,15 @@ JobRemains Farm::Impl::end_job(Job& job, JobState state, const std::string& mess
     forget_records(job);
     tell_job(job, job_state_name(state), message);
   }
-  settings.log("job " + job.id + " " + job_state_name(state) + (message.empty() ? "" : ": " + message));
   changed(job);
-  ended_jobs.push_back(jobs.at(job.id));
-  forget_ended();
+  if (job.showing) {
+    std::erase_if(order, [&](const auto& other) { return other.get() == &job; });
+    jobs.erase(job.id);
+  } else {
+    settings.log("job " + job.id + " " + job_state_name(state) + (message.empty() ? "" : ": " + message));
+    ended_jobs.push_back(jobs.at(job.id));
+    forget_ended();
+  }
   start_queued();
   return remains;
 }

@@ -6,6 +6,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -47,6 +48,14 @@ struct Job : std::enable_shared_from_this<Job> {
   std::vector<StageStatus> last_stages;           // of the frame that ended last
   double worker_seconds = 0;                      // of accepted batches
   std::uint64_t rays = 0;
+
+  // Of Farm::show(): somebody waits for the frame's picture. Null: its files are written.
+  struct Showing {
+    SceneSummary shown;
+    std::optional<Film> film;
+    FrameReport report{};
+  };
+  std::unique_ptr<Showing> showing;
 
   std::uint64_t frames_over() const { return written.count() + failed.count(); }
 };

@@ -40,7 +40,7 @@ constexpr float kWavesOfScene = 6.0f;
 struct LinksSettings {
   std::uint32_t vertices, directions, light_samples, bounces;
   double smooth_angle;  // degrees
-  bool refine, compress, exact, solo_exchange;
+  bool refine, compress, exact, solo_exchange, sample_lights;
 };
 
 LinksSettings read_settings(const FrameSettings& settings) {
@@ -55,7 +55,8 @@ LinksSettings read_settings(const FrameSettings& settings) {
           .refine = flag_setting(settings, "links.refine").value_or(true),
           .compress = flag_setting(settings, "links.compress").value_or(true),
           .exact = flag_setting(settings, "links.exact_weights").value_or(false),
-          .solo_exchange = flag_setting(settings, "links.solo_exchange").value_or(false)};
+          .solo_exchange = flag_setting(settings, "links.solo_exchange").value_or(false),
+          .sample_lights = flag_setting(settings, "links.sample_lights").value_or(false)};
 }
 
 void check(const FrameSettings& settings) {
@@ -164,7 +165,8 @@ void LinksPlan::begin() {
     paths_.begin({});
     return;
   }
-  paths_.begin({.classes = PATH_CLASS_RADIOSITY, .limit = std::numeric_limits<float>::infinity()});
+  paths_.begin({.classes = links_.sample_lights ? PATH_CLASS_SAMPLED_RADIOSITY : PATH_CLASS_RADIOSITY,
+                .limit = std::numeric_limits<float>::infinity()});
   if (!links_.refine || links_.vertices == 0) {
     mesh_ = ask_mesh("links.mesh", links_.vertices, {});
     graph_.when({mesh_}, [this] { link(checked_facts(mesh_)); });
@@ -433,6 +435,9 @@ Method links_method() {
            "bounces of indirect light; 0: until what is left would add less than a thousandth"},
           {"links.solo_exchange", flag, 0, 1, "0; in a session 1",
            "1: one worker exchanges all bounces, to which the links travel once; 0: each bounce is shared out"},
+          {"links.sample_lights", flag, 0, 1, "0; of a session's first pictures 1",
+           "1: where every surface is diffuse, direct light comes by light samples alone: fewer rays, more noise "
+           "near lamps"},
           {"links.compress", flag, 0, 1, "1", "0: links of the same ends are kept apart"},
           {"links.exact_weights", flag, 0, 1, "0", "1: weights are floats instead of 16 bits"},
       }};

@@ -95,6 +95,22 @@ INSTANTIATE_TEST_SUITE_P(Scenes, LinksMeetPath,
                            return name;
                          });
 
+// Direct light by light samples alone has the same mean: of a lamp, and of walls that glow.
+TEST(Links, LightSamplesAloneMeetPath) {
+  for (const char* scene : {"cornell-box", "furnace"}) {
+    Frame links = frame_of(scene::make_scene(scene, {}), "", 24, 64,
+                           {{"links.vertices", "4000"}, {"links.directions", "64"}, {"links.sample_lights", "1"}});
+    Frame both = links;
+    both.settings.set["links.sample_lights"] = "0";
+    const Sample truth = means_of(both, "G", 4), sample = means_of(links, "G", 4);
+    const double error = std::hypot(truth.standard_error(), sample.standard_error());
+    std::printf("  %s: %.5f +- %.5f, with scattered rays %.5f +- %.5f\n", scene, sample.mean, sample.standard_error(),
+                truth.mean, truth.standard_error());
+    EXPECT_LT(std::abs(sample.mean - truth.mean), 4 * error + 1e-6 * truth.mean) << scene;
+    EXPECT_LT(error, 0.01 * truth.mean) << "too noisy to prove anything";
+  }
+}
+
 // Walls that glow and have a lobe: camera paths go on through chains of diffuse layers, and find at every turn light
 // that is the vertices'.
 TEST(Links, GlowingGlossyWallsMeetPath) {
@@ -145,6 +161,50 @@ TEST(Links, CompressionChangesNothing) {
   std::printf("  16-bit weights: %.6f of the mean at most\n", rounded);
   EXPECT_LT(rounded, 1e-3);
   EXPECT_GT(rounded, 0);
+}
+
+// Of the light from vertices alone: root of the mean squared difference, over the mean.
+double error_of(const Rendered& made, const Rendered& reference) {
+  const std::vector<float> x = made.floats("links.shade"), y = reference.floats("links.shade");
+  double squares = 0, sum = 0;
+  for (std::size_t i = 0; i < x.size(); ++i) {
+    squares += (double{x[i]} - y[i]) * (double{x[i]} - y[i]);
+    sum += y[i];
+  }
+  const auto count = static_cast<double>(x.size());
+  return std::sqrt(squares / count) / (sum / count);
+}
+
+// The error falls as directions and vertices grow. Their limit is the path tracer's light: LinksMeetPath.
+TEST(Links, ErrorFallsWithDirectionsAndVertices) {
+  Frame frame = frame_of(scene::make_scene("cornell-box", {}), "", 48, 16,
+                         {{"links.bounces", "2"}, {"links.light_samples", "64"}, {"links.refine", "0"}});
+  const auto with = [&](const char* vertices, const char* directions) {
+    frame.settings.set["links.vertices"] = vertices;
+    frame.settings.set["links.directions"] = directions;
+    return render(frame);
+  };
+  const Rendered finest = with("16000", "1024");
+  const auto falls = [&](const char* what, double step, const std::vector<double>& errors) {
+    for (std::size_t k = 1; k < errors.size(); ++k) EXPECT_LT(errors[k], errors[k - 1]) << what;
+    const double order =
+        std::log(errors.front() / errors.back()) / (static_cast<double>(errors.size() - 1) * std::log(step));
+    std::printf("  %s: error %.4f to %.4f, order %.2f\n", what, errors.front(), errors.back(), order);
+    return order;
+  };
+  // Rays of a stratified hemisphere: between those of independent ones and of smooth integrands.
+  const double directions = falls("directions 16 to 256", 4,
+                                  {error_of(with("16000", "16"), finest), error_of(with("16000", "64"), finest),
+                                   error_of(with("16000", "256"), finest)});
+  EXPECT_GT(directions, 0.45);
+  EXPECT_LT(directions, 1.1);
+  // Spacing is the root of the vertices' number: its first power at the edges of shadows, its second where light is
+  // smooth.
+  const double vertices = falls("vertices 250 to 4000", 4,
+                                {error_of(with("250", "1024"), finest), error_of(with("1000", "1024"), finest),
+                                 error_of(with("4000", "1024"), finest)});
+  EXPECT_GT(vertices, 0.25);
+  EXPECT_LT(vertices, 1.1);
 }
 
 // --- Smoothing, and edges ---

@@ -1,0 +1,249 @@
+#include "coordinator/gateway/session_call.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstring>
+#include <future>
+#include <thread>
+#include <utility>
+
+#include "coordinator/artifacts/scene_lineage.h"
+#include "coordinator/film/write.h"
+#include "coordinator/gateway/convert.h"
+#include "scene/model/error.h"
+#include "scene/model/names.h"
+
+namespace gleaner::gateway {
+
+using namespace gleaner::coordinator;
+
+namespace {
+
+constexpr std::size_t most_refused = 100;          // words that wait to be told
+constexpr Seconds rate_window = 3;                 // over which pictures a second are counted
+constexpr std::uint32_t refines_by = 4;            // samples of a picture over those of the one before
+constexpr std::string_view stage_word = "stage ";  // a skip's words for a stage that was made before
+
+Seconds steady_now() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+scene::Triple triple(const pb::Vector3& v) { return {v.x(), v.y(), v.z()}; }
+
+std::shared_ptr<const scene::Scene> base_of(BlobStore& blobs, const pb::SessionOpen& open) {
+  for (const std::string* id : {&open.scene_blob(), &open.bvh_blob()})
+    if (!(id == &open.bvh_blob() && id->empty()) && !(is_sha256_hex(*id) && blobs.source(*id)))
+      throw Error::bad_input("blob " + id->substr(0, 80), "", "to be uploaded first");
+  const Blob blob = blobs.get(open.scene_blob());
+  if (!blob) throw Error::failed("blob " + open.scene_blob() + " has gone");
+  return std::make_shared<const scene::Scene>(scene::parse_scene(*blob, printable(open.scene_name(), most_name_bytes)));
+}
+
+Bytes floats_of(const Film& film) {
+  const std::size_t pixels = std::size_t{film.width} * film.height;
+  Bytes bytes(pixels * 12);
+  for (std::size_t c = 0; c < 3; ++c) {
+    const Channel* channel = film.find(std::string(1, "RGB"[c]));
+    if (!channel) throw Error::failed("a picture without RGB");
+    for (std::size_t i = 0; i < pixels; ++i) std::memcpy(&bytes[12 * i + 4 * c], &channel->values[i], 4);
+  }
+  return bytes;
+}
+
+}  // namespace
+
+SessionCall::SessionCall(Farm& farm, BlobStore& blobs, const pb::SessionOpen& open)
+    : farm_(farm),
+      blobs_(blobs),
+      format_(open.format()),
+      refine_to_(open.refine_to()),
+      base_(base_of(blobs, open)),
+      posed_(base_),
+      scene_(base_),
+      changed_(steady_now()) {
+  if (!std::isfinite(open.exposure_stops()) || std::abs(open.exposure_stops()) > 100)
+    throw Error::bad_input("request", "exposure_stops", "-100 to 100");
+  if (open.scene_name().empty() || open.scene_name().size() > most_name_bytes)
+    throw Error::bad_input("request", "scene_name", "1 to 256 bytes");
+  request_.scene_name = printable(open.scene_name(), most_name_bytes);
+  request_.settings = from_proto(open.settings());
+  request_.exposure_stops = open.exposure_stops();
+  // A worker that exchanges alone waits for nobody.
+  request_.settings.set.try_emplace("links.solo_exchange", "1");
+  says_how_to_sample_ = request_.settings.set.contains("links.sample_lights");
+  first_spp_ = request_.settings.spp;
+  camera_ = request_.settings.camera;
+  FrameScene& shown = request_.scenes.emplace_back();
+  shown.scene_blob = open.scene_blob();
+  shown.bvh_blob = open.bvh_blob();
+  describe(scene_.state());
+  check_settings(request_.settings, shown_);
+}
+
+// What the farm is told of the scene in a state.
+void SessionCall::describe(const scene::FrameState& state) {
+  auto bytes = std::make_shared<const Bytes>(scene::serialize(state));
+  if (state_ && *state_ == *bytes) return;
+  posed_.show(state, request_.scene_name);
+  shown_ = summarize(*posed_.scene());
+  FrameScene& shown = request_.scenes.front();
+  shown_.lineage = lineage_of(shown.scene_blob, *base_, state);
+  shown.summary = shown_;
+  state_ = std::move(bytes);
+  shown.state_blob = state.empty() ? std::string() : blobs_.lend(state_);
+}
+
+void SessionCall::run(grpc::ServerContext& context, Stream& stream) {
+  std::jthread reader([&] { read(context, stream); });
+  // A picture goes out while the next one is rendered.
+  std::future<bool> sent;
+  try {
+    while (const std::optional<Wanted> wanted = next(stream)) {
+      std::optional<Rendered> rendered = render(*wanted);
+      if (!rendered) continue;
+      if (sent.valid() && !sent.get()) break;
+      sent = std::async(std::launch::async, [this, &stream, picture = std::move(*rendered)] {
+        const pb::SessionPicture out = picture_of(picture);
+        std::lock_guard lock(write_mutex_);
+        return stream.Write(out);
+      });
+    }
+    if (sent.valid()) sent.get();
+  } catch (...) {
+    context.TryCancel();  // or the reader would wait for the caller
+    throw;
+  }
+}
+
+void SessionCall::read(const grpc::ServerContext& context, Stream& stream) {
+  pb::SessionRequest request;
+  while (stream.Read(&request)) {
+    std::string why;
+    try {
+      if (request.request_case() != pb::SessionRequest::kChange)
+        throw Error::bad_input("request", "", "a change of the scene");
+      take(request.change());
+      continue;
+    } catch (const Error& error) {
+      why = error.what();
+    }
+    std::lock_guard lock(mutex_);
+    if (refused_.size() < most_refused) refused_.push_back({request.change().number(), why});
+    wakes_.notify_all();
+  }
+  std::lock_guard lock(mutex_);
+  over_ = true;
+  if (context.IsCancelled() || refining_) stop_.request_stop();
+  wakes_.notify_all();
+}
+
+void SessionCall::take(const pb::SessionChange& change) {
+  std::lock_guard lock(mutex_);
+  if (change.number() <= received_)
+    throw Error::bad_input("change", "number", "more than " + std::to_string(received_),
+                           std::to_string(change.number()));
+  scene::EditedScene changed = scene_;
+  for (const pb::LightChange& light : change.lights()) {
+    scene::LightChange to;
+    to.light = light.light();
+    if (light.has_position()) to.position = triple(light.position());
+    if (light.has_direction()) to.direction = triple(light.direction());
+    if (light.has_intensity()) to.intensity = triple(light.intensity());
+    changed.apply(to);
+  }
+  for (const pb::MaterialChange& material : change.materials()) {
+    scene::MaterialChange to;
+    to.material = material.material();
+    if (material.has_base_color()) to.base_color = triple(material.base_color());
+    if (material.has_emission()) to.emission = triple(material.emission());
+    changed.apply(to);
+  }
+  for (const pb::ObjectChange& object : change.objects()) {
+    scene::ObjectChange to;
+    to.matrix = object.matrix();
+    if (object.placement_size() != static_cast<int>(to.placement.size()))
+      throw Error::bad_input("change", "placement", "12 numbers", std::to_string(object.placement_size()));
+    std::ranges::copy(object.placement(), to.placement.begin());
+    changed.apply(to);
+  }
+  const scene::Camera camera = change.has_camera() ? from_proto(change.camera()) : camera_;
+  scene_ = std::move(changed);
+  camera_ = camera;
+  received_ = change.number();
+  if (!changed_) changed_ = steady_now();
+  shown_spp_ = 0;
+  wakes_.notify_all();
+  if (refining_) stop_.request_stop();
+}
+
+std::optional<SessionCall::Wanted> SessionCall::next(Stream& stream) {
+  std::unique_lock lock(mutex_);
+  for (;;) {
+    wakes_.wait(lock, [&] { return over_ || changed_ || may_refine() || !refused_.empty(); });
+    if (refused_.empty()) break;
+    pb::SessionPicture no;
+    no.set_received(refused_.front().number);
+    no.set_refused(refused_.front().why);
+    refused_.pop_front();
+    lock.unlock();
+    {
+      std::lock_guard write_lock(write_mutex_);
+      stream.Write(no);
+    }
+    lock.lock();
+  }
+  if (!changed_ && over_) return std::nullopt;
+  refining_ = !changed_;
+  stop_ = std::stop_source();
+  return Wanted{.change = received_,
+                .state = scene_.state(),
+                .camera = camera_,
+                .spp = refining_ ? std::min(shown_spp_ * refines_by, refine_to_) : first_spp_,
+                .changed = std::exchange(changed_, std::nullopt)};
+}
+
+std::optional<SessionCall::Rendered> SessionCall::render(const Wanted& wanted) {
+  describe(wanted.state);
+  request_.settings.camera = wanted.camera;
+  request_.settings.spp = wanted.spp;
+  if (!says_how_to_sample_) request_.settings.set["links.sample_lights"] = wanted.changed ? "1" : "0";
+  std::optional<Farm::Picture> picture = farm_.show(request_, shown_, stop_.get_token());
+  std::lock_guard lock(mutex_);
+  refining_ = false;
+  if (!picture) return std::nullopt;
+  if (!changed_) shown_spp_ = wanted.spp;
+  return Rendered{std::move(*picture), wanted.change, wanted.spp, wanted.changed, !changed_ && !may_refine()};
+}
+
+pb::SessionPicture SessionCall::picture_of(const Rendered& rendered) {
+  const Farm::Picture& picture = rendered.picture;
+  pb::SessionPicture out;
+  const Bytes bytes = format_ == pb::PICTURE_FORMAT_RGB8     ? encode_rgb8(picture.film, request_.exposure_stops)
+                      : format_ == pb::PICTURE_FORMAT_RGB32F ? floats_of(picture.film)
+                                                             : encode_fast_png(picture.film, request_.exposure_stops);
+  out.set_picture(bytes.data(), bytes.size());
+  out.set_format(format_);
+  out.set_shows(rendered.change);
+  out.set_width(picture.film.width);
+  out.set_height(picture.film.height);
+  out.set_samples_per_pixel(rendered.spp);
+  out.set_last(rendered.last);
+  out.set_seconds(picture.report.seconds);
+  for (const StageReport& stage : picture.report.stages) out.add_made(stage.name);
+  for (const Skip& skip : picture.report.skips)
+    if (skip.what.starts_with(stage_word)) out.add_reused(skip.what.substr(stage_word.size()));
+  const Seconds now = steady_now();
+  if (rendered.changed) {
+    out.set_latency_seconds(now - *rendered.changed);
+    pictures_.push_back(now);
+    while (now - pictures_.front() > rate_window) pictures_.pop_front();
+  }
+  if (pictures_.size() > 1 && now > pictures_.front())
+    out.set_frames_per_second(static_cast<double>(pictures_.size() - 1) / (now - pictures_.front()));
+  std::lock_guard lock(mutex_);
+  out.set_received(received_);
+  return out;
+}
+
+}  // namespace gleaner::gateway

@@ -1,0 +1,248 @@
+// Sessions: a scene that somebody changes, and pictures of it, of a farm of this process's own with its devices.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "cli/embedded.h"
+#include "coordinator/blobs/sha256.h"
+#include "coordinator/gateway/convert.h"
+#include "gleaner/v1/farm.grpc.pb.h"
+#include "scene/library/library.h"
+#include "scene/model/edited_scene.h"
+#include "scene/model/error.h"
+
+namespace gleaner::test {
+namespace {
+
+namespace pb = gleaner::v1;
+using testing::Contains;
+using testing::Each;
+using testing::IsSupersetOf;
+using testing::Not;
+using testing::StartsWith;
+
+// The Cornell box with a point light before its lamp; a box of it can be moved by matrix 0.
+scene::Scene lit_box() {
+  scene::Scene scene = scene::make_scene("cornell-box", {});
+  scene.lights = scene::make_scene("furnace-point").lights;
+  for (int k = 0; k < 3; ++k) scene.lights[0].position[k] = 0.5f * scene.cameras.front().camera.origin[k];
+  scene::make_movable(scene, scene.meshes.back().name);
+  return scene;
+}
+
+class Session : public testing::Test {
+ protected:
+  Session() : farm_(settings()), stub_(pb::Farm::NewStub(farm_.channel())) {}
+
+  static cli::EmbeddedSettings settings() {
+    cli::EmbeddedSettings settings;
+    settings.device.trace = worker::TraceKind::embree;
+    settings.paths = [](const std::string&, std::uint32_t) -> coordinator::FramePaths {
+      ADD_FAILURE() << "a session wants no files";
+      return {};
+    };
+    return settings;
+  }
+
+  pb::SessionRequest opening(const scene::Scene& scene, std::uint32_t refine_to = 0) {
+    coordinator::FrameSettings frame;
+    frame.method = "links";
+    frame.width = frame.height = 32;
+    frame.spp = 1;
+    frame.set = {{"links.vertices", "400"}, {"links.directions", "64"}};
+    frame.camera = scene.cameras.front().camera;
+    frame.camera.half_width = frame.camera.half_height;
+    pb::SessionRequest request;
+    pb::SessionOpen& open = *request.mutable_open();
+    open.set_scene_name("box");
+    open.set_scene_blob(farm_.blobs().put(scene::serialize(scene)));
+    *open.mutable_settings() = gateway::to_proto(frame);
+    open.set_format(pb::PICTURE_FORMAT_RGB32F);
+    open.set_refine_to(refine_to);
+    return request;
+  }
+
+  // Says all of it, one after the other's picture, and returns the pictures; an empty one where a change was refused.
+  std::vector<pb::SessionPicture> pictures(const std::vector<pb::SessionRequest>& requests) {
+    grpc::ClientContext context;
+    auto stream = stub_->Session(&context);
+    std::vector<pb::SessionPicture> all;
+    for (const pb::SessionRequest& request : requests) {
+      stream->Write(request);
+      EXPECT_TRUE(stream->Read(&all.emplace_back()));
+    }
+    stream->WritesDone();
+    pb::SessionPicture more;
+    while (stream->Read(&more)) all.push_back(more);
+    const grpc::Status status = stream->Finish();
+    EXPECT_TRUE(status.ok()) << status.error_message();
+    return all;
+  }
+
+  cli::EmbeddedFarm farm_;
+  std::unique_ptr<pb::Farm::Stub> stub_;
+};
+
+pb::SessionRequest change(std::uint64_t number) {
+  pb::SessionRequest request;
+  request.mutable_change()->set_number(number);
+  return request;
+}
+
+pb::SessionRequest light_at(std::uint64_t number, float x, std::uint32_t light = 0) {
+  pb::SessionRequest request = change(number);
+  pb::LightChange& moved = *request.mutable_change()->add_lights();
+  moved.set_light(light);
+  moved.mutable_position()->set_x(x);
+  moved.mutable_position()->set_y(0.8f);
+  moved.mutable_position()->set_z(0.3f);
+  return request;
+}
+
+pb::SessionRequest box_at(std::uint64_t number, double x) {
+  pb::SessionRequest request = change(number);
+  pb::ObjectChange& moved = *request.mutable_change()->add_objects();
+  for (int k = 0; k < 12; ++k) moved.add_placement(k == 3 ? x : k % 5 == 0 ? 1 : 0);
+  return request;
+}
+
+std::vector<std::string> made(const pb::SessionPicture& picture) {
+  return {picture.made().begin(), picture.made().end()};
+}
+std::vector<std::string> reused(const pb::SessionPicture& picture) {
+  return {picture.reused().begin(), picture.reused().end()};
+}
+
+TEST_F(Session, HoldsLinksUntilWhatTheyDependOnChanges) {
+  const scene::Scene scene = lit_box();
+  pb::SessionRequest camera = change(2);
+  *camera.mutable_change()->mutable_camera() = opening(scene).open().settings().camera();
+  camera.mutable_change()->mutable_camera()->mutable_origin()->set_x(0.1f);
+  pb::SessionRequest paint = change(3);
+  paint.mutable_change()->add_materials()->mutable_base_color()->set_x(0.25f);
+  const std::vector<pb::SessionPicture> all =
+      pictures({opening(scene), light_at(1, 0.2f), camera, paint, box_at(4, 0.1), box_at(5, 0)});
+  ASSERT_EQ(all.size(), 6u);
+  const std::vector<std::string> links = {"links.mesh", "links.probe", "links.make"};
+  EXPECT_THAT(made(all[0]), IsSupersetOf(links));
+  // A light moves: light flows over the links that are there.
+  EXPECT_THAT(reused(all[1]), IsSupersetOf(links));
+  EXPECT_THAT(reused(all[1]), Contains("links.albedo"));
+  EXPECT_THAT(made(all[1]), IsSupersetOf({"links.light", "links.exchange", "links.smooth", "links.shade"}));
+  EXPECT_THAT(made(all[1]), Each(Not(testing::AnyOf("links.mesh", "links.probe", "links.make", "links.albedo"))));
+  // The camera alone: the light is there too.
+  EXPECT_THAT(reused(all[2]), IsSupersetOf({"links.light", "links.exchange", "links.smooth"}));
+  // A colour.
+  EXPECT_THAT(reused(all[3]), IsSupersetOf(links));
+  EXPECT_THAT(made(all[3]), IsSupersetOf({"links.albedo", "links.light", "links.exchange"}));
+  // An object takes the links away; back at its place they are there again.
+  EXPECT_THAT(made(all[4]), IsSupersetOf(links));
+  EXPECT_THAT(reused(all[5]), IsSupersetOf(links));
+  for (std::size_t k = 0; k < all.size(); ++k) {
+    EXPECT_EQ(all[k].shows(), k);
+    EXPECT_EQ(all[k].received(), k);
+    EXPECT_TRUE(all[k].last());
+    EXPECT_EQ(all[k].picture().size(), 32u * 32 * 12);
+    EXPECT_GT(all[k].latency_seconds(), 0);
+    if (k > 0) {
+      EXPECT_NE(all[k].picture(), all[k - 1].picture()) << k;
+    }
+  }
+  // Nobody else sees a session's frames.
+  EXPECT_TRUE(farm_.farm().list().empty());
+}
+
+// A picture is that of the scene as it is, whatever it was before.
+TEST_F(Session, PicturesAreThoseOfTheirScenes) {
+  const scene::Scene scene = lit_box();
+  const std::vector<pb::SessionPicture> all =
+      pictures({opening(scene), light_at(1, 0.2f), box_at(2, 0.1), light_at(3, -0.1f)});
+  ASSERT_EQ(all.size(), 4u);
+  scene::EditedScene edited(std::make_shared<const scene::Scene>(scene));
+  edited.apply(scene::LightChange{0, scene::Triple{-0.1f, 0.8f, 0.3f}, {}, {}});
+  edited.apply(scene::ObjectChange{0, {1, 0, 0, 0.1, 0, 1, 0, 0, 0, 0, 1, 0}});
+  scene::Scene own = posed(scene, edited.state(), "own");
+  EXPECT_EQ(pictures({opening(own)}).at(0).picture() == all[3].picture(), true);
+}
+
+TEST_F(Session, RefinesWhileNothingChanges) {
+  const std::vector<pb::SessionPicture> all = [&] {
+    grpc::ClientContext context;
+    auto stream = stub_->Session(&context);
+    stream->Write(opening(lit_box(), 8));
+    std::vector<pb::SessionPicture> until_last(1);
+    while (stream->Read(&until_last.back()) && !until_last.back().last()) until_last.emplace_back();
+    stream->WritesDone();
+    return until_last;
+  }();
+  ASSERT_EQ(all.size(), 3u);
+  EXPECT_EQ(all[0].samples_per_pixel(), 1u);
+  EXPECT_EQ(all[1].samples_per_pixel(), 4u);
+  EXPECT_EQ(all[2].samples_per_pixel(), 8u);
+  EXPECT_THAT(reused(all[1]), Contains("links.smooth"));
+}
+
+TEST_F(Session, RefusesWhatTheSceneLacksAndGoesOn) {
+  const scene::Scene scene = lit_box();
+  pb::SessionRequest half = light_at(3, 0.4f);  // right, and then wrong
+  half.mutable_change()->add_materials()->set_material(100000);
+  pb::SessionRequest dark = change(4);
+  dark.mutable_change()->add_materials()->mutable_base_color()->set_y(-1);
+  const std::vector<pb::SessionPicture> all =
+      pictures({opening(scene), light_at(1, 0.2f, 1), light_at(2, std::nanf("")), half, dark, box_at(5, 1e300),
+                light_at(6, 0.2f)});
+  ASSERT_EQ(all.size(), 7u);
+  for (std::size_t k = 1; k <= 5; ++k) {
+    EXPECT_FALSE(all[k].refused().empty()) << k;
+    EXPECT_EQ(all[k].received(), k);
+    EXPECT_TRUE(all[k].picture().empty()) << k;
+  }
+  EXPECT_THAT(all[1].refused(), testing::HasSubstr("light"));
+  EXPECT_EQ(all[6].shows(), 6u);
+  EXPECT_EQ(pictures({opening(scene), light_at(1, 0.2f)}).at(1).picture() == all[6].picture(), true);
+}
+
+TEST_F(Session, RefusesToOpenWhatCannotBeRendered) {
+  const auto refusal = [&](const pb::SessionRequest& request) {
+    grpc::ClientContext context;
+    auto stream = stub_->Session(&context);
+    stream->Write(request);
+    pb::SessionPicture none;
+    EXPECT_FALSE(stream->Read(&none));
+    return stream->Finish();
+  };
+  pb::SessionRequest unknown = opening(lit_box()), settings = unknown, method = unknown;
+  unknown.mutable_open()->set_scene_blob(std::string(64, 'a'));
+  (*settings.mutable_open()->mutable_settings()->mutable_set())["links.directions"] = "17";
+  method.mutable_open()->mutable_settings()->set_method("none");
+  for (const pb::SessionRequest& request : {unknown, settings, method, change(1)})
+    EXPECT_EQ(refusal(request).error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+}
+
+// What a movable mesh's matrix leaves in place stands where it stood.
+TEST(MovableMesh, StandsWhereItStood) {
+  const scene::Scene still = scene::make_scene("cornell-textured", {});
+  scene::Scene scene = still;
+  const std::string name = scene.meshes.back().name;
+  EXPECT_EQ(scene::make_movable(scene, name), 0u);
+  EXPECT_THROW(scene::make_movable(scene, name), Error);
+  EXPECT_THROW(scene::make_movable(scene, "no such mesh"), Error);
+  validate(scene, "movable");
+  const scene::EditedScene edited(std::make_shared<const scene::Scene>(scene));
+  const scene::Scene shown = posed(scene, edited.state(), "shown");
+  for (std::size_t c = 0; c < still.indices.size(); ++c)
+    for (std::size_t k = 0; k < 3; ++k) {
+      EXPECT_EQ(shown.positions[3 * std::size_t{shown.indices[c]} + k],
+                still.positions[3 * std::size_t{still.indices[c]} + k]);
+      EXPECT_NEAR(shown.normals[3 * std::size_t{shown.indices[c]} + k],
+                  still.normals[3 * std::size_t{still.indices[c]} + k], 1e-6);
+    }
+}
+
+}  // namespace
+}  // namespace gleaner::test
