@@ -81,7 +81,7 @@ typedef struct {
 } PhotonEstimate;
 GLEANER_SIZE(PhotonEstimate, 8);
 
-// Where there is an input "cut", places read it where one of its nodes is near, and no lobe lies above their layer.
+// Where there is an input "cut", places read it where one of its nodes is near.
 // Not where photons of fewer scatterings than the map's count alone: `cut_depth` are the most that one of them has, 31:
 // or more.
 

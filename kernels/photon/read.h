@@ -17,12 +17,12 @@ kernel void photon_read(global const float* restrict reads, uint count, SCENE_PA
   uint slot = ((global const uint*)read)[READ_SLOT];
   if (slot >= slot_count) return;
   MapPlace place = map_place(read);
-  if (cut_nodes && !place.caustics && place.most_depth >= cut_depth &&
-      ((global const uint*)read)[READ_TABLE] == GLEANER_NONE) {
+  if (cut_nodes && !place.caustics && place.most_depth >= cut_depth) {
     float e[3];
     if (cut_irradiance(cut, cut_nodes, &place, e) > 0.0f) {
       global float* to = slots + SLOT_WORDS * slot + SLOT_INDIRECT;
-      for (uint k = 0; k < 3u; ++k) to[k] += read[READ_FACTOR + k] * e[k];
+      float share = mean_layer_share(&scene_value, read);
+      for (uint k = 0; k < 3u; ++k) to[k] += read[READ_FACTOR + k] * e[k] * share;
       return;
     }
   }

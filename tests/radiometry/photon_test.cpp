@@ -17,6 +17,8 @@
 #include "tests/radiometry/rendered_frame.h"
 #include "worker/stages/photon/illumination_cut.h"
 #include "worker/stages/photon/seeding.h"
+#include "worker/stages/photon/stages.h"
+#include "worker/stages/splat/points.h"
 
 namespace gleaner::test {
 namespace {
@@ -335,6 +337,33 @@ TEST(Photon, SmoothingTakesNoiseOfRecords) {
   std::printf("  records of 128 rays are off by %.4f, smoothed by %.4f\n", gathered, smoothed);
   EXPECT_LT(smoothed, 0.9 * gathered);
   EXPECT_GT(smoothed, 0);
+}
+
+// A record twenty times as bright as one within its reach, a metre away: it weighs there no more than half of the
+// other's light; without a darker one it keeps its radius.
+TEST(Photon, BrightRecordsDoNotShineOnDarkOnes) {
+  const auto radius_beside = [](float light) {
+    std::vector<worker::CacheRecord> records(2);
+    for (std::size_t i = 0; i < 2; ++i) {
+      records[i].position = {static_cast<float>(i), 0, 0};
+      records[i].normal = {0, 0, 1};
+      records[i].radius = 1;
+      records[i].spare = {2, 0.1f, 0};
+    }
+    records[0].irradiance = {light, light, light};
+    records[1].irradiance = {20, 20, 20};
+    scene::Bytes bytes(records.size() * sizeof records[0]);
+    std::memcpy(bytes.data(), records.data(), bytes.size());
+    worker::StageTask task;
+    task.kind = "photon_cluster_smooth";
+    task.inputs["records"] = std::make_shared<const scene::Bytes>(std::move(bytes));
+    const worker::BatchResult result = worker::smooth_photon_clusters(task);
+    std::memcpy(records.data(), result.records.data(), result.records.size());
+    return records[1].radius;
+  };
+  EXPECT_FLOAT_EQ(radius_beside(20), 1);
+  EXPECT_FLOAT_EQ(radius_beside(5), 0.125f);
+  EXPECT_FLOAT_EQ(radius_beside(1), 0.1f) << "the least: a twentieth of its reach";
 }
 
 // Points on a grid: a floor whose right half is bumpy.

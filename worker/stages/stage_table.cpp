@@ -44,7 +44,7 @@ const std::vector<StageKind>& stage_table() {
        {},
        // With both maps, and without clusters.
        {{.file = "kernels/photon/gather.cl", .options = " -D PATH_FILTER=7"}, {.file = "kernels/photon/caustics.cl"}}},
-      {"photon_map", on_host<build_photon_map>, {}, {{.name = "photons"}}},
+      {"photon_map", run_photon_map_stage, {}, {{.name = "photons"}}},
       {"photon_gather",
        run_photon_gather_stage,
        {"kernels/photon/gather.cl"},

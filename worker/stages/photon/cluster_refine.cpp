@@ -25,7 +25,7 @@ constexpr double kMostContrast = 0.4;
 // Of the mean of all records: what is darker than this part of it is not looked at so closely.
 constexpr double kDark = 0.05;
 // Pixels that are looked at.
-constexpr std::uint64_t kMostLooked = 1u << 18;
+constexpr std::uint64_t kMostLooked = 1u << 16;
 // A sample stands for points within this part of its reach.
 constexpr float kOwn = 0.5f;
 // Cells that a record is entered in, at most; one that reaches farther is looked at for all points.

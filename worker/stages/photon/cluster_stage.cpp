@@ -27,8 +27,8 @@ using kernels::PhotonClusterParameters;
 constexpr double kAlpha = 3;
 // Normals farther apart share no cluster.
 constexpr float kLeastCosine = 0.5f;
-// k-means looks at a grid of pixels of at most so many; the others read the clusters as well.
-constexpr std::uint64_t kMostData = 1u << 18;
+// k-means looks at a grid of pixels, no more than a cluster needs or so many; the others read the clusters as well.
+constexpr std::uint64_t kDataOfACluster = 16, kEnoughData = 1u << 16, kMostData = 1u << 18;
 constexpr std::size_t kDatumWords = 8;
 // Where every point has a record of its own, its reach in pixels: such a record reaches no other point.
 constexpr float kOwnReach = 1e-4f;
@@ -53,7 +53,8 @@ struct Data {
 Data data_of(const PhotonClusterParameters& p, std::span<const SplatPoint> points) {
   Data data{.screen = {.width = p.width, .height = p.height, .samples = p.samples}, .members = {}, .rows = {}};
   PointScreen& screen = data.screen;
-  while (std::uint64_t{screen.columns()} * screen.rows() > kMostData) screen.step *= 2;
+  const std::uint64_t most = std::clamp(kDataOfACluster * p.clusters, kEnoughData, kMostData);
+  while (std::uint64_t{screen.columns()} * screen.rows() > most) screen.step *= 2;
   PointBox box;
   for (std::uint32_t y = 0; y < screen.rows(); ++y)
     for (std::uint32_t x = 0; x < screen.columns(); ++x) {

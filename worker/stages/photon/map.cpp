@@ -13,7 +13,7 @@
 #include "scene/model/limits.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/vpl/rows.h"
-#include "worker/wavefront/counters.h"
+#include "worker/wavefront/host_threads.h"
 #include "worker/wavefront/input_rows.h"
 
 namespace gleaner::worker {
@@ -53,17 +53,19 @@ std::uint32_t class_of(const Photon& photon) {
 
 class MapBuilder {
  public:
-  MapBuilder(std::vector<Photon> photons, std::uint32_t neighbours)
+  MapBuilder(std::vector<Photon> photons, std::uint32_t neighbours, unsigned threads)
       : photons_(std::move(photons)), neighbours_(std::max(neighbours, 1u)) {
     places_.reserve(photons_.size());
     for (const Photon& photon : photons_)
       places_.push_back({{as_float(photon.words[0]), as_float(photon.words[1]), as_float(photon.words[2])},
                          static_cast<std::uint32_t>(places_.size())});
-    const std::size_t blocks = std::max<std::size_t>(1, (photons_.size() + RAY_BLOCK - 1) / RAY_BLOCK);
-    nodes_.reserve(2 * blocks - 1);
-    rows_.resize(1 + 2 * blocks - 1 + blocks * RAY_BLOCK);
-    add_node(0, places_.size(), true);
-    write(blocks);
+    const std::size_t blocks = std::max<std::size_t>(1, blocks_of(places_.size()));
+    nodes_.resize(2 * blocks - 1);
+    rows_.resize(1 + nodes_.size() + blocks * RAY_BLOCK);
+    add_node(0, 0, places_.size(), true, threads);
+    for (const Node& node : nodes_)
+      if (node.disc >= 0) radii_.push_back(node.disc);
+    write(blocks, threads);
   }
 
   const std::vector<Photon>& rows() const { return rows_; }
@@ -85,35 +87,47 @@ class MapBuilder {
   struct Node {
     std::array<float, 3> lower{kFar, kFar, kFar}, upper{-kFar, -kFar, -kFar};
     std::uint32_t block = GLEANER_NONE, skip = 0;
+    double disc = -1;  // m: the radius of a disc of so many neighbours, where this node tells it
   };
 
-  // The node over places [first, last). `looks`: it, or one below it, tells how wide the nearest neighbours' disc is.
-  void add_node(std::size_t first, std::size_t last, bool looks) {
-    const std::size_t index = nodes_.size();
-    nodes_.emplace_back();
-    Node node;
+  static std::size_t blocks_of(std::size_t places) { return (places + RAY_BLOCK - 1) / RAY_BLOCK; }
+
+  // Node number `index`, over places [first, last), and those below it. `looks`: it, or one below it, tells how wide
+  // the nearest neighbours' disc is. How many places there are says where each node and block stands, so that the two
+  // halves are made side by side.
+  void add_node(std::size_t index, std::size_t first, std::size_t last, bool looks, unsigned threads) {
+    Node& node = nodes_[index];
     for (std::size_t i = first; i < last; ++i)
       for (unsigned k = 0; k < 3; ++k) {
         node.lower[k] = std::min(node.lower[k], places_[i].at[k]);
         node.upper[k] = std::max(node.upper[k], places_[i].at[k]);
       }
     if (first == last) node.upper = node.lower;  // of a map without photons: far away
-    const std::size_t blocks = (last - first + RAY_BLOCK - 1) / RAY_BLOCK;
+    const std::size_t blocks = blocks_of(last - first);
     if (looks && last > first && last - first <= std::max<std::size_t>(2 * neighbours_, RAY_BLOCK)) {
-      note_radius(node, last - first);
+      node.disc = disc_of(node, last - first);
       looks = false;
     }
     if (blocks <= 1) {
-      node.block = blocks_++;
-    } else {
-      const std::size_t middle = first + (blocks + 1) / 2 * RAY_BLOCK;
-      split(first, middle, last, node);
-      nodes_[index] = node;
-      add_node(first, middle, looks);
-      add_node(middle, last, looks);
+      node.block = static_cast<std::uint32_t>(first / RAY_BLOCK);
+      node.skip = static_cast<std::uint32_t>(index + 1);
+      return;
     }
-    node.skip = static_cast<std::uint32_t>(nodes_.size());
-    nodes_[index] = node;
+    const std::size_t left = (blocks + 1) / 2, middle = first + left * RAY_BLOCK;
+    node.skip = static_cast<std::uint32_t>(index + 2 * blocks - 1);
+    split(first, middle, last, node);
+    const auto half = [&](unsigned k, unsigned others) {
+      if (k == 0)
+        add_node(index + 1, first, middle, looks, others);
+      else
+        add_node(index + 2 * left, middle, last, looks, others);
+    };
+    if (threads > 1) {
+      run_threads(2, [&](unsigned k) { half(k, (threads + 1 - k) / 2); });
+    } else {
+      half(0, 1);
+      half(1, 1);
+    }
   }
 
   void split(std::size_t first, std::size_t middle, std::size_t last, const Node& node) {
@@ -129,15 +143,15 @@ class MapBuilder {
   }
 
   // A surface's piece in a box is about as large as the box's largest face.
-  void note_radius(const Node& node, std::size_t photons) {
+  double disc_of(const Node& node, std::size_t photons) const {
     std::array<double, 3> edge{};
     for (unsigned k = 0; k < 3; ++k) edge[k] = double{node.upper[k]} - node.lower[k];
     std::ranges::sort(edge);
     const double area = edge[1] * edge[2] * neighbours_ / static_cast<double>(photons);
-    radii_.push_back(std::sqrt(area / std::numbers::pi));
+    return std::sqrt(area / std::numbers::pi);
   }
 
-  void write(std::size_t blocks) {
+  void write(std::size_t blocks, unsigned threads) {
     rows_[0].words = {};
     rows_[0].words[MAP_NODES] = static_cast<std::uint32_t>(nodes_.size());
     rows_[0].words[MAP_BLOCKS] = static_cast<std::uint32_t>(blocks);
@@ -151,8 +165,12 @@ class MapBuilder {
       words[NODE_BLOCK] = nodes_[i].block;
       words[NODE_SKIP] = nodes_[i].skip;
     }
+    run_threads(threads, [&](unsigned k) { write_blocks(blocks * k / threads, blocks * (k + 1) / threads); });
+  }
+
+  void write_blocks(std::size_t begin, std::size_t end) {
     auto* to = reinterpret_cast<std::uint32_t*>(&rows_[1 + nodes_.size()]);
-    for (std::size_t i = 0; i < blocks * RAY_BLOCK; ++i) {
+    for (std::size_t i = begin * RAY_BLOCK; i < end * RAY_BLOCK; ++i) {
       Photon photon{};
       for (unsigned k = 0; k < 3; ++k) photon.words[PHOTON_POSITION + k] = as_word(kFar);
       if (i < places_.size()) photon = photons_[places_[i].photon];
@@ -166,7 +184,6 @@ class MapBuilder {
   std::vector<Place> places_;
   std::vector<Node> nodes_;
   std::vector<double> radii_;
-  std::uint32_t blocks_ = 0;
 };
 
 std::vector<Photon> read_photons(const StageTask& task, std::uint32_t classes) {
@@ -196,14 +213,16 @@ std::vector<Photon> read_photons(const StageTask& task, std::uint32_t classes) {
 
 }  // namespace
 
-BatchResult build_photon_map(const StageTask& task) {
-  const auto p = host_parameters<PhotonMapParameters>(task);
-  MapBuilder builder(read_photons(task, p.classes), p.neighbours);
+BatchResult run_photon_map_stage(const StageRun& run) {
+  const double start = seconds_now();
+  const auto p = host_parameters<PhotonMapParameters>(run.task);
+  MapBuilder builder(read_photons(run.task, p.classes), p.neighbours, host_threads(run.device));
   BatchResult result;
   result.records.resize(builder.rows().size() * sizeof(Photon));
   std::memcpy(result.records.data(), builder.rows().data(), result.records.size());
   result.counts = {static_cast<std::uint32_t>(builder.rows().size())};
   set_facts(result, builder.facts());
+  result.counters.seconds = seconds_now() - start;
   return result;
 }
 

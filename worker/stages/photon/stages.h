@@ -10,11 +10,11 @@ BatchResult run_photon_trace_stage(const StageRun& run);
 BatchResult run_photon_gather_stage(const StageRun& run);
 BatchResult run_photon_caustics_stage(const StageRun& run);
 BatchResult run_photon_cut_stage(const StageRun& run);
+BatchResult run_photon_map_stage(const StageRun& run);
 BatchResult run_photon_cluster_stage(const StageRun& run);
 BatchResult run_photon_cluster_gather_stage(const StageRun& run);
 BatchResult run_photon_cluster_refine_stage(const StageRun& run);
 // On the host:
-BatchResult build_photon_map(const StageTask& task);
 BatchResult smooth_photon_clusters(const StageTask& task);
 
 }  // namespace gleaner::worker
