@@ -485,6 +485,14 @@ TEST(RequestCodec, EveryFieldComesBack) {
 }
 
 // A record of any length must be refused or read, never crash.
+TEST(RequestCodec, DeepNestingIsRefused) {
+  // Arrays of sixteen, each the first element of the one before.
+  const Bytes bomb(100000, std::byte{0x90});
+  EXPECT_THROW(decode_request(bomb), Error);
+  JobRequest request;
+  EXPECT_THROW(decode_frames(bomb, request), Error);
+}
+
 TEST(RequestCodec, TruncatedRecordsAreRefused) {
   JobRequest request;
   request.scenes.resize(1);
