@@ -346,6 +346,7 @@ std::string FarmService::remember_preview(const std::string& job, std::string pn
 Status FarmService::Session(grpc::ServerContext* context,
                             grpc::ServerReaderWriter<pb::SessionPicture, pb::SessionRequest>* stream) {
   if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
+  const Callers::Call open(callers_, *context, Callers::Call::work);  // it has seats of its own
   const Seat seat(sessions_);
   if (seat.before >= settings_.most_sessions)
     return {StatusCode::RESOURCE_EXHAUSTED,

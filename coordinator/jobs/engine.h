@@ -331,6 +331,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   std::deque<std::shared_ptr<Job>> ended_jobs;     // the oldest end first
   std::vector<std::shared_ptr<Job>> running;       // in the order of their start
   Seconds last_frame_begun = 0;
+  Seconds costs_written = 0;  // when the journal was last told what running jobs have cost
   bool said_no_thread = false;
   std::uint64_t memory_taken = 0;  // predicted, by plans that are there
   std::map<const Frame*, std::thread> threads;

@@ -70,11 +70,40 @@ Bytes cbor(const json& value) {
   return {first, first + bytes.size()};
 }
 
+// Stops where values are nested deeper than any that is written: the library's reader calls itself for each level.
+class NestingCheck final : public nlohmann::json_sax<json> {
+ public:
+  bool too_deep() const { return depth_ > most; }
+
+  bool null() override { return true; }
+  bool boolean(bool) override { return true; }
+  bool number_integer(number_integer_t) override { return true; }
+  bool number_unsigned(number_unsigned_t) override { return true; }
+  bool number_float(number_float_t, const string_t&) override { return true; }
+  bool string(string_t&) override { return true; }
+  bool binary(binary_t&) override { return true; }
+  bool key(string_t&) override { return true; }
+  bool start_object(std::size_t) override { return ++depth_ <= most; }
+  bool start_array(std::size_t) override { return ++depth_ <= most; }
+  bool end_object() override { return depth_-- > 0; }
+  bool end_array() override { return depth_-- > 0; }
+  bool parse_error(std::size_t, const std::string&, const nlohmann::detail::exception&) override { return false; }
+
+ private:
+  static constexpr int most = 16;
+  int depth_ = 0;
+};
+
 // Runs `read` on the decoded value; what the library throws is said in words of the journal.
 template <typename Read>
 auto decode(std::span<const std::byte> bytes, const char* what, const Read& read) {
   try {
     const auto* first = reinterpret_cast<const std::uint8_t*>(bytes.data());
+    NestingCheck nesting;
+    json::sax_parse(first, first + bytes.size(), &nesting, json::input_format_t::cbor);
+    if (nesting.too_deep())
+      throw Error::failed(std::string("the journal's record of the job's ") + what +
+                          " cannot be read: values are nested too deep");
     return read(json::from_cbor(first, first + bytes.size()));
   } catch (const json::exception& error) {
     throw Error::failed(std::string("the journal's record of the job's ") + what + " cannot be read: " + error.what());

@@ -429,9 +429,10 @@ Farm::Located Farm::locate(const std::string& token, Epoch epoch, const Artifact
     Located::At at;
     at.own = std::ranges::find(part.holders, worker->id) != part.holders.end();
     // Readers are spread over those that hold copies.
-    std::ranges::rotate(
-        part.holders,
-        part.holders.begin() + static_cast<std::ptrdiff_t>(spread(worker->id, part.items.first) % part.holders.size()));
+    std::rotate(
+        part.holders.begin(),
+        part.holders.begin() + static_cast<std::ptrdiff_t>(spread(worker->id, part.items.first) % part.holders.size()),
+        part.holders.end());
     for (const WorkerId id_of_holder : part.holders) {
       const auto holder = m.workers.find(id_of_holder);
       if (holder == m.workers.end() || holder->second.id == worker->id) continue;

@@ -18,6 +18,7 @@ constexpr std::chrono::milliseconds idle_look{100};
 constexpr std::chrono::milliseconds calm_look{1000};
 constexpr std::chrono::milliseconds offer_interval{2};
 constexpr std::size_t most_names_of_gone = 4096;
+constexpr Seconds between_costs = 5;  // of running jobs, for the journal
 
 }  // namespace
 
@@ -138,6 +139,12 @@ void Farm::Impl::tick() {
     if (time - worker.heard > settings.silence && worker.waits == 0) silent.push_back(id);
   for (WorkerId id : silent) lose(id, "not heard of for " + std::to_string(static_cast<int>(settings.silence)) + " s");
   offer_to_unserved();
+  // A coordinator that dies forgets little of what its frames have cost.
+  if (time - costs_written >= between_costs) {
+    costs_written = time;
+    for (const auto& job : running)
+      if (!job->cancel) journal_changed(*job, job->state);
+  }
   begin_another_frame();
   if (said_no_thread) start_queued();
 }

@@ -367,6 +367,29 @@ TEST_F(FarmJournal, APausedJobStaysPausedAndItsFramesAndCostsAreKnown) {
   EXPECT_THAT(farm.status(job)->written, ElementsAre(std::pair(3u, 4u), std::pair(8u, 8u), std::pair(20u, 20u)));
 }
 
+TEST_F(FarmJournal, CostsOfAFrameThatWasNotWrittenAreKnown) {
+  std::atomic<double> time{0};
+  std::string job;
+  {
+    FarmSettings farm_settings = journaled();
+    farm_settings.clock = [&] { return time.load(); };
+    farm_settings.silence = 1e9;
+    Farm farm(farm_settings, blobs_);
+    ScriptedWorker worker;
+    worker.join(farm);
+    job = farm.submit(request());
+    auto offer = worker.next();
+    ASSERT_TRUE(offer);
+    worker.deliver(*offer, worker.compute(*offer, blobs_), 2.5);
+    time = 100;
+    ASSERT_TRUE(eventually(
+        [&] { return farm_settings.journal->flush() && farm_settings.journal->jobs().at(0).worker_seconds > 0; }));
+    // As if it were killed: nothing more is written that the next one reads.
+  }
+  Farm farm(journaled(), blobs_);
+  EXPECT_EQ(farm.status(job)->worker_seconds, 2.5);
+}
+
 TEST_F(FarmJournal, FailedFramesAreRetriedAndTheOthersAreLeft) {
   FarmSettings farm_settings = journaled();
   const auto paths = farm_settings.paths;
@@ -464,6 +487,14 @@ TEST(RequestCodec, EveryFieldComesBack) {
 }
 
 // A record of any length must be refused or read, never crash.
+TEST(RequestCodec, DeepNestingIsRefused) {
+  // Arrays of sixteen, each the first element of the one before.
+  const Bytes bomb(100000, std::byte{0x90});
+  EXPECT_THROW(decode_request(bomb), Error);
+  JobRequest request;
+  EXPECT_THROW(decode_frames(bomb, request), Error);
+}
+
 TEST(RequestCodec, TruncatedRecordsAreRefused) {
   JobRequest request;
   request.scenes.resize(1);
