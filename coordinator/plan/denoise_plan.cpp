@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "coordinator/plan/denoised_film.h"
+#include "scene/model/names.h"
 
 namespace gleaner::coordinator {
 namespace {
@@ -119,7 +120,7 @@ std::vector<Skip> DenoisePlan::skips() const { return method_->skips(); }
 
 std::vector<std::string> DenoisePlan::warnings() const {
   std::vector<std::string> warnings = method_->warnings();
-  if (facts_ && !facts_->version[0]) warnings.push_back(std::string("the picture is not denoised: ") + facts_->why);
+  if (facts_ && !facts_->version[0]) warnings.push_back("the picture is not denoised: " + printable(facts_->why));
   return warnings;
 }
 
@@ -128,8 +129,8 @@ std::string DenoisePlan::parameters_json() const {
   nlohmann::json denoise = {{"quality", word_of(settings_.denoise)}};
   if (facts_) {
     if (facts_->version[0]) {
-      denoise["library"] = std::string("Open Image Denoise ") + facts_->version;
-      denoise["device"] = facts_->device;
+      denoise["library"] = "Open Image Denoise " + printable(facts_->version);
+      denoise["device"] = printable(facts_->device);
     }
     denoise["share"] = facts_->denoised;
     if (facts_->mean > 0) denoise["expected_error"] = std::sqrt(facts_->squared_error + shared_) / facts_->mean;
