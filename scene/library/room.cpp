@@ -32,15 +32,15 @@ void block(SceneBuilder& b, Vec low, Vec high, std::uint32_t material) {
 
 // A box whose edges are round: a superellipsoid.
 void cushion(SceneBuilder& b, Vec centre, Vec half, std::uint32_t material, double yaw = 0, double lean = 0) {
-  constexpr std::uint32_t around = 48, up = 24;
-  constexpr double power = 0.35;
+  constexpr std::uint32_t around = 64, up = 32;
+  constexpr double power = 0.45;
   const auto bent = [](double value) { return std::copysign(std::pow(std::abs(value), power), value); };
   b.grid(
       around, up,
       [&](std::uint32_t i, std::uint32_t j) {
-        // Poles would be vertices of many normals: the grid ends just before them, where the shape is flat and its hole
-        // smaller than a thread.
-        const double phi = 2 * pi * i / around, theta = pi * (j - up / 2.0) / (up + 1e-7);
+        // Poles would be vertices of many normals: the grid ends just before them, where its hole is smaller than a
+        // thread.
+        const double phi = 2 * pi * i / around, theta = pi * (j - up / 2.0) / (up + 1e-4);
         const Vec p{half.x * bent(std::cos(theta)) * bent(std::cos(phi)), half.y * bent(std::sin(theta)),
                     -half.z * bent(std::cos(theta)) * bent(std::sin(phi))};
         const Vec leant{p.x, p.y * std::cos(lean) + p.z * std::sin(lean), p.z * std::cos(lean) - p.y * std::sin(lean)};
@@ -49,16 +49,16 @@ void cushion(SceneBuilder& b, Vec centre, Vec half, std::uint32_t material, doub
       material, {.closed_u = true});
 }
 
-// Turned on a lathe: radius by height over `foot`.
-void turned(SceneBuilder& b, Vec foot, double tall, const std::function<double(double)>& radius,
-            std::uint32_t material) {
+// Turned on a lathe: radius by height over `foot`. Rings of no radius would be triangles of no area.
+void turned(SceneBuilder& b, Vec foot, double tall, const std::function<double(double)>& radius, std::uint32_t material,
+            bool smooth = true) {
   constexpr std::uint32_t around = 64, up = 48;
   b.grid(around, up,
          [&](std::uint32_t i, std::uint32_t j) {
-           const double t = static_cast<double>(j) / up, phi = 2 * pi * i / around, r = radius(t);
+           const double t = static_cast<double>(j) / up, phi = 2 * pi * i / around, r = std::fmax(radius(t), 5e-4);
            return foot + Vec{r * std::cos(phi), tall * t, -r * std::sin(phi)};
          },
-         material, {.closed_u = true});
+         material, {.closed_u = true, .smooth = smooth});
 }
 
 std::uint32_t planks(SceneBuilder& b) {
@@ -142,9 +142,9 @@ void curtains(SceneBuilder& b) {
   const std::uint32_t cloth = b.material("curtain", lambert({0.75, 0.68, 0.55}));
   for (const auto& [from, to] :
        {std::array{window_from - 0.38, window_from - 0.02}, {window_to + 0.02, window_to + 0.38}})
-    b.grid(120, 8,
+    b.grid(320, 8,
            [&, from = from, to = to](std::uint32_t i, std::uint32_t j) {
-             const double t = i / 120.0, down = j / 8.0;
+             const double t = i / 320.0, down = j / 8.0;
              return Vec{0.09 + (0.025 + 0.015 * down) * std::sin(14 * pi * t + 0.6 * down), 2.5 - 2.44 * down,
                         from + (to - from) * t};
            },
@@ -185,7 +185,7 @@ void table(SceneBuilder& b) {
   b.mesh("table");
   turned(
       b, {2.5, 0.36, 1.85}, 0.04, [](double t) { return 0.55 * std::sqrt(std::fmax(0, 1 - std::pow(2 * t - 1, 8))); },
-      walnut);
+      walnut, false);
   for (int i = 0; i < 3; ++i) {
     const double phi = 2 * pi * (i + 0.2) / 3;
     turned(
@@ -201,7 +201,7 @@ void table(SceneBuilder& b) {
   turned(
       b, {2.72, 0.4, 1.98}, 0.11,
       [](double t) { return 0.05 + 0.13 * (t < 0.5 ? std::sqrt(2 * t) : 0.97 * std::sqrt(std::fmax(0, 2 - 2 * t))); },
-      b.material("copper", metal({0.93, 0.55, 0.38}, 0.18)));
+      b.material("copper", metal({0.93, 0.55, 0.38}, 0.18)), false);
   for (int i = 0; i < 3; ++i)
     b.sphere({2.69 + 0.05 * std::cos(2.1 * i), 0.5 + 0.012 * i, 1.98 + 0.05 * std::sin(2.1 * i)}, 0.042, 32,
              b.material("fruit " + std::to_string(i + 1),
@@ -244,7 +244,7 @@ void wall_and_lamp(SceneBuilder& b) {
   b.mesh("lamp");
   const Vec foot{0.72, 0, 0.5};
   turned(
-      b, foot, 0.03, [](double t) { return 0.14 * std::sqrt(std::fmax(0, 1 - std::pow(t, 4))); }, brass);
+      b, foot, 0.03, [](double t) { return 0.14 * std::sqrt(std::fmax(0, 1 - std::pow(t, 4))); }, brass, false);
   turned(
       b, foot, 1.45, [](double) { return 0.011; }, brass);
   turned(
