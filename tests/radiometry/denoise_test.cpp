@@ -92,7 +92,7 @@ TEST_F(DenoisedFrames, ATargetErrorIsTheDenoisedPictures) {
   frame.settings.denoise = Denoise::off;
   const Rendered raw = render(frame);
   frame.settings.target_error = 0;
-  frame.settings.spp = 2048;
+  frame.settings.spp = 1024;
   frame.settings.seed = 99;
   frame.settings.denoise = Denoise::high;
   const Film true_film = render(frame).film;

@@ -51,7 +51,8 @@ TEST_P(InstancedMethods, VirtualPointLights) {
 }
 
 TEST_P(InstancedMethods, PhotonMaps) {
-  expect_equal_means("photon", "indirect.G", {{"photon.count", "20000"}, {"photon.caustics", "0"}}, 0.004);
+  expect_equal_means("photon", "indirect.G",
+                     {{"photon.count", "20000"}, {"photon.caustics", "0"}, {"photon.gather_rays", "128"}}, 0.004);
 }
 
 std::string tracer_of(const testing::TestParamInfo<worker::TraceKind>& test) {
