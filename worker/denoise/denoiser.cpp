@@ -227,7 +227,9 @@ std::vector<float> Denoiser::prefilter(std::string_view guide, const DenoiserIma
 
 std::vector<float> Denoiser::denoise(const DenoiserImage& color, const DenoiserImage& albedo,
                                      const DenoiserImage& normal, DenoiseQuality quality) {
-  return impl_->run({{"color", &color}, {"albedo", &albedo}, {"normal", &normal}}, {"hdr", "cleanAux"}, quality);
+  const std::initializer_list<NamedImage> images = {{"color", &color}, {"albedo", &albedo}, {"normal", &normal}};
+  return quality == DenoiseQuality::high ? impl_->run(images, {"hdr", "cleanAux"}, quality)
+                                         : impl_->run(images, {"hdr"}, quality);
 }
 
 }  // namespace gleaner::worker

@@ -36,10 +36,10 @@ class Denoiser {
   const std::string& version() const;  // "2.5.1"
   const std::string& device() const;   // "CPU", "CUDA", ...
 
-  // The guide (linear albedo in [0, 1], or unit normals) without its noise: "albedo" or "normal" says which. Always
-  // fast: the slower models' guides left the pictures as they were (within 0.5 % of their error, on two rooms).
+  // The guide (linear albedo in [0, 1], or unit normals) without its noise: "albedo" or "normal" says which.
   std::vector<float> prefilter(std::string_view guide, const DenoiserImage& image);
-  // The picture (linear radiance) without its noise. Guides are of the same size, and prefiltered.
+  // The picture (linear radiance) without its noise. Guides are of the same size; `high` takes them for prefiltered,
+  // which takes longer than `fast` does for all else.
   std::vector<float> denoise(const DenoiserImage& color, const DenoiserImage& albedo, const DenoiserImage& normal,
                              DenoiseQuality quality);
 

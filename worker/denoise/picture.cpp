@@ -62,14 +62,19 @@ DenoisedPicture picture_of(const BlendedPicture& blended) {
 }  // namespace
 
 DenoisedPicture denoise_picture(const DenoiseParameters& p, std::span<const float> values, DenoiserDevice device) {
-  const Planes planes = planes_of(p, values);
+  Planes planes = planes_of(p, values);
   const auto image = [&](std::span<const float> of) { return DenoiserImage{p.width, p.height, of}; };
   Denoiser denoiser(device);
-  const std::vector<float> albedo = denoiser.prefilter("albedo", image(planes.albedo)),
-                           normal = denoiser.prefilter("normal", image(planes.normal));
+  const DenoiseQuality quality = p.quality == kernels::kDenoiseHigh ? DenoiseQuality::high : DenoiseQuality::fast;
+  std::vector<float> clean_albedo, clean_normal;
+  if (quality == DenoiseQuality::high) {
+    clean_albedo = denoiser.prefilter("albedo", image(planes.albedo));
+    clean_normal = denoiser.prefilter("normal", image(planes.normal));
+    planes.albedo = clean_albedo;
+    planes.normal = clean_normal;
+  }
   const auto denoised = [&](std::span<const float> color) {
-    return denoiser.denoise(image(color), image(albedo), image(normal),
-                            p.quality == kernels::kDenoiseHigh ? DenoiseQuality::high : DenoiseQuality::fast);
+    return denoiser.denoise(image(color), image(planes.albedo), image(planes.normal), quality);
   };
   std::vector<float> of_first = denoised(planes.first);
   DenoisedPicture picture;
