@@ -59,7 +59,7 @@ class Pictures {
       format_ = pb::PICTURE_FORMAT_RGB8;
     else if (ending == ".exr")
       format_ = pb::PICTURE_FORMAT_RGB32F;
-    else if (!output_.empty() && ending != ".png")
+    else if (ending != ".png")
       throw Error::usage("-o: expected a name that ends in .png or .exr, or -, found \"" + output_ + "\"");
   }
   pb::PictureFormat format() const { return format_; }

@@ -132,11 +132,7 @@ FrameSettings from_proto(const pb::FrameSettings& in) {
   out.depth = in.depth();
   out.seed = in.seed();
   out.target_error = in.target_error();
-  if (!in.denoise().empty()) {
-    require(in.denoise() == "off" || in.denoise() == "fast" || in.denoise() == "high", "settings.denoise",
-            "off, fast or high");
-    out.denoise = coordinator::parse_denoise(in.denoise());
-  }
+  if (!in.denoise().empty()) out.denoise = coordinator::parse_denoise(in.denoise());
   for (const auto& [key, value] : in.set()) {
     require(key.size() <= 256 && value.size() <= 4096, "settings.set",
             "keys of at most 256 bytes, values of at most 4096");

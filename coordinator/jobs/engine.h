@@ -141,6 +141,8 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   // The frame has ended: the job's next one begins, or the job ends.
   JobRemains frame_ended(const std::shared_ptr<Frame>& frame, const std::string& failure);
 
+  // Where what becomes of the job is written; null: nowhere, as of frames that are only shown.
+  JournalWriter* journal_of(const Job& job) const { return job.showing ? nullptr : settings.journal.get(); }
   // The journal (journal_jobs.cpp); without one they do nothing. journal_added() waits for it, and throws.
   void journal_added(const Job& job);
   void journal_changed(const Job& job, JobState state);  // mutex held

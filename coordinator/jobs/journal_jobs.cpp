@@ -48,7 +48,7 @@ void Farm::Impl::journal_added(const Job& job) {
 }
 
 void Farm::Impl::journal_changed(const Job& job, JobState state) {
-  if (settings.journal && !job.showing) settings.journal->changed(entry_of(job, state, now() - job.accepted));
+  if (JournalWriter* journal = journal_of(job)) journal->changed(entry_of(job, state, now() - job.accepted));
 }
 
 Bytes Farm::Impl::journal_frames(const Job& job) const {

@@ -254,7 +254,7 @@ void Farm::Impl::start_over(Frame& frame) {
     return std::tie(a.first.artifact, a.first.first) < std::tie(b.first.artifact, b.first.first);
   });
   frame.makers.clear();
-  if (settings.journal) settings.journal->frame_begins_again(frame.job->id, frame.place);
+  if (JournalWriter* journal = journal_of(*frame.job)) journal->frame_begins_again(frame.job->id, frame.place);
   std::uint64_t items = 0;
   for (const auto& [range, maker] : frame.remembered) {
     frame.makers.insert(maker);

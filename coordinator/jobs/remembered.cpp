@@ -68,9 +68,8 @@ void Farm::Impl::recall(Frame& frame) {
 }
 
 void Farm::Impl::use_held(RunningStage& stage) {
-  if (!settings.journal || settings.records.empty() || stage.retained() || stage.computes_again) return;
   Frame& frame = *stage.frame;
-  if (frame.job->showing) return;
+  if (!journal_of(*frame.job) || settings.records.empty() || stage.retained() || stage.computes_again) return;
   stage.file = std::make_shared<RecordFile>(records_of(frame) / stage.artifact);
   const auto found = frame.held.extract(stage.artifact);
   if (!found) return;
@@ -149,17 +148,19 @@ void Farm::Impl::remember(RunningStage& stage, WorkerId maker, JournalRange rang
 }
 
 void Farm::Impl::forget_records(const Frame& frame, const std::string& failure) {
-  if (!settings.journal || frame.job->showing) return;
-  settings.journal->frame_over({.job = frame.job->id, .frame = frame.place, .failure = failure},
-                               [folder = settings.records.empty() ? fs::path() : records_of(frame)] {
-                                 std::error_code ignored;
-                                 if (!folder.empty()) fs::remove_all(folder, ignored);
-                               });
+  JournalWriter* const journal = journal_of(*frame.job);
+  if (!journal) return;
+  journal->frame_over({.job = frame.job->id, .frame = frame.place, .failure = failure},
+                      [folder = settings.records.empty() ? fs::path() : records_of(frame)] {
+                        std::error_code ignored;
+                        if (!folder.empty()) fs::remove_all(folder, ignored);
+                      });
 }
 
 void Farm::Impl::forget_records(const Job& job) {
-  if (!settings.journal || settings.records.empty() || job.showing) return;
-  settings.journal->job_over(job.id, [folder = settings.records / job.id] {
+  JournalWriter* const journal = journal_of(job);
+  if (!journal || settings.records.empty()) return;
+  journal->job_over(job.id, [folder = settings.records / job.id] {
     std::error_code ignored;
     fs::remove_all(folder, ignored);
   });

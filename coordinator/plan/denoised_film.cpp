@@ -75,15 +75,19 @@ DenoiserInput denoiser_input(const Film& film, const std::string& name) {
   return {std::move(bytes), halves};
 }
 
+void check_denoised(std::span<const kernels::DenoiseRecord> records, const std::string& where) {
+  for (std::size_t i = 0; i < records.size(); ++i)
+    if (const kernels::DenoiseRecord& r = records[i]; !std::isfinite(r.color[0] + r.color[1] + r.color[2]) ||
+                                                      !(r.squared_error >= 0) || !std::isfinite(r.squared_error))
+      throw Error::failed(where + ", item " + std::to_string(i) + ": a colour or an error that is no number");
+}
+
 void show_denoised(Film& film, std::span<const kernels::DenoiseRecord> records, bool halves) {
   const std::size_t pixels = std::size_t{film.width} * film.height;
   if (records.size() != pixels)
     throw Error::failed("denoising: " + std::to_string(records.size()) + " records, expected " +
                         std::to_string(pixels));
-  for (std::size_t i = 0; i < pixels; ++i)
-    if (!std::isfinite(records[i].color[0] + records[i].color[1] + records[i].color[2]) ||
-        !(records[i].squared_error >= 0))
-      throw Error::failed("denoising, pixel " + std::to_string(i) + ": a colour or an error that is no number");
+  check_denoised(records, "denoising");
   const bool before = film.find("noisy.R") != nullptr;
   for (std::size_t k = 0; k < 3; ++k) {
     if (!before) film.channel(std::string("noisy.") + kColor[k]).values = *values_of(film, kColor[k]);

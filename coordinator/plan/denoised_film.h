@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <memory>
 #include <span>
+#include <string>
 
 #include "coordinator/film/film.h"
 #include "kernels/denoise_records.h"
@@ -19,6 +20,9 @@ struct DenoiserInput {
 // Of a film that was denoised before, its noisy.* layers are the picture. Guides that it does not have are black.
 // Throws Error::bad_input, with `name` of the film, where it has no picture or a value is not finite.
 DenoiserInput denoiser_input(const Film& film, const std::string& name);
+
+// Throws Error::failed, which begins with `where`, for a record that is no number.
+void check_denoised(std::span<const kernels::DenoiseRecord> records, const std::string& where);
 
 // R G B become the denoised picture, noisy.* what they were, and error.Y the squared error where it is known
 // (`halves`). Throws Error::failed for a record that is no number.

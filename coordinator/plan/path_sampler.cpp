@@ -8,6 +8,7 @@
 
 #include "coordinator/plan/allocation.h"
 #include "coordinator/plan/denoise_plan.h"
+#include "coordinator/plan/denoised_film.h"
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {
@@ -213,13 +214,9 @@ void PathSampler::take_judgement() {
   const kernels::DenoiseFacts facts = denoise_facts(judgement_);
   denoised_bound_ = facts.squared_error + 2 * facts.deviation;
   const std::span<const kernels::DenoiseRecord> records = denoise_records(judgement_);
+  check_denoised(records, "stage " + judgement_.stage());
   denoised_error_.resize(records.size());
-  for (std::size_t i = 0; i < records.size(); ++i) {
-    denoised_error_[i] = records[i].squared_error;
-    if (!(denoised_error_[i] >= 0) || !std::isfinite(denoised_error_[i]))
-      throw Error::failed("stage " + judgement_.stage() + ", item " + std::to_string(i) +
-                          ": an error that is no number");
-  }
+  std::ranges::transform(records, denoised_error_.begin(), &kernels::DenoiseRecord::squared_error);
   judgement_ = {};
   reach_for_target();
 }

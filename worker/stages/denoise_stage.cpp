@@ -1,27 +1,18 @@
 #include "worker/stages/denoise_stage.h"
 
 #include <cstring>
-#include <vector>
+#include <span>
 
 #include "kernels/denoise_records.h"
 #include "scene/model/error.h"
 #include "worker/denoise/picture.h"
+#include "worker/stages/vpl/rows.h"
 #include "worker/wavefront/counters.h"
-#include "worker/wavefront/input_rows.h"
 
 namespace gleaner::worker {
 namespace {
 
 using kernels::DenoiseParameters;
-
-std::vector<float> read_film(const StageTask& task) {
-  const InputRows input(task, "film", sizeof(float));
-  std::vector<float> values(input.rows());
-  input.visit(0, input.rows(), [&](std::uint64_t first, std::span<const std::byte> piece) {
-    std::memcpy(&values[first], piece.data(), piece.size());
-  });
-  return values;
-}
 
 // A picture that cannot be denoised here is not lost: it stays as it was sampled, and says why.
 DenoisedPicture denoise_or_say_why(const DenoiseParameters& p, std::span<const float> film, DenoiserDevice device) {
@@ -43,13 +34,12 @@ BatchResult run_denoise_stage(const StageRun& run) {
                            std::to_string(p.width) + "x" + std::to_string(p.height) + ", quality " +
                                std::to_string(p.quality) + ", halves " + std::to_string(p.halves));
   run.check_range(pixels);
-  const DenoisedPicture picture =
-      denoise_or_say_why(p, read_film(run.task), run.device.info().cpu ? DenoiserDevice::cpu : DenoiserDevice::fastest);
+  const DenoisedPicture picture = denoise_or_say_why(
+      p, input_rows(run.task, "film", 1), run.device.info().cpu ? DenoiserDevice::cpu : DenoiserDevice::fastest);
   BatchResult result;
   result.records.resize(pixels * sizeof(kernels::DenoiseRecord));
   std::memcpy(result.records.data(), picture.pixels.data(), result.records.size());
-  result.facts.resize(sizeof picture.facts);
-  std::memcpy(result.facts.data(), &picture.facts, sizeof picture.facts);
+  set_facts(result, picture.facts);
   result.counters.seconds = seconds_now() - start;
   return result;
 }

@@ -44,19 +44,22 @@ cl::Buffer own_rows(const StageRun& run, cl::CommandQueue& queue, const char* na
   return as_buffer(run, queue, rows, run.task.inputs.at(name), first * row_bytes, run.count * row_bytes);
 }
 
-// What all elements send, without the rest of their rows: half as much for links to look up.
+// Of rows of RADIOSITY_WORDS what is looked up over links: what elements send, without the rest of their rows, which is
+// as much again.
+constexpr std::size_t kRowBytes = RADIOSITY_WORDS * 4, kSentBytes = (RADIOSITY_WORDS - RADIOSITY_SENT) * 4;
+void copy_sent(std::span<const std::byte> rows, std::byte* to) {
+  for (std::size_t at = 0; at < rows.size(); at += kRowBytes, to += kSentBytes)
+    std::memcpy(to, &rows[at + std::size_t{RADIOSITY_SENT} * 4], kSentBytes);
+}
+
 cl::Buffer sent_by_all(const StageRun& run, cl::CommandQueue& queue, const char* name, std::uint64_t elements) {
-  constexpr std::size_t stride = RADIOSITY_WORDS * 4, part = (RADIOSITY_WORDS - RADIOSITY_SENT) * 4;
-  const InputRows rows(run.task, name, stride);
+  const InputRows rows(run.task, name, kRowBytes);
   rows.expect_rows(elements);
-  cl::Buffer buffer = run.workspace.take("links.sent", elements * part);
+  cl::Buffer buffer = run.workspace.take("links.sent", elements * kSentBytes);
   auto* out = static_cast<std::byte*>(
-      queue.enqueueMapBuffer(buffer, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, elements * part));
-  rows.visit(0, elements, [&](std::uint64_t row, std::span<const std::byte> bytes) {
-    std::byte* to = out + row * part;
-    for (std::size_t at = 0; at < bytes.size(); at += stride, to += part)
-      std::memcpy(to, &bytes[at + std::size_t{RADIOSITY_SENT} * 4], part);
-  });
+      queue.enqueueMapBuffer(buffer, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, elements * kSentBytes));
+  rows.visit(0, elements,
+             [&](std::uint64_t row, std::span<const std::byte> bytes) { copy_sent(bytes, out + row * kSentBytes); });
   queue.enqueueUnmapMemObject(buffer, out);
   queue.finish();
   return buffer;
@@ -111,15 +114,14 @@ class GatherThread : public HostThread {
   }
 
   void run(BatchResult& result) {
-    constexpr std::size_t stride = RADIOSITY_WORDS * 4;
     const std::uint32_t capacity = gather_capacity(device_);
     while (const WorkQueue::Block block = work_.claim(capacity)) {
       gather_.set("base", static_cast<cl_uint>(block.first))
           .set("count", static_cast<cl_uint>(block.first + block.count));
       // On CPU devices a work-item has vectors of its own: groups of one keep PoCL from taking these apart.
       gather_.launch(queue_, {.work = block.count, .capacity = capacity, .group = device_.info().cpu ? 1u : 0u});
-      queue_.enqueueReadBuffer(records_, CL_TRUE, block.first * stride, block.count * stride,
-                               result.records.data() + block.first * stride);
+      queue_.enqueueReadBuffer(records_, CL_TRUE, block.first * kRowBytes, block.count * kRowBytes,
+                               result.records.data() + block.first * kRowBytes);
     }
   }
 
@@ -130,7 +132,7 @@ class GatherThread : public HostThread {
 
 // What stays for all bounces: their results, and what the host threads count.
 void make_room(const StageRun& run, cl::CommandQueue& queue, GatherBatch& batch) {
-  batch.records = run.workspace.take("links.gathered", run.count * RADIOSITY_WORDS * 4);
+  batch.records = run.workspace.take("links.gathered", run.count * kRowBytes);
   batch.faults = run.workspace.take("links.faults", 64);
   constexpr cl_uint none = 0;
   queue.enqueueWriteBuffer(batch.faults, CL_TRUE, 0, sizeof none, &none);
@@ -162,19 +164,18 @@ BatchResult run_links_gather_stage(const StageRun& run) {
   run.check_range(p.elements);
   if (p.elements == 0) throw Error::bad_input(run.where(), "elements", "1 or more", "0");
   const double start = seconds_now();
-  constexpr std::size_t stride = RADIOSITY_WORDS * 4;
   cl::CommandQueue queue = run.device.make_queue();
   GatherBatch batch;
   put_parameters(run, queue, p, batch);
   const LinkTables links = links_of(run, queue, p.elements);
   batch.words = links.words;
   batch.starts = links.starts;
-  batch.light = own_rows(run, queue, "light", stride, p.elements);
+  batch.light = own_rows(run, queue, "light", kRowBytes, p.elements);
   batch.albedo = own_rows(run, queue, "albedo", ALBEDO_WORDS * 4, p.elements);
   batch.sent = sent_by_all(run, queue, "radiosity", p.elements);
   make_room(run, queue, batch);
   BatchResult result;
-  result.records.resize(run.count * stride);
+  result.records.resize(run.count * kRowBytes);
   gather(run, queue, batch, result);
   result.counters.seconds = seconds_now() - start;
   return result;
@@ -184,12 +185,9 @@ namespace {
 
 // What all elements send after a bounce, for the next one.
 void send(cl::CommandQueue& queue, const scene::Bytes& rows, const cl::Buffer& sent) {
-  constexpr std::size_t stride = RADIOSITY_WORDS * 4, part = (RADIOSITY_WORDS - RADIOSITY_SENT) * 4;
-  const std::size_t elements = rows.size() / stride;
   auto* out = static_cast<std::byte*>(
-      queue.enqueueMapBuffer(sent, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, elements * part));
-  for (std::size_t e = 0; e < elements; ++e)
-    std::memcpy(out + e * part, &rows[e * stride + std::size_t{RADIOSITY_SENT} * 4], part);
+      queue.enqueueMapBuffer(sent, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, rows.size() / kRowBytes * kSentBytes));
+  copy_sent(rows, out);
   queue.enqueueUnmapMemObject(sent, out);
   queue.finish();
 }
@@ -213,14 +211,13 @@ BatchResult run_links_exchange_stage(const StageRun& run) {
     throw Error::bad_input(run.where(), "bounces", "1 or more, to a share that is not negative",
                            std::to_string(p.most_bounces) + ", " + std::to_string(p.least_share));
   const double start = seconds_now();
-  constexpr std::size_t stride = RADIOSITY_WORDS * 4;
   cl::CommandQueue queue = run.device.make_queue();
   GatherBatch batch;
   put_parameters(run, queue, LinksGatherParameters{p.elements, p.exact, {}}, batch);
   const std::shared_ptr<const LinkTables> links = kept_links(run, queue, p.elements);
   batch.words = links->words;
   batch.starts = links->starts;
-  batch.light = own_rows(run, queue, "light", stride, p.elements);
+  batch.light = own_rows(run, queue, "light", kRowBytes, p.elements);
   batch.albedo = own_rows(run, queue, "albedo", ALBEDO_WORDS * 4, p.elements);
   batch.sent = sent_by_all(run, queue, "light", p.elements);
   make_room(run, queue, batch);
@@ -229,7 +226,7 @@ BatchResult run_links_exchange_stage(const StageRun& run) {
     throw Error::bad_input(run.where(), "input mesh", std::to_string(p.elements) + " elements",
                            std::to_string(2 * areas.size()));
   BatchResult result;
-  result.records.resize(run.count * stride);
+  result.records.resize(run.count * kRowBytes);
   std::vector<float> before = input_rows(run.task, "light", RADIOSITY_WORDS), after(before.size());
   kernels::LinksBounces bounces;
   for (bool enough = false; !enough && bounces.done < p.most_bounces;) {

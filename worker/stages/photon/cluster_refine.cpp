@@ -35,30 +35,22 @@ constexpr std::int64_t kMostCells = 64;
 class RecordGrid {
  public:
   explicit RecordGrid(const std::vector<CacheRecord>& records) : records_(records) {
-    std::vector<float> reaches{1e-6f};
-    for (const CacheRecord& record : records) reaches.push_back(record.spare[0]);
-    const auto middle = reaches.begin() + static_cast<std::ptrdiff_t>(reaches.size() / 2);
-    std::nth_element(reaches.begin(), middle, reaches.end());
-    cell_ = 2 * *middle;
+    cell_ = 2 * median_reach(records);
     for (std::uint32_t i = 0; i < records.size(); ++i) enter(i);
   }
 
   // Calls see(record) for all that may reach the point, some perhaps twice, in an order of their own.
   template <typename See>
   void near(const SplatPoint& point, const See& see) const {
-    std::int64_t at[3];
+    GridCell at{};
     for (std::size_t k = 0; k < 3; ++k) at[k] = cell_of(point.position[k]);
-    if (const auto found = cells_.find(key(at)); found != cells_.end())
+    if (const auto found = cells_.find(key_of(at)); found != cells_.end())
       for (const std::uint32_t i : found->second) see(records_[i]);
     for (const std::uint32_t i : wide_) see(records_[i]);
   }
 
  private:
   std::int64_t cell_of(float x) const { return static_cast<std::int64_t>(std::floor(double{x} / cell_)); }
-  static std::uint64_t key(const std::int64_t* c) {
-    return static_cast<std::uint64_t>(c[0]) * 73856093u ^ static_cast<std::uint64_t>(c[1]) * 19349663u ^
-           static_cast<std::uint64_t>(c[2]) * 83492791u;
-  }
 
   void enter(std::uint32_t i) {
     std::int64_t lower[3], upper[3], cells = 1;
@@ -70,10 +62,7 @@ class RecordGrid {
     if (cells > kMostCells) return wide_.push_back(i);
     for (std::int64_t x = lower[0]; x <= upper[0]; ++x)
       for (std::int64_t y = lower[1]; y <= upper[1]; ++y)
-        for (std::int64_t z = lower[2]; z <= upper[2]; ++z) {
-          const std::int64_t at[3] = {x, y, z};
-          cells_[key(at)].push_back(i);
-        }
+        for (std::int64_t z = lower[2]; z <= upper[2]; ++z) cells_[key_of({x, y, z})].push_back(i);
   }
 
   const std::vector<CacheRecord>& records_;

@@ -44,7 +44,7 @@ struct Offset {
 class Smoothing {
  public:
   explicit Smoothing(std::vector<CacheRecord> records) : records_(std::move(records)) {
-    cell_ = kMostReach * median_reach();
+    cell_ = kMostReach * median_reach(records_);
     for (std::uint32_t i = 0; i < records_.size(); ++i) cells_[key_of(cell_at(i))].push_back(i);
     radius_.reserve(records_.size());
     for (const CacheRecord& record : records_) radius_.push_back(record.radius);
@@ -105,28 +105,14 @@ class Smoothing {
   }
 
  private:
-  using Cell = std::array<std::int64_t, 3>;
-
   float reach(std::uint32_t i) const { return records_[i].spare[0]; }
   float turn(std::uint32_t i) const { return records_[i].spare[1]; }
 
-  float median_reach() const {
-    std::vector<float> reaches{1e-6f};
-    for (const CacheRecord& record : records_) reaches.push_back(record.spare[0]);
-    const auto middle = reaches.begin() + static_cast<std::ptrdiff_t>(reaches.size() / 2);
-    std::nth_element(reaches.begin(), middle, reaches.end());
-    return *middle;
-  }
-
-  Cell cell_at(std::uint32_t i) const {
-    Cell cell;
+  GridCell cell_at(std::uint32_t i) const {
+    GridCell cell;
     for (std::size_t k = 0; k < 3; ++k)
       cell[k] = static_cast<std::int64_t>(std::floor(records_[i].position[k] / cell_));
     return cell;
-  }
-  static std::uint64_t key_of(const Cell& c) {
-    return static_cast<std::uint64_t>(c[0]) * 73856093u ^ static_cast<std::uint64_t>(c[1]) * 19349663u ^
-           static_cast<std::uint64_t>(c[2]) * 83492791u;
   }
 
   Offset offset(std::uint32_t from, std::uint32_t to) const {
@@ -152,7 +138,7 @@ class Smoothing {
 
   void find_near(std::uint32_t i) {
     const float most = std::min(kMostReach * reach(i), cell_);
-    const Cell middle = cell_at(i);
+    const GridCell middle = cell_at(i);
     for (std::int64_t x = -1; x <= 1; ++x)
       for (std::int64_t y = -1; y <= 1; ++y)
         for (std::int64_t z = -1; z <= 1; ++z) {

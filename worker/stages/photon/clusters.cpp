@@ -145,6 +145,19 @@ BatchResult sample_places(const std::vector<ClusterSample>& samples, std::span<c
   return result;
 }
 
+float median_reach(const std::vector<CacheRecord>& records) {
+  std::vector<float> reaches{1e-6f};
+  for (const CacheRecord& record : records) reaches.push_back(record.spare[0]);
+  const auto middle = reaches.begin() + static_cast<std::ptrdiff_t>(reaches.size() / 2);
+  std::nth_element(reaches.begin(), middle, reaches.end());
+  return *middle;
+}
+
+std::uint64_t key_of(const GridCell& c) {
+  return static_cast<std::uint64_t>(c[0]) * 73856093u ^ static_cast<std::uint64_t>(c[1]) * 19349663u ^
+         static_cast<std::uint64_t>(c[2]) * 83492791u;
+}
+
 std::uint64_t extend_samples(const PointScreen& screen, std::span<const SplatPoint> points,
                              std::span<const ClusterMember> members, std::vector<ClusterSample>& samples) {
   Extents extents(screen, points, members, samples);

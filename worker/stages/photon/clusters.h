@@ -56,6 +56,12 @@ BatchResult sample_places(const std::vector<ClusterSample>& samples, std::span<c
 
 // Records that were gathered at samples: their reach and turn are `spare`. Throws Error::bad_input.
 std::vector<CacheRecord> read_cluster_records(const StageTask& task, const std::string& input);
+// Of such records, m; above 0.
+float median_reach(const std::vector<CacheRecord>& records);
+
+// A cell of a grid of places, and its hash: cells of equal hash share their entries.
+using GridCell = std::array<std::int64_t, 3>;
+std::uint64_t key_of(const GridCell& cell);
 
 // Gives the samples (whose points are set) their extents, such that each point that a pixel shows may read one: where
 // it is too unlike all near it, it becomes a sample itself, or reads one that did. Returns how many did.
