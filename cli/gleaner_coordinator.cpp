@@ -94,6 +94,7 @@ void give_back_large_memory() { ::mallopt(M_MMAP_THRESHOLD, 512 << 10); }
 int coordinate(const CoordinatorOptions& options) {
   if (options.data.empty()) throw Error::usage("--data is required: a folder of blobs and pictures");
   const std::shared_ptr<const Keys> keys = own_keys();
+  if (keys) require_certificate(*keys, "a coordinator");
   if (!options.insecure) {
     if (!keys) refuse_strangers("--listen", options.listen);
     if (!options.http.empty()) refuse_strangers("--http", options.http);

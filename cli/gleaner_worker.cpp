@@ -55,6 +55,7 @@ worker::AgentSettings settings_of(const WorkerOptions& options, const Log& log) 
   settings.give_up_seconds = options.give_up_seconds;
   settings.log = [log](const std::string& line) { log->info(printable(line)); };
   settings.keys = own_keys();
+  if (settings.keys) require_certificate(*settings.keys, "a worker");
   return settings;
 }
 

@@ -1,4 +1,5 @@
-// `gleaner keys`: a farm's own authority, and the certificates by which its parts and its people know each other.
+// `gleaner keys`: a farm's own authority, and the certificates and tokens by which its parts and its people know each
+// other.
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
@@ -16,6 +17,7 @@ struct KeysOptions {
   std::string folder, name, to;
   std::vector<std::string> roles;
   int days = 365, authority_days = 3650;
+  bool token = false;
 };
 
 int init(const KeysOptions& options) {
@@ -29,7 +31,11 @@ int issue(const KeysOptions& options) {
   std::set<Role> roles;
   for (const std::string& word : options.roles) roles.insert(parse_role(word));
   const std::string to = options.to.empty() ? options.folder + "/" + options.name : options.to;
-  Authority(options.folder).issue(options.name, roles, options.days, to);
+  const Authority authority(options.folder);
+  if (options.token)
+    authority.issue_token(options.name, roles, options.days, to);
+  else
+    authority.issue(options.name, roles, options.days, to);
   std::cout << to << "\n";
   return 0;
 }
@@ -37,17 +43,15 @@ int issue(const KeysOptions& options) {
 int revoke(const KeysOptions& options) {
   const Authority authority(options.folder);
   const int revoked = authority.revoke(options.name);
-  std::cout << revoked << (revoked == 1 ? " certificate" : " certificates") << " revoked; "
-            << authority.revoked_list().string() << " belongs into the keys of every coordinator\n";
+  std::cout << revoked << " revoked; " << authority.revoked_list().string()
+            << " belongs into the keys of every coordinator\n";
   return 0;
 }
 
 int list(const KeysOptions& options) {
   for (const Authority::Issued& one : Authority(options.folder).issued()) {
-    std::string roles;
-    for (const Role role : one.roles) roles.append(roles.empty() ? "" : ",").append(role_name(role));
-    std::printf("%-24s %-24s until %s%s\n", one.name.c_str(), roles.c_str(), one.good_until.c_str(),
-                one.revoked ? "  revoked" : "");
+    std::printf("%-24s %-24s %-11s until %s%s\n", one.name.c_str(), role_words(one.roles).c_str(),
+                one.token ? "token" : "certificate", one.good_until.c_str(), one.revoked ? "  revoked" : "");
   }
   return 0;
 }
@@ -56,7 +60,7 @@ int list(const KeysOptions& options) {
 
 void add_keys(CLI::App& app, Run& run) {
   auto options = std::make_shared<KeysOptions>();
-  CLI::App* command = app.add_subcommand("keys", "A farm's own authority and certificates");
+  CLI::App* command = app.add_subcommand("keys", "A farm's own authority, certificates and tokens");
   command->require_subcommand(1);
   const auto add = [&](const char* word, const char* help, int (*what)(const KeysOptions&)) {
     CLI::App* sub = command->add_subcommand(word, help);
@@ -75,9 +79,10 @@ void add_keys(CLI::App& app, Run& run) {
       ->add_option("--role", options->roles,
                    "work (for workers), observe, submit, administer (for people) or coordinate; may be given again")
       ->required();
+  issuing->add_flag("--token", options->token, "a token in the place of a certificate: for people alone");
   issuing->add_option("-o,--output", options->to, "the folder to make (default: FOLDER/NAME)");
   issuing->add_option("--days", options->days, "for which they are good")->capture_default_str()->check(days);
-  add("revoke", "Let coordinators refuse all certificates of a name", revoke)
+  add("revoke", "Let coordinators refuse all certificates and tokens of a name", revoke)
       ->add_option("NAME", options->name, "as it was issued")
       ->required();
   add("list", "What was issued", list);

@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <chrono>
 #include <ctime>
 #include <fstream>
 #include <span>
@@ -13,6 +14,7 @@
 
 #include "proto/atomic_file.h"
 #include "proto/openssl_handles.h"
+#include "proto/token.h"
 #include "scene/model/error.h"
 
 namespace gleaner {
@@ -23,7 +25,7 @@ using openssl::Held;
 namespace {
 
 constexpr const char* authority_key_file = "authority.key";
-constexpr const char* issued_file = "issued";  // serial, name, roles and last day of each certificate, by tabs
+constexpr const char* issued_file = "issued";  // a line each: serial, name, roles, last day and kind, by tabs
 constexpr const char* authority_name = "Gleaner farm authority";
 constexpr long day = 24 * 3600;
 
@@ -41,19 +43,12 @@ std::string read(const fs::path& file) {
   return {std::istreambuf_iterator<char>(in), {}};
 }
 
-template <typename Write>
-std::string pem_of(Write&& write_pem) {
-  const Held<BIO> bio(BIO_new(BIO_s_mem()));
-  check(bio && write_pem(bio.get()) == 1, "writing PEM");
-  char* bytes = nullptr;
-  const long size = BIO_get_mem_data(bio.get(), &bytes);
-  return {bytes, static_cast<std::size_t>(size)};
-}
 std::string pem_of(X509* certificate) {
-  return pem_of([&](BIO* bio) { return PEM_write_bio_X509(bio, certificate); });
+  return openssl::pem_of([&](BIO* bio) { return PEM_write_bio_X509(bio, certificate); });
 }
 std::string pem_of(EVP_PKEY* key) {
-  return pem_of([&](BIO* bio) { return PEM_write_bio_PrivateKey(bio, key, nullptr, nullptr, 0, nullptr, nullptr); });
+  return openssl::pem_of(
+      [&](BIO* bio) { return PEM_write_bio_PrivateKey(bio, key, nullptr, nullptr, 0, nullptr, nullptr); });
 }
 
 Held<EVP_PKEY> new_key() {
@@ -70,14 +65,20 @@ void add_extension(X509* certificate, X509* issuer, int kind, const std::string&
   check(extension && X509_add_ext(certificate, extension.get(), -1) == 1, "adding an extension");
 }
 
+Held<BIGNUM> new_serial() {
+  unsigned char random[16];
+  check(RAND_bytes(random, sizeof random) == 1, "drawing a serial number");
+  random[0] = static_cast<unsigned char>((random[0] & 0x3f) | 0x40);  // positive, and always as long
+  Held<BIGNUM> serial(BN_bin2bn(random, sizeof random, nullptr));
+  check(serial != nullptr, "making a serial number");
+  return serial;
+}
+
 // A certificate without extensions and signature. It is good from five minutes ago on: clocks differ.
 Held<X509> new_certificate(const std::string& name, EVP_PKEY* key, int days) {
   Held<X509> certificate(X509_new());
   check(certificate != nullptr, "making a certificate");
-  unsigned char random[16];
-  check(RAND_bytes(random, sizeof random) == 1, "drawing a serial number");
-  random[0] = static_cast<unsigned char>((random[0] & 0x3f) | 0x40);  // positive, and always as long
-  const Held<BIGNUM> serial(BN_bin2bn(random, sizeof random, nullptr));
+  const Held<BIGNUM> serial = new_serial();
   X509_NAME* subject = X509_get_subject_name(certificate.get());
   check(X509_set_version(certificate.get(), X509_VERSION_3) == 1 &&
             BN_to_ASN1_INTEGER(serial.get(), X509_get_serialNumber(certificate.get())) != nullptr &&
@@ -90,19 +91,22 @@ Held<X509> new_certificate(const std::string& name, EVP_PKEY* key, int days) {
   return certificate;
 }
 
-std::string last_day(X509* certificate) {
-  std::tm time{};
-  check(ASN1_TIME_to_tm(X509_get0_notAfter(certificate), &time) == 1, "reading a date");
+std::string day_of(const std::tm& time) {
   char text[16];
   std::strftime(text, sizeof text, "%Y-%m-%d", &time);
   return text;
 }
-
-std::string words_of(const std::set<Role>& roles) {
-  std::string words;
-  for (const Role role : roles) words.append(words.empty() ? "" : ",").append(role_name(role));
-  return words;
+std::string last_day(X509* certificate) {
+  std::tm time{};
+  check(ASN1_TIME_to_tm(X509_get0_notAfter(certificate), &time) == 1, "reading a date");
+  return day_of(time);
 }
+
+void check_end(X509* issuer, std::time_t end) {
+  if (X509_cmp_time(X509_get0_notAfter(issuer), &end) < 0)
+    throw Error::usage("--days: the authority itself is good until " + last_day(issuer));
+}
+
 std::string alternative_names(const std::set<Role>& roles) {
   std::string names;
   for (const Role role : roles) names.append(names.empty() ? "DNS:" : ",DNS:").append(role_dns_name(role));
@@ -116,7 +120,28 @@ void check_name(const std::string& name) {
     throw Error::usage("NAME: expected 1 to 64 of [A-Za-z0-9._-], found \"" + name + "\"");
 }
 
+// Of who is to have it.
+void check_holder(const std::string& name, const std::set<Role>& roles, const fs::path& to) {
+  check_name(name);
+  if (roles.empty()) throw Error::usage("--role: expected at least one");
+  std::error_code ignored;
+  if (fs::exists(to, ignored)) throw Error::usage(to.string() + " is there already: -o takes a new folder");
+}
+
+void make_folder(const fs::path& folder) {
+  std::error_code problem;
+  if (!fs::create_directories(folder, problem))
+    throw Error::failed(folder.string() + ": cannot be made" + (problem ? ": " + problem.message() : ""));
+}
+
+std::time_t now_plus(int days) { return std::time(nullptr) + day * days; }
+
 }  // namespace
+
+struct Authority::Issuer {
+  Held<X509> certificate;
+  Held<EVP_PKEY> key;
+};
 
 Authority Authority::init(const fs::path& folder, int days) {
   std::error_code ignored;
@@ -143,38 +168,62 @@ Authority Authority::init(const fs::path& folder, int days) {
 
 Authority::Authority(fs::path folder) : folder_(std::move(folder)) { read(folder_ / authority_key_file); }
 
-void Authority::issue(const std::string& name, const std::set<Role>& roles, int days, const fs::path& to) const {
-  check_name(name);
-  if (roles.empty()) throw Error::usage("--role: expected at least one");
-  std::error_code ignored;
-  if (fs::exists(to, ignored)) throw Error::usage(to.string() + " is there already: -o takes a new folder");
-  const Held<X509> issuer = openssl::parse_certificate(read(folder_ / authority_file));
-  const Held<EVP_PKEY> issuer_key = openssl::parse_key(read(folder_ / authority_key_file));
-  if (!issuer || !issuer_key || X509_check_private_key(issuer.get(), issuer_key.get()) != 1)
+Authority::Issuer Authority::issuer() const {
+  Issuer issuer{.certificate = openssl::parse_certificate(read(folder_ / authority_file)),
+                .key = openssl::parse_key(read(folder_ / authority_key_file))};
+  if (!issuer.certificate || !issuer.key || X509_check_private_key(issuer.certificate.get(), issuer.key.get()) != 1)
     throw Error::bad_input(folder_.string(), "", "an authority's certificate and its key", "others");
+  return issuer;
+}
 
+// Before what is issued is anywhere else: what nobody knows of cannot be revoked.
+void Authority::record(const Issued& one) const {
+  write(folder_ / issued_file,
+        read(folder_ / issued_file) + one.serial + "\t" + one.name + "\t" + role_words(one.roles) + "\t" +
+            one.good_until + "\t" + (one.token ? "token" : "certificate") + "\n",
+        0644);
+}
+
+void Authority::issue(const std::string& name, const std::set<Role>& roles, int days, const fs::path& to) const {
+  check_holder(name, roles, to);
+  const Issuer by = issuer();
+  X509* const authority = by.certificate.get();
+  check_end(authority, now_plus(days));
   const Held<EVP_PKEY> key = new_key();
   const Held<X509> certificate = new_certificate(name, key.get(), days);
   X509* const own = certificate.get();
-  if (ASN1_TIME_compare(X509_get0_notAfter(own), X509_get0_notAfter(issuer.get())) > 0)
-    throw Error::usage("--days: the authority itself is good until " + last_day(issuer.get()));
-  check(X509_set_issuer_name(own, X509_get_subject_name(issuer.get())) == 1, "naming the issuer");
-  add_extension(own, issuer.get(), NID_basic_constraints, "critical,CA:FALSE");
-  add_extension(own, issuer.get(), NID_key_usage, "critical,digitalSignature");
-  add_extension(own, issuer.get(), NID_ext_key_usage, "serverAuth,clientAuth");
-  add_extension(own, issuer.get(), NID_subject_alt_name, alternative_names(roles));
-  check(X509_sign(own, issuer_key.get(), EVP_sha256()) > 0, "signing");
+  check(X509_set_issuer_name(own, X509_get_subject_name(authority)) == 1, "naming the issuer");
+  add_extension(own, authority, NID_basic_constraints, "critical,CA:FALSE");
+  add_extension(own, authority, NID_key_usage, "critical,digitalSignature");
+  add_extension(own, authority, NID_ext_key_usage, "serverAuth,clientAuth");
+  add_extension(own, authority, NID_subject_alt_name, alternative_names(roles));
+  check(X509_sign(own, by.key.get(), EVP_sha256()) > 0, "signing");
 
-  // On record before it is anywhere else: what nobody knows of cannot be revoked.
-  write(folder_ / issued_file,
-        read(folder_ / issued_file) + openssl::serial_of(own) + "\t" + name + "\t" + words_of(roles) + "\t" +
-            last_day(own) + "\n",
-        0644);
-  if (!fs::create_directories(to, ignored))
-    throw Error::failed(to.string() + ": cannot be made" + (ignored ? ": " + ignored.message() : ""));
-  write(to / authority_file, pem_of(issuer.get()), 0644);
+  record({.serial = openssl::serial_of(own), .name = name, .roles = roles, .good_until = last_day(own)});
+  make_folder(to);
+  write(to / authority_file, pem_of(authority), 0644);
   write(to / certificate_file, pem_of(own), 0644);
   write(to / key_file, pem_of(key.get()), 0600);
+}
+
+void Authority::issue_token(const std::string& name, const std::set<Role>& roles, int days, const fs::path& to) const {
+  check_holder(name, roles, to);
+  for (const Role role : {Role::work, Role::coordinate})
+    if (roles.contains(role))
+      throw Error::usage(std::string("--token: who is to ") + role_name(role) +
+                         " needs a certificate, which others can check; tokens are for people");
+  const Issuer by = issuer();
+  const std::time_t end = now_plus(days);
+  check_end(by.certificate.get(), end);
+  const std::string serial = openssl::hexadecimal(*new_serial());
+  const std::string token = sign_token({.name = name, .serial = serial, .roles = roles},
+                                       std::chrono::system_clock::from_time_t(end), pem_of(by.key.get()));
+  std::tm utc{};
+  ::gmtime_r(&end, &utc);
+  record({.serial = serial, .name = name, .roles = roles, .good_until = day_of(utc), .token = true});
+  make_folder(to);
+  write(to / authority_file, pem_of(by.certificate.get()), 0644);
+  write(to / token_file, token + "\n", 0600);
 }
 
 std::vector<Authority::Issued> Authority::issued() const {
@@ -191,6 +240,9 @@ std::vector<Authority::Issued> Authority::issued() const {
     std::getline(words, one.name, '\t');
     std::getline(words, roles, '\t');
     std::getline(words, one.good_until, '\t');
+    std::string kind;  // none in lists of older versions: certificates
+    std::getline(words, kind, '\t');
+    one.token = kind == "token";
     std::istringstream each(roles);
     for (std::string role; std::getline(each, role, ',');) one.roles.insert(parse_role(role));
     one.revoked = revoked.contains(one.serial);
@@ -208,7 +260,8 @@ int Authority::revoke(const std::string& name) const {
     list += one.serial + " " + one.name + "\n";
     ++revoked;
   }
-  if (revoked == 0) throw Error::usage("NAME: \"" + name + "\" has no certificate that is good (gleaner keys list)");
+  if (revoked == 0)
+    throw Error::usage("NAME: \"" + name + "\" has no certificate and no token that is good (gleaner keys list)");
   write(revoked_list(), list, 0644);
   return revoked;
 }

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "proto/credentials.h"
+#include "proto/role.h"
 
 namespace gleaner {
 
@@ -17,6 +18,7 @@ class Authority {
     std::string serial, name;
     std::set<Role> roles;
     std::string good_until;  // YYYY-MM-DD
+    bool token = false;      // else a certificate
     bool revoked = false;
   };
 
@@ -29,14 +31,22 @@ class Authority {
   // Makes a folder of keys at `to`, which must not be there. Throws Error::usage for a bad name, no role, or an
   // authority that ends before the certificate would.
   void issue(const std::string& name, const std::set<Role>& roles, int days, const std::filesystem::path& to) const;
-  // Every certificate of that name. Coordinators that use FOLDER/coordinator refuse them from now on. Returns how many
-  // were revoked; throws Error::usage where none is good.
+  // The same with a token in the place of a certificate: for people, so that roles to work and to coordinate are
+  // refused.
+  void issue_token(const std::string& name, const std::set<Role>& roles, int days,
+                   const std::filesystem::path& to) const;
+  // Every certificate and token of that name. Coordinators that use FOLDER/coordinator refuse them from now on. Returns
+  // how many were revoked; throws Error::usage where none is good.
   int revoke(const std::string& name) const;
   std::vector<Issued> issued() const;
 
   std::filesystem::path revoked_list() const { return folder_ / "coordinator" / revoked_file; }
 
  private:
+  struct Issuer;
+  Issuer issuer() const;
+  void record(const Issued& one) const;
+
   std::filesystem::path folder_;
 };
 

@@ -43,33 +43,35 @@ void leave_tls_1_2_out() { ::setenv("GRPC_SSL_CIPHER_SUITES", "DHE-DSS-AES256-GC
 // Decides, before a call begins, whether its caller may make it.
 class Doorkeeper final : public grpc::AuthMetadataProcessor {
  public:
-  Doorkeeper(const Keys& keys, MethodRule rule) : revocations_(keys), rule_(std::move(rule)) {}
+  Doorkeeper(const Keys& keys, MethodRule rule) : identities_(keys), revocations_(keys), rule_(std::move(rule)) {}
 
   bool IsBlocking() const override { return false; }
 
   grpc::Status Process(const InputMetadata& metadata, grpc::AuthContext* context, OutputMetadata*,
                        OutputMetadata*) override {
-    const std::optional<Peer> peer = peer_of(*context);
-    if (!peer) return {grpc::StatusCode::UNAUTHENTICATED, "no certificate"};
+    const std::optional<Peer> peer = identities_.of(*context, metadata);
+    if (!peer)
+      return {grpc::StatusCode::UNAUTHENTICATED,
+              "expected a certificate or a token by the farm's authority that is still good (gleaner keys issue)"};
     if (revocations_.contains(peer->serial))
-      return {grpc::StatusCode::UNAUTHENTICATED, "the certificate of " + peer->name + " was revoked"};
+      return {grpc::StatusCode::UNAUTHENTICATED, "what " + peer->name + " shows was revoked"};
     const auto path = metadata.find(":path");
     if (path == metadata.end()) return {grpc::StatusCode::UNAUTHENTICATED, "a call without a method"};
     const Role needed = rule_(std::string_view(path->second.data(), path->second.size()));
     if (peer->roles.contains(needed)) return grpc::Status::OK;
-    return {grpc::StatusCode::PERMISSION_DENIED, "the certificate of " + peer->name + " is not one to " +
-                                                     role_name(needed) + " with (gleaner keys issue --role " +
+    return {grpc::StatusCode::PERMISSION_DENIED, peer->name + " may not " + role_name(needed) +
+                                                     " with what it shows (gleaner keys issue --role " +
                                                      role_name(needed) + ")"};
   }
 
  private:
+  Identities identities_;
   Revocations revocations_;
   const MethodRule rule_;
 };
 
-}  // namespace
-
-std::optional<Peer> peer_of(const grpc::AuthContext& context) {
+// Of the connection's certificate.
+std::optional<Peer> certified(const grpc::AuthContext& context) {
   const auto first = [&](const char* property) {
     const auto values = context.FindPropertyValues(property);
     return values.empty() ? std::string() : std::string(values.front().data(), values.front().size());
@@ -82,10 +84,22 @@ std::optional<Peer> peer_of(const grpc::AuthContext& context) {
   for (const grpc::string_ref& name : context.FindPropertyValues(GRPC_X509_SAN_PROPERTY_NAME))
     for (const Role role : every_role)
       if (std::string(name.data(), name.size()) == role_dns_name(role)) peer.roles.insert(role);
-  if (peer.roles.contains(Role::administer)) peer.roles.insert(Role::submit);
-  if (peer.roles.contains(Role::coordinate)) peer.roles.insert(Role::observe);  // itself: --check
-  if (peer.roles.contains(Role::submit)) peer.roles.insert(Role::observe);
+  peer.roles = with_included(std::move(peer.roles));
   return peer;
+}
+
+}  // namespace
+
+std::optional<Peer> Identities::of(const grpc::AuthContext& context, const Metadata& metadata) {
+  if (std::optional<Peer> peer = certified(context)) return peer;
+  constexpr std::string_view scheme = "Bearer ";  // RFC 6750
+  const auto [first, last] = metadata.equal_range("authorization");
+  for (auto at = first; at != last; ++at) {
+    const std::string_view value(at->second.data(), at->second.size());
+    if (!value.starts_with(scheme)) continue;
+    if (std::optional<Peer> peer = tokens_.read(value.substr(scheme.size()))) return peer;
+  }
+  return std::nullopt;
 }
 
 bool Revocations::contains(const std::string& serial) {
@@ -105,36 +119,25 @@ bool Revocations::contains(const std::string& serial) {
   return serials_.contains(serial);
 }
 
-const char* role_name(Role role) {
-  switch (role) {
-    case Role::coordinate:
-      return "coordinate";
-    case Role::work:
-      return "work";
-    case Role::observe:
-      return "observe";
-    case Role::submit:
-      return "submit";
-    case Role::administer:
-      return "administer";
-  }
-  return "";
-}
-
-Role parse_role(const std::string& word) {
-  for (const Role role : every_role)
-    if (word == role_name(role)) return role;
-  throw Error::usage("--role: expected coordinate, work, observe, submit or administer, found \"" + word + "\"");
-}
-
-std::string role_dns_name(Role role) { return std::string(role_name(role)) + ".gleaner"; }
-
 Keys load_keys(const fs::path& folder) {
   Keys keys{.folder = folder,
             .authority = read(folder / authority_file, "the certificate of the farm's authority"),
-            .certificate = read(folder / certificate_file, "a certificate by the farm's authority"),
-            .key = read(folder / key_file, "the certificate's key")};
+            .certificate = {},
+            .key = {},
+            .token = {}};
   const Held<X509> authority = certificate_in(folder / authority_file, keys.authority);
+  std::error_code ignored;
+  if (fs::exists(folder / token_file, ignored) && !fs::exists(folder / certificate_file, ignored)) {
+    std::istringstream(read(folder / token_file, "a token by the farm's authority")) >> keys.token;
+    if (!TokenReader(keys.authority).read(keys.token))
+      throw Error::bad_input((folder / token_file).string(), "",
+                             "a token by the authority of " + (folder / authority_file).string() +
+                                 " that is still good (gleaner keys issue --token)",
+                             "another text, or one that has expired");
+    return keys;
+  }
+  keys.certificate = read(folder / certificate_file, "a certificate by the farm's authority");
+  keys.key = read(folder / key_file, "the certificate's key");
   const Held<X509> own = certificate_in(folder / certificate_file, keys.certificate);
   if (X509_verify(own.get(), X509_get0_pubkey(authority.get())) != 1)
     throw Error::bad_input((folder / certificate_file).string(), "",
@@ -147,15 +150,26 @@ Keys load_keys(const fs::path& folder) {
   return keys;
 }
 
+void require_certificate(const Keys& keys, const std::string& who) {
+  if (keys.token.empty()) return;
+  throw Error::usage(keys.folder.string() + ": " + who +
+                     " needs a certificate, which others can check; this is a token, for people (gleaner keys issue "
+                     "without --token)");
+}
+
 std::shared_ptr<const Keys> own_keys() {
   const char* folder = std::getenv("GLEANER_KEYS");
   return folder && *folder ? std::make_shared<const Keys>(load_keys(folder)) : nullptr;
 }
 
-std::shared_ptr<grpc::ServerCredentials> server_credentials(std::shared_ptr<const Keys> keys, MethodRule rule) {
+std::shared_ptr<grpc::ServerCredentials> server_credentials(std::shared_ptr<const Keys> keys, MethodRule rule,
+                                                            Admits admits) {
   if (!keys) return grpc::InsecureServerCredentials();
+  require_certificate(*keys, "a server");
   leave_tls_1_2_out();
-  grpc::SslServerCredentialsOptions options(GRPC_SSL_REQUEST_AND_REQUIRE_CLIENT_CERTIFICATE_AND_VERIFY);
+  grpc::SslServerCredentialsOptions options(admits == Admits::tokens_too
+                                                ? GRPC_SSL_REQUEST_CLIENT_CERTIFICATE_AND_VERIFY
+                                                : GRPC_SSL_REQUEST_AND_REQUIRE_CLIENT_CERTIFICATE_AND_VERIFY);
   options.pem_root_certs = keys->authority;
   options.pem_key_cert_pairs.push_back({keys->key, keys->certificate});
   auto credentials = grpc::SslServerCredentials(options);
@@ -168,7 +182,9 @@ std::shared_ptr<grpc::ChannelCredentials> channel_credentials(const Keys* keys, 
   if (!keys) return grpc::InsecureChannelCredentials();
   leave_tls_1_2_out();
   arguments.SetSslTargetNameOverride(role_dns_name(expected));
-  return grpc::SslCredentials({keys->authority, keys->key, keys->certificate});
+  auto channel = grpc::SslCredentials({keys->authority, keys->key, keys->certificate});
+  if (keys->token.empty()) return channel;
+  return grpc::CompositeChannelCredentials(channel, grpc::AccessTokenCredentials(keys->token));
 }
 
 }  // namespace gleaner

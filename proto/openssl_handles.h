@@ -12,6 +12,8 @@
 #include <string>
 #include <string_view>
 
+#include "scene/model/error.h"
+
 namespace gleaner::openssl {
 
 struct Release {
@@ -34,13 +36,26 @@ inline Held<EVP_PKEY> parse_key(std::string_view pem) {
   return Held<EVP_PKEY>(bio ? PEM_read_bio_PrivateKey(bio.get(), nullptr, nullptr, nullptr) : nullptr);
 }
 
+// What write(BIO*) writes. Throws Error::failed where it does not return 1.
+template <typename Write>
+std::string pem_of(Write&& write) {
+  const Held<BIO> bio(BIO_new(BIO_s_mem()));
+  if (!bio || write(bio.get()) != 1) throw Error::failed("OpenSSL: writing PEM failed");
+  char* bytes = nullptr;
+  const long size = BIO_get_mem_data(bio.get(), &bytes);
+  return {bytes, static_cast<std::size_t>(size)};
+}
+
+inline std::string hexadecimal(const BIGNUM& number) {
+  char* text = BN_bn2hex(&number);
+  const std::string copy = text ? text : "";
+  OPENSSL_free(text);
+  return copy;
+}
 // Hexadecimal.
 inline std::string serial_of(X509* certificate) {
   const Held<BIGNUM> number(ASN1_INTEGER_to_BN(X509_get0_serialNumber(certificate), nullptr));
-  char* text = number ? BN_bn2hex(number.get()) : nullptr;
-  const std::string serial = text ? text : "";
-  OPENSSL_free(text);
-  return serial;
+  return number ? hexadecimal(*number) : std::string();
 }
 
 }  // namespace gleaner::openssl

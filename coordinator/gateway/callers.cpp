@@ -31,7 +31,9 @@ std::string number(double value) {
 }  // namespace
 
 Callers::Callers(CallerLimits limits, std::shared_ptr<const Keys> keys)
-    : limits_(limits), revocations_(keys ? std::make_shared<Revocations>(*keys) : nullptr) {
+    : limits_(limits),
+      identities_(keys ? std::make_shared<Identities>(*keys) : nullptr),
+      revocations_(keys ? std::make_shared<Revocations>(*keys) : nullptr) {
   if (revocations_) thread_ = std::thread([this] { end_revoked(); });
 }
 
@@ -44,9 +46,10 @@ Callers::~Callers() {
   if (thread_.joinable()) thread_.join();
 }
 
-std::string Callers::name_of(const grpc::ServerContext& context) {
-  const std::optional<Peer> peer = peer_of(*context.auth_context());
-  return peer ? peer->name : host_of(context.peer());
+Peer Callers::who(const grpc::ServerContext& context) {
+  if (identities_)
+    if (std::optional<Peer> peer = identities_->of(*context.auth_context(), context.client_metadata())) return *peer;
+  return {.name = host_of(context.peer()), .serial = {}, .roles = {}};
 }
 
 Callers::Caller& Callers::caller(const std::string& name, Clock::time_point now) {
@@ -95,11 +98,12 @@ bool Callers::make_room(const Call& call, Clock::time_point now) {
   return true;
 }
 
-Callers::Call::Call(Callers& callers, grpc::ServerContext& context, Kind kind)
-    : callers_(callers), context_(context), kind_(kind), caller_(name_of(context)), serial_([&] {
-        const std::optional<Peer> peer = peer_of(*context.auth_context());
-        return peer ? peer->serial : std::string();
-      }()) {
+Callers::Call::Call(Callers& callers, grpc::ServerContext& context, Kind kind, Peer caller)
+    : callers_(callers),
+      context_(context),
+      kind_(kind),
+      caller_(std::move(caller.name)),
+      serial_(std::move(caller.serial)) {
   static constexpr const char* names[] = {"uploads", "watches and downloads"};
   std::lock_guard lock(callers_.mutex_);
   callers_.calls_.insert(this);

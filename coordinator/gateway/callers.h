@@ -1,10 +1,10 @@
 #pragma once
 // Who calls, and how much of the coordinator one caller may have: requests a second, and calls that last. Ends the
-// calls of those whose certificate is revoked meanwhile.
+// calls of those whose certificate or token is revoked meanwhile.
 //
-// A caller is the name in its certificate; in the clear it is the host that it calls from, which may be more than one
-// person. So calls of one kind take nothing from the others, and one that says nothing gives way to a new one. Calls
-// from within the process have no bounds.
+// A caller is the name in its certificate or token; in the clear it is the host that it calls from, which may be more
+// than one person. So calls of one kind take nothing from the others, and one that says nothing gives way to a new one.
+// Calls from within the process have no bounds.
 
 #include <grpcpp/server_context.h>
 
@@ -38,16 +38,17 @@ class Callers {
   Callers& operator=(const Callers&) = delete;
 
   // Empty: a call from within this process.
-  static std::string name_of(const grpc::ServerContext& context);
+  std::string name_of(const grpc::ServerContext& context) { return who(context).name; }
   // Takes one request of the caller's, of those that are answered at once. RESOURCE_EXHAUSTED: it has none left at the
   // moment.
   grpc::Status admit(const grpc::ServerContext& context);
 
-  // A call that lasts. It is cancelled when its caller's certificate is revoked.
+  // A call that lasts. It is cancelled when what its caller shows is revoked.
   class Call {
    public:
     enum Kind { upload, download, work };  // of watched jobs, too; workers' calls have bounds of their own
-    Call(Callers& callers, grpc::ServerContext& context, Kind kind);
+    Call(Callers& callers, grpc::ServerContext& context, Kind kind)
+        : Call(callers, context, kind, callers.who(context)) {}
     ~Call();
     Call(const Call&) = delete;
     Call& operator=(const Call&) = delete;
@@ -57,6 +58,7 @@ class Callers {
 
    private:
     friend class Callers;
+    Call(Callers& callers, grpc::ServerContext& context, Kind kind, Peer caller);
     Callers& callers_;
     grpc::ServerContext& context_;
     const Kind kind_;
@@ -78,6 +80,8 @@ class Callers {
     std::array<Bucket, 3> of;  // by kind of call
   };
 
+  // In the clear: the host that it calls from, and no serial number.
+  Peer who(const grpc::ServerContext& context);
   double burst() const { return 2 * std::max(1.0, limits_.requests_a_second); }
   // Mutex held.
   Caller& caller(const std::string& name, Clock::time_point now);
@@ -87,7 +91,8 @@ class Callers {
   void end_revoked();  // in a thread
 
   const CallerLimits limits_;
-  const std::shared_ptr<Revocations> revocations_;  // null: in the clear
+  const std::shared_ptr<Identities> identities_;    // null: in the clear
+  const std::shared_ptr<Revocations> revocations_;  // likewise
   std::mutex mutex_;
   std::map<std::string, Caller> callers_;
   std::set<Call*> calls_;

@@ -209,7 +209,7 @@ Status FarmService::SubmitJob(grpc::ServerContext* context, const pb::SubmitJobR
     if (request->frame_step() != 0) job.frame_step = request->frame_step();
     job.numbers.assign(request->frame_numbers().begin(), request->frame_numbers().end());
     take_order(*request, job);
-    job.owner = printable(Callers::name_of(*context), most_name_bytes);
+    job.owner = printable(callers_.name_of(*context), most_name_bytes);
     for (const pb::Camera& camera : frames.cameras()) job.cameras.push_back(from_proto(camera));
     std::set<std::string> checked;
     for (FrameScene& scene : scenes) {

@@ -81,7 +81,7 @@ Server::Server(coordinator::Farm& farm, coordinator::BlobStore& blobs, const Ser
   if (!settings.listen.empty()) {
     impl_->acceptor = builder.experimental().AddExternalConnectionAcceptor(
         grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD,
-        server_credentials(settings.keys, role_for));
+        server_credentials(settings.keys, role_for, Admits::tokens_too));
     impl_->listener = std::make_unique<Listener>(settings.listen, [acceptor = impl_->acceptor.get()](int descriptor) {
       grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters connection;
       connection.fd = descriptor;

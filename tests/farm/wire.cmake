@@ -14,6 +14,7 @@ gleaner_test(NAME farm_retained_processes SOURCES retained_processes_test.cpp
              LIBRARIES gleaner_gateway gleaner_agent gleaner_digest nlohmann_json::nlohmann_json)
 target_compile_definitions(test_farm_retained_processes PRIVATE GLEANER_BLOCK_WORKER="$<TARGET_FILE:block_worker>")
 add_dependencies(test_farm_retained_processes block_worker)
-gleaner_test(NAME farm_keys SOURCES keys_test.cpp LIBRARIES gleaner_gateway gleaner_agent)
+find_package(OpenSSL REQUIRED COMPONENTS Crypto) # this folder's own: tests forge tokens
+gleaner_test(NAME farm_keys SOURCES keys_test.cpp LIBRARIES gleaner_gateway gleaner_agent PkgConfig::libjwt OpenSSL::Crypto)
 gleaner_test(NAME farm_callers SOURCES callers_test.cpp LIBRARIES gleaner_gateway)
 gleaner_test(NAME farm_events SOURCES events_test.cpp LIBRARIES gleaner_gateway nlohmann_json::nlohmann_json)

@@ -95,7 +95,9 @@ PeerServer::PeerServer(const std::string& listen, std::shared_ptr<PartStore> sto
   builder.SetResourceQuota(quota);
   builder.RegisterService(impl_.get());
   int port = 0;
-  builder.AddListeningPort(listen, server_credentials(std::move(keys), [](std::string_view) { return Role::work; }),
+  builder.AddListeningPort(listen,
+                           server_credentials(
+                               std::move(keys), [](std::string_view) { return Role::work; }, Admits::certificates),
                            &port);
   impl_->server = builder.BuildAndStart();
   if (!impl_->server || port == 0)
