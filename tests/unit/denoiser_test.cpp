@@ -8,11 +8,13 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <cstdlib>
 #include <filesystem>
 
 #include "scene/model/error.h"
 #include "worker/denoise/picture.h"
+#include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
 namespace {
@@ -78,6 +80,15 @@ TEST_F(DenoiserOfADouble, ErrorsSayWhatFailed) {
     EXPECT_THAT(error, HasSubstr(words));
     EXPECT_THAT(error, HasSubstr(std::string(step) + " fails as it was told to"));
   }
+}
+
+TEST_F(DenoiserOfADouble, StopsWhereNobodyWantsThePicture) {
+  std::atomic<bool> given_up = false;
+  const WantedScope wanted(&given_up);
+  Denoiser denoiser(DenoiserDevice::cpu);
+  denoiser.prefilter("normal", kImage);
+  given_up = true;
+  EXPECT_THAT(error_of([&] { denoiser.prefilter("normal", kImage); }), HasSubstr(nobody_wants_it));
 }
 
 TEST_F(DenoiserOfADouble, OtherVersionsAreRefused) {

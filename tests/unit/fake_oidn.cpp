@@ -3,6 +3,7 @@
 
 #include <cstdlib>
 #include <cstring>
+#include <functional>
 #include <map>
 #include <string>
 #include <vector>
@@ -23,6 +24,7 @@ struct Buffer {
 
 struct Filter {
   std::map<std::string, Buffer*> images;
+  std::function<bool()> goes_on = [] { return true; };
 };
 
 int device, live = 0;
@@ -90,9 +92,16 @@ void oidnSetFilterImage(void* filter, const char* name, void* buffer, int format
   static_cast<Filter*>(filter)->images[name] = static_cast<Buffer*>(buffer);
 }
 void oidnSetFilterBool(void*, const char* name, bool value) { call(std::string(name) + (value ? " on" : " off")); }
+void oidnSetFilterProgressMonitorFunction(void* filter, bool (*goes_on)(void*, double), void* user) {
+  static_cast<Filter*>(filter)->goes_on = [=] { return goes_on(user, 0.5); };
+}
 void oidnCommitFilter(void*) { call("commit filter"); }
 void oidnExecuteFilter(void* filter) {
   call("execute filter");
+  if (!static_cast<Filter*>(filter)->goes_on()) {
+    failure = "execution was cancelled";
+    return;
+  }
   auto& images = static_cast<Filter*>(filter)->images;
   const bool picture = images.contains("color");
   const std::vector<float>& from = images.at(picture                     ? "color"

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "scene/model/error.h"
+#include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
 namespace {
@@ -42,6 +43,7 @@ struct Interface {
                            std::size_t offset, std::size_t pixel_stride, std::size_t row_stride);
   void (*set_filter_bool)(Filter, const char* name, bool value);
   void (*set_filter_int)(Filter, const char* name, int value);
+  void (*set_filter_monitor)(Filter, bool (*goes_on)(void* user, double done), void* user);
   void (*commit_filter)(Filter);
   void (*execute_filter)(Filter);
   void (*release_filter)(Filter);
@@ -105,10 +107,17 @@ Interface interface_of(void* library) {
   find(library, "oidnSetFilterImage", f.set_filter_image);
   find(library, "oidnSetFilterBool", f.set_filter_bool);
   find(library, "oidnSetFilterInt", f.set_filter_int);
+  find(library, "oidnSetFilterProgressMonitorFunction", f.set_filter_monitor);
   find(library, "oidnCommitFilter", f.commit_filter);
   find(library, "oidnExecuteFilter", f.execute_filter);
   find(library, "oidnReleaseFilter", f.release_filter);
   return f;
+}
+
+// The library asks, in a thread of its own, whether to go on; user: given_up_flag().
+bool goes_on(void* user, double) {
+  const auto* given_up = static_cast<const std::atomic<bool>*>(user);
+  return !given_up || !given_up->load(std::memory_order_relaxed);
 }
 
 struct NamedImage {
@@ -198,9 +207,11 @@ struct Denoiser::Impl {
     for (const char* flag : flags) f.set_filter_bool(filter.filter, flag, true);
     f.set_filter_int(filter.filter, "quality", quality == DenoiseQuality::fast ? kQualityFast : kQualityHigh);
     f.set_filter_int(filter.filter, "maxMemoryMB", kMostMemoryMb);
+    f.set_filter_monitor(filter.filter, goes_on, const_cast<std::atomic<bool>*>(given_up_flag()));
     f.commit_filter(filter.filter);
     check("preparing its filter");
     f.execute_filter(filter.filter);
+    check_wanted();
     check("running its filter");
     std::vector<float> values(floats);
     f.read_buffer(output, 0, bytes, values.data());

@@ -8,6 +8,7 @@
 #include "worker/denoise/picture.h"
 #include "worker/stages/vpl/rows.h"
 #include "worker/wavefront/counters.h"
+#include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
 namespace {
@@ -19,6 +20,7 @@ DenoisedPicture denoise_or_say_why(const DenoiseParameters& p, std::span<const f
   try {
     return denoise_picture(p, film, device);
   } catch (const Error& error) {
+    check_wanted();
     return sampled_picture(p, film, error.what());
   }
 }

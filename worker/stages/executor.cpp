@@ -9,6 +9,7 @@
 #include "worker/stages/stage_table.h"
 #include "worker/wavefront/counters.h"
 #include "worker/wavefront/host_threads.h"
+#include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
 namespace {
@@ -195,6 +196,7 @@ BatchResult Executor::run(const StageTask& task, std::uint64_t first, std::uint6
                        .first = first,
                        .count = count};
   impl_->compile_later(kind, task.scene);
+  const WantedScope wanted(task.given_up.get());
   try {
     BatchResult result = kind.run(batch);
     impl_->workspace.end_batch();

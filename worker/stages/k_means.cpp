@@ -6,6 +6,7 @@
 #include <string>
 
 #include "worker/stages/cluster_grid.h"
+#include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
 namespace {
@@ -57,6 +58,7 @@ const std::vector<std::uint32_t>& KMeans::run(std::span<const std::uint32_t> see
   for (std::size_t k = 0; k < settings_.clusters; ++k) std::copy_n(datum(seeds[k]), 6, &centroids_[k * kCentroidWords]);
   alive_.assign(settings_.clusters, true);
   for (std::uint32_t i = 0; i < settings_.iterations; ++i) {
+    check_wanted();
     assign();
     update();
   }

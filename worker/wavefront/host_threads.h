@@ -14,6 +14,7 @@
 #include "worker/device/kernel.h"
 #include "worker/wavefront/counters.h"
 #include "worker/wavefront/ray_queries.h"
+#include "worker/wavefront/wanted.h"
 #include "worker/wavefront/work_queue.h"
 #include "worker/wavefront/workspace.h"
 
@@ -71,7 +72,9 @@ class HostThread {
 template <typename Run>
 void run_threads(unsigned threads, Run run) {
   std::vector<std::exception_ptr> errors(threads);
+  const std::atomic<bool>* const given_up = given_up_flag();
   const auto guarded = [&](unsigned k) {
+    const WantedScope wanted(given_up);
     try {
       run(k);
     } catch (...) {
@@ -102,7 +105,7 @@ void run_host_threads(WorkQueue& work, BatchResult& result, Make make) {
     }
     all[k]->counters.all = seconds_now() - start;
   });
-  if (work.given_up()) throw Error::failed("nobody wants the batch any more");
+  if (work.given_up()) throw Error::failed(nobody_wants_it);
   for (const auto& thread : all) thread->counters.add_to(result.counters, work.threads());
 }
 

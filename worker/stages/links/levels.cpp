@@ -6,6 +6,7 @@
 
 #include "kernels/scene_layout.h"
 #include "worker/stages/links/mesh.h"
+#include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
 namespace {
@@ -99,6 +100,7 @@ std::vector<std::uint32_t> even_levels(const TriangleRows& triangles, std::uint3
   double coarse = longest, fine = longest / static_cast<double>(1u << MESH_MOST_LEVEL);
   if (vertices(coarse) > most) return levels;
   for (int step = 0; step < 40; ++step) {
+    check_wanted();
     const double middle = std::sqrt(coarse * fine);
     (vertices(middle) > most ? fine : coarse) = middle;
   }
@@ -124,12 +126,14 @@ std::vector<std::uint32_t> refined_levels(const TriangleRows& triangles, std::ui
   };
   double left = static_cast<double>(wanted_vertices(wanted, triangles.count));
   for (std::uint64_t t = 0; t < triangles.count; ++t) {
+    check_wanted();
     levels[t] = coarse.words[MESH_HEADER + MESH_TRIANGLE_WORDS * t + 1];
     error[t] = area(triangles.rows + t * triangles.words) * bend_of(coarse, t, probe);
     left -= vertices_of(levels[t]);
     push(t);
   }
   while (left > 0 && !queue.empty()) {
+    check_wanted();
     const std::uint64_t t = queue.top().triangle;
     queue.pop();
     left -= vertices_of(levels[t] + 1) - vertices_of(levels[t]);

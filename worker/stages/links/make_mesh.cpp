@@ -10,6 +10,7 @@
 #include "kernels/scene_layout.h"
 #include "scene/model/error.h"
 #include "worker/stages/links/mesh.h"
+#include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
 namespace {
@@ -204,6 +205,7 @@ std::vector<std::uint32_t> make_links_mesh(const TriangleRows& input, const std:
   std::vector<std::uint32_t> nodes, first_node(triangles), hanging;
   nodes.reserve(total);
   for (std::uint64_t t = 0; t < triangles; ++t) {
+    check_wanted();
     first_node[t] = static_cast<std::uint32_t>(nodes.size());
     add_nodes(Triangle(rows + t * words), levels[t], table, nodes);
     add_hanging(rows + t * words, levels[t], edges, &nodes[first_node[t]], hanging);
@@ -237,10 +239,12 @@ std::vector<std::uint32_t> make_links_mesh(const TriangleRows& input, const std:
   std::ranges::copy(nodes, mesh.begin() + static_cast<std::ptrdiff_t>(layout.nodes_at()));
 
   const auto each_corner = [&](auto one) {
-    for (std::uint64_t t = 0; t < triangles; ++t)
+    for (std::uint64_t t = 0; t < triangles; ++t) {
+      check_wanted();
       each_small_triangle(1u << levels[t], [&](const auto& place, std::uint32_t kind) {
         one(t, place, kind, nodes[first_node[t] + node_number(place[0], place[1], 1u << levels[t])]);
       });
+    }
   };
   std::uint32_t* rings = &mesh[layout.rings_at()];
   each_corner([&](auto, const auto&, auto, std::uint32_t vertex) { ++rings[vertex + 1]; });

@@ -13,6 +13,7 @@
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/splat/stages.h"
 #include "worker/wavefront/counters.h"
+#include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
 namespace {
@@ -113,7 +114,8 @@ std::vector<Candidate> candidates(const PhotonClusterRefineParameters& p, std::s
   for (const CacheRecord& record : records) dark += sum_of(record.irradiance);
   dark *= kDark / static_cast<double>(std::max<std::size_t>(1, records.size()));
   std::vector<Candidate> found;
-  for (std::uint32_t y = 0; y < screen.rows(); ++y)
+  for (std::uint32_t y = 0; y < screen.rows(); ++y) {
+    check_wanted();
     for (std::uint32_t x = 0; x < screen.columns(); ++x) {
       const std::size_t first = screen.point_of(x * screen.step, y * screen.step);
       for (std::size_t i = first; i < first + p.samples; ++i) {
@@ -124,6 +126,7 @@ std::vector<Candidate> candidates(const PhotonClusterRefineParameters& p, std::s
         break;
       }
     }
+  }
   std::ranges::sort(
       found, [](const Candidate& a, const Candidate& b) { return a.off != b.off ? a.off > b.off : a.point < b.point; });
   return found;
@@ -134,6 +137,7 @@ std::vector<ClusterSample> choose(const std::vector<Candidate>& candidates, std:
   std::vector<ClusterSample> samples;
   for (const Candidate& candidate : candidates) {
     if (samples.size() >= most) break;
+    check_wanted();
     const SplatPoint& point = points[candidate.point];
     const bool stood_for = std::ranges::any_of(samples, [&](const ClusterSample& sample) {
       const SplatPoint& from = points[sample.point];

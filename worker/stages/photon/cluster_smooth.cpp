@@ -21,6 +21,7 @@
 #include "worker/stages/splat/scalar.h"
 #include "worker/stages/vpl/rows.h"
 #include "worker/wavefront/input_rows.h"
+#include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
 namespace {
@@ -51,11 +52,15 @@ class Smoothing {
     weighing_.assign(records_.size(), std::numeric_limits<float>::infinity());
     near_.resize(records_.size());
     readable_.resize(records_.size());
-    for (std::uint32_t i = 0; i < records_.size(); ++i) find_near(i);
+    for (std::uint32_t i = 0; i < records_.size(); ++i) {
+      check_wanted();
+      find_near(i);
+    }
   }
 
   void clamp_radii() {
     for (int round = 0; round < kClampRounds; ++round) {
+      check_wanted();
       std::vector<float> clamped = radius_;
       for (std::uint32_t i = 0; i < records_.size(); ++i)
         for (const std::uint32_t j : near_[i]) clamped[i] = std::min(clamped[i], radius_[j] + offset(i, j).distance);
@@ -79,6 +84,7 @@ class Smoothing {
   void smooth_gradients() {
     std::vector<CacheRecord> result = records_;
     for (std::uint32_t i = 0; i < records_.size(); ++i) {
+      check_wanted();
       std::array<double, 9> rotation{}, translation{};
       double weights = 0;
       const auto add = [&](std::uint32_t j, double w) {
@@ -100,7 +106,10 @@ class Smoothing {
   std::vector<CacheRecord> smoothed() const {
     std::vector<CacheRecord> result;
     result.reserve(records_.size());
-    for (std::uint32_t i = 0; i < records_.size(); ++i) result.push_back(smoothed(i));
+    for (std::uint32_t i = 0; i < records_.size(); ++i) {
+      check_wanted();
+      result.push_back(smoothed(i));
+    }
     return result;
   }
 

@@ -17,6 +17,7 @@
 #include "worker/stages/vpl/rows.h"
 #include "worker/wavefront/host_threads.h"
 #include "worker/wavefront/input_rows.h"
+#include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
 namespace {
@@ -212,6 +213,7 @@ BatchResult run_photon_cut_stage(const StageRun& run) {
   cut.choose(p.nodes);
   Nodes nodes = estimate_new(cut, std::vector(cut.size(), std::uint32_t{GLEANER_NONE}), {}, estimates, result);
   for (std::uint32_t round = 0; round < p.rounds; ++round) {
+    check_wanted();
     const std::vector<std::uint32_t> from = cut.refine(nodes.irradiance, p.ratio);
     if (from.size() == nodes.places.size()) break;
     facts.opened += from.size() - nodes.places.size();

@@ -15,6 +15,7 @@
 #include "worker/stages/vpl/rows.h"
 #include "worker/wavefront/host_threads.h"
 #include "worker/wavefront/input_rows.h"
+#include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
 namespace {
@@ -113,6 +114,7 @@ class MapBuilder {
       node.skip = static_cast<std::uint32_t>(index + 1);
       return;
     }
+    check_wanted();
     const std::size_t left = (blocks + 1) / 2, middle = first + left * RAY_BLOCK;
     node.skip = static_cast<std::uint32_t>(index + 2 * blocks - 1);
     split(first, middle, last, node);

@@ -6,6 +6,7 @@
 
 #include "scene/model/order.h"
 #include "worker/stages/k_means.h"
+#include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
 namespace {
@@ -43,6 +44,7 @@ class Quadtree {
   // Seeds of the node over points [first, last), whose codes agree above bit 2 * level.
   void deal(std::size_t first, std::size_t last, unsigned level, std::size_t count) {
     if (count == 0 || first == last) return;
+    check_wanted();
     if (count >= last - first) {
       for (std::size_t i = first; i < last; ++i) seeds_.push_back(points_[i].row);
       return;

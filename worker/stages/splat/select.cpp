@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "worker/stages/splat/scalar.h"
+#include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
 namespace {
@@ -62,6 +63,7 @@ class Selector {
       found = false;
       for (Block& block : blocks_) block.at = 0;
       for (;;) {
+        check_wanted();
         asked.clear();
         for (Block& block : blocks_)
           if (const std::uint32_t point = next_uncovered(block); point != kNone) asked.push_back(point);

@@ -10,6 +10,7 @@
 #include "worker/stages/curve.h"
 #include "worker/stages/vpl/host_stages.h"
 #include "worker/stages/vpl/rows.h"
+#include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
 namespace {
@@ -99,6 +100,7 @@ std::vector<float> merge(const std::vector<CameraPoints>& cameras, VplMergePoint
   std::unordered_map<std::uint64_t, Cell> cells;
   std::vector<std::uint64_t> keys;  // of every row, camera after camera; 0: nothing to shade
   for (std::uint32_t number = 0; number < cameras.size(); ++number) {
+    check_wanted();
     const Camera& camera = cameras[number].camera;
     const std::size_t rows = cameras[number].rows.size() / POINT_WORDS;
     const double spacing =
@@ -124,6 +126,7 @@ std::vector<float> merge(const std::vector<CameraPoints>& cameras, VplMergePoint
   merged.reserve(facts.points * POINT_WORDS);
   std::size_t next = 0;
   for (std::uint32_t number = 0; number < cameras.size(); ++number) {
+    check_wanted();
     const std::vector<float>& rows = cameras[number].rows;
     for (std::size_t at = 0; at + POINT_WORDS <= rows.size(); at += POINT_WORDS) {
       const std::uint64_t key = keys[next++];
