@@ -271,6 +271,8 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void disagree(Frame& frame, const Recheck& recheck);
   void drop_hopeless_rechecks();  // a worker is gone
   std::set<WorkerId> witnesses(const Recheck& recheck) const;
+  // Whether one of these has answered something, and may get work.
+  bool likely_answered(const Recheck& recheck) const;
   void distrust(WorkerId liar, const std::string& why);
   void await_rechecks(Frame& frame);    // the frame's thread
   void give_up_rechecks(Frame& frame);  // those that nobody answers in time, of a frame that waits for nothing else

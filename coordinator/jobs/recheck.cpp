@@ -25,6 +25,8 @@ namespace {
 // A worker that gives signs of life and no answers must not hold a frame that is whole. A comparison comes before all
 // other work, and takes a batch's time.
 constexpr Seconds recheck_patience = 3;
+// Where none of those who could answer has ever answered anything, or all who have are quarantined.
+constexpr Seconds recheck_patience_unproven = 0.5;
 constexpr std::chrono::milliseconds recheck_look{200};
 
 std::string words_of(const Recheck& recheck) {
@@ -215,10 +217,19 @@ void Farm::Impl::distrust(WorkerId liar, const std::string& why) {
   }
 }
 
+bool Farm::Impl::likely_answered(const Recheck& recheck) const {
+  const std::set<WorkerId> asked = witnesses(recheck);
+  return std::any_of(asked.begin(), asked.end(),
+                     [&](WorkerId id) { return scheduler.proven(id) && !scheduler.quarantined_until(id); });
+}
+
 void Farm::Impl::give_up_rechecks(Frame& frame) {
   for (const auto& stage : std::vector(frame.rechecks)) {
     const bool disputed = stage->recheck->answers.size() > 1;
-    if (now() - frame.all_but_rechecks < (disputed ? settings.scheduler.lease_floor : recheck_patience)) continue;
+    const Seconds patience = disputed                           ? settings.scheduler.lease_floor
+                             : likely_answered(*stage->recheck) ? recheck_patience
+                                                                : recheck_patience_unproven;
+    if (now() - frame.all_but_rechecks < patience) continue;
     settings.log("job " + frame.job->id + ": " + words_of(*stage->recheck) +
                  ": whoever was asked to compute it again does not answer");
     end_recheck(stage);

@@ -158,6 +158,20 @@ TEST_F(Recheck, AWitnessThatLeavesHoldsNobodyUp) {
   EXPECT_EQ(report(farm, job)["pixels_sha256"], fake_pixels_sha256(fake_settings()));
 }
 
+// What was never going to be compared holds a frame for half a second, not for the time that a comparison may take.
+TEST_F(Recheck, AWitnessThatNeverAnsweredIsHardlyWaitedFor) {
+  Farm farm(checking(1), blobs_);
+  ScriptedWorker ada, mute;
+  ada.join(farm, "ada");
+  mute.join(farm, "mute");
+  const auto begun = std::chrono::steady_clock::now();
+  const std::string job = farm.submit(request());
+  serve(farm, ada, job);
+  EXPECT_EQ(farm.status(job)->state, JobState::done) << farm.status(job)->message;
+  EXPECT_THAT(log(), HasSubstr("does not answer"));
+  EXPECT_LT(std::chrono::steady_clock::now() - begun, std::chrono::milliseconds(2800));
+}
+
 TEST_F(Recheck, HonestWorkersAgreeAndTheShareIsKept) {
   FarmSettings farm_settings = checking(0.25);
   Farm farm(farm_settings, blobs_);

@@ -1,6 +1,6 @@
 // Workers that lie or say nothing, thousands of idle connections and of silent streams, all at once: the farm renders,
-// in time, and the same bits. $GLEANER_SIEGE_CONNECTIONS and $GLEANER_SIEGE_STREAMS are their numbers (bench/siege sets
-// them).
+// in time, and the same bits. $GLEANER_SIEGE_CONNECTIONS and $GLEANER_SIEGE_STREAMS are their numbers, and
+// $GLEANER_SIEGE_SAMPLES a pixel's samples (bench/siege sets them).
 
 #include <arpa/inet.h>
 #include <gmock/gmock.h>
@@ -163,7 +163,8 @@ class Siege : public testing::TestWithParam<Crew> {
   static Rendered render(ProcessFarm& farm, const std::string& scene, const std::string& method, int seed) {
     const auto begun = Clock::now();
     const std::string job =
-        farm.submit({scene, "--size", "160x120", "--spp", "64", "--seed", std::to_string(seed), "--method", method});
+        farm.submit({scene, "--size", "160x120", "--spp", std::to_string(number("GLEANER_SIEGE_SAMPLES", 64)), "--seed",
+                     std::to_string(seed), "--method", method});
     const nlohmann::json report = farm.finish(job);
     return {report["pixels_sha256"], std::chrono::duration<double>(Clock::now() - begun).count()};
   }
