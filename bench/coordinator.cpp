@@ -55,7 +55,7 @@ class EndlessPlan final : public Plan {
     return step;
   }
   void preview(const std::string&, std::uint64_t, std::uint64_t, const Bytes&) override {}
-  Film preview_film() const override { return film(); }
+  Film preview_film(bool) const override { return film(); }
   Film film() const override { return Film{1, 1, {}}; }
   std::vector<Skip> skips() const override { return {}; }
   std::string parameters_json() const override { return "{}"; }

@@ -190,11 +190,12 @@ void Client::events(std::uint64_t after, const std::string& job,
   check(reader->Finish());
 }
 
-std::string Client::preview(const std::string& job) {
+std::string Client::preview(const std::string& job, bool denoise) {
   grpc::ClientContext context;
   set_deadline(context);
   pb::GetPreviewRequest request;
   request.set_job(job);
+  if (!denoise) request.set_denoise("off");
   pb::GetPreviewReply reply;
   grpc::Status status = stub_->GetPreview(&context, request, &reply);
   if (status.error_code() == grpc::StatusCode::FAILED_PRECONDITION) return {};

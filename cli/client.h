@@ -43,7 +43,8 @@ class Client {
   // all (empty) until the coordinator goes away.
   void events(std::uint64_t after, const std::string& job,
               const std::function<void(const coordinator::FarmEvent&)>& on_event);
-  std::string preview(const std::string& job);  // PNG bytes; empty: nothing to show yet
+  // PNG bytes; empty: nothing to show yet.
+  std::string preview(const std::string& job, bool denoise);
   std::vector<std::string> why(const std::string& job);
   std::vector<gleaner::v1::File> files(const std::string& job);
   void fetch_file(const std::string& job, const std::string& name,

@@ -208,7 +208,10 @@ std::unique_ptr<EmbeddedFarm> open_farm(const SessionOptions& options) {
 
 int session(const SessionOptions& options) {
   Pictures pictures(options);
-  LoadedFrame frame = load_frame(options.frame);
+  FrameOptions asked = options.frame;
+  const bool denoise_as_usual = asked.denoise.empty();
+  if (denoise_as_usual) asked.denoise = "off";
+  LoadedFrame frame = load_frame(asked);
   frame.scene.rig = {};
   std::map<std::string, std::uint32_t> objects;
   for (const std::string& name : options.movable) objects[name] = scene::make_movable(frame.scene, name);
@@ -230,6 +233,7 @@ int session(const SessionOptions& options) {
   }
   open.mutable_open()->set_scene_name(frame.scene_name);
   *open.mutable_open()->mutable_settings() = gateway::to_proto(frame.settings);
+  if (denoise_as_usual) open.mutable_open()->mutable_settings()->clear_denoise();
   open.mutable_open()->set_exposure_stops(options.frame.exposure_stops);
   open.mutable_open()->set_format(pictures.format());
   open.mutable_open()->set_refine_to(options.refine_to);
@@ -263,6 +267,7 @@ void add_session(CLI::App& app, Run& run) {
   auto options = std::make_shared<SessionOptions>();
   options->frame.method = "links";
   options->frame.spp = 1;
+  options->frame.denoise.clear();  // refined pictures are, first ones are not
   CLI::App* command =
       app.add_subcommand("session", "Change a scene's lights, materials, objects and camera, and see it");
   add_frame_options(*command, options->frame);

@@ -37,8 +37,12 @@ constexpr std::chrono::seconds stall{5};                    // without an item d
 // Keeps a file up to date with the job's preview, beside the stream of progress.
 class PreviewFile {
  public:
-  PreviewFile(const std::string& coordinator, std::string job, std::string path)
-      : client_(coordinator), job_(std::move(job)), path_(std::move(path)), thread_([this] { refresh(); }) {}
+  explicit PreviewFile(const WatchOptions& options)
+      : client_(options.coordinator),
+        job_(options.job),
+        path_(options.preview),
+        denoise_(options.denoise),
+        thread_([this] { refresh(); }) {}
 
   ~PreviewFile() { stop(); }
 
@@ -79,13 +83,15 @@ class PreviewFile {
   }
 
   void write() {
-    std::string png = client_.preview(job_);
+    std::string png = client_.preview(job_, denoise_);
     if (!png.empty() && png != last_) write_atomically(path_, std::as_bytes(std::span(png)));
     last_ = std::move(png);
   }
 
   Client client_;
-  std::string job_, path_, last_;
+  std::string job_, path_;
+  const bool denoise_;
+  std::string last_;
   std::mutex mutex_;
   std::condition_variable end_;
   bool ended_ = false;
@@ -174,8 +180,7 @@ class Watch {
 JobStatus follow_job(const WatchOptions& options) {
   Watch watch(options);
   std::unique_ptr<PreviewFile> preview;
-  if (!options.preview.empty())
-    preview = std::make_unique<PreviewFile>(options.coordinator, options.job, options.preview);
+  if (!options.preview.empty()) preview = std::make_unique<PreviewFile>(options);
   const JobStatus last = watch.follow();
   if (preview) preview->finish();
   if (options.json || last.state != coordinator::JobState::done) return last;
@@ -189,6 +194,8 @@ void add_watch(CLI::App& app, Run& run) {
   CLI::App* command = app.add_subcommand("watch", "Follow a job to its end: 0 where it is done, 1 where it failed");
   command->add_option("JOB", options->job, "as submit printed it")->required();
   command->add_option("--preview", options->preview, "FILE.png that is kept up to date");
+  command->add_flag("--denoise,!--no-denoise", options->denoise, "the preview is denoised, where a worker can")
+      ->capture_default_str();
   command->add_flag("--json", options->json, "each change as a line of JSON on standard output");
   command->add_flag("--quiet", options->quiet, "no progress");
   add_give_up_option(*command, options->give_up_seconds);

@@ -9,6 +9,7 @@ namespace gleaner::cli {
 
 struct WatchOptions {
   std::string coordinator, job, preview;
+  bool denoise = true;  // the preview, where a worker can
   bool json = false, quiet = false;
   double give_up_seconds = 600;
 };

@@ -1,6 +1,7 @@
 #include "coordinator/film/accumulator.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <string>
@@ -16,6 +17,12 @@ constexpr const char* kAxis[] = {"X", "Y", "Z"};
 
 // Radiance whose square, and sums of such, are far inside a float's range.
 constexpr double kBrightest = 1e12;
+
+std::array<float, 3> unit_or_none(std::array<float, 3> v) {
+  const float length = std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+  for (float& x : v) x = length > 0 ? x / length : 0.0f;
+  return v;
+}
 
 float mean(double sum, std::uint32_t samples) { return samples ? static_cast<float>(sum / samples) : 0.0f; }
 
@@ -194,13 +201,23 @@ std::vector<float> Accumulator::layer(const Value& value) const {
   return values;
 }
 
-Film Accumulator::preview() const {
+Film Accumulator::preview(bool guides) const {
   Film film{width_, height_, {}};
   for (std::size_t k = 0; k < 3; ++k)
     film.channels.push_back({kColor[k], layer([&](std::size_t i) {
                                const float pass = preview_pass_.empty() ? 0.0f : preview_pass_[3 * i + k];
                                return pass + (sampled() ? mean(direct_[k][i] + indirect_[k][i], samples(i)) : 0.0f);
                              })});
+  if (!guides || depth_.empty() || feature_samples_ % pixel_count() != 0) return film;
+  const auto count = static_cast<std::uint32_t>(feature_samples_ / pixel_count());
+  for (std::size_t k = 0; k < 3; ++k)
+    film.channels.push_back(
+        {std::string("albedo.") + kColor[k], layer([&](std::size_t i) { return mean(albedo_[k][i], count); })});
+  std::vector<std::array<float, 3>> normals(pixel_count());
+  for (std::size_t i = 0; i < normals.size(); ++i)
+    normals[i] = unit_or_none({normal_[0][i], normal_[1][i], normal_[2][i]});
+  for (std::size_t k = 0; k < 3; ++k)
+    film.channels.push_back({std::string("normal.") + kAxis[k], layer([&](std::size_t i) { return normals[i][k]; })});
   return film;
 }
 
@@ -275,9 +292,8 @@ void Accumulator::take_features(Film& film) {
     put(std::string("albedo.") + kColor[k], albedo_[k]);
   }
   for (std::size_t i = 0; i < pixel_count(); ++i) {
-    float* const axes[] = {&normal_[0][i], &normal_[1][i], &normal_[2][i]};
-    const float length = std::sqrt(*axes[0] * *axes[0] + *axes[1] * *axes[1] + *axes[2] * *axes[2]);
-    for (float* axis : axes) *axis = length > 0 ? *axis / length : 0.0f;
+    const std::array<float, 3> normal = unit_or_none({normal_[0][i], normal_[1][i], normal_[2][i]});
+    for (std::size_t k = 0; k < 3; ++k) normal_[k][i] = normal[k];
     // Over the samples that hit: half a pixel of sky does not halve a distance.
     depth_[i] = hits_[i] > 0 ? depth_[i] / hits_[i] : 0.0f;
   }

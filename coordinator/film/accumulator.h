@@ -60,7 +60,9 @@ class Accumulator {
 
   // For the preview alone: a pixel's radiance in the pass that is being rendered.
   void draw_pass(std::uint64_t first_pixel, std::span<const float> rgb);
-  Film preview() const;  // R G B of the samples so far, and of that pass
+  // R G B of the samples so far, and of that pass. With guides: the albedo and normals of those samples too, where all
+  // pixels have some.
+  Film preview(bool guides = false) const;
 
   // Layers R G B, direct.*, indirect.*, variance.*, samples.Y and, where features were added, albedo.*, normal.*,
   // depth.Z; where add_clamped() was called, clamped.* (a part of indirect.*); where halves are kept, half.* (radiance

@@ -320,27 +320,13 @@ Status FarmService::GetPreview(grpc::ServerContext* context, const pb::GetPrevie
       for (const fs::path& path : farm_.files(request->job()))
         if (path.extension() == ".png") png = text_of(read_file(path));
       reply->set_complete(true);
-    } else if (auto film = farm_.preview(request->job())) {
-      png = text_of(encode_png(*film, status->exposure_stops));
+    } else if (status->state == JobState::running) {
+      png = previews_.show(request->job(), status->exposure_stops, request->denoise() != "off");
     }
-    png = remember_preview(request->job(), std::move(png));
     if (png.empty()) return {StatusCode::FAILED_PRECONDITION, "job " + request->job() + ": nothing to show yet"};
     reply->set_png(std::move(png));
     return Status::OK;
   });
-}
-
-std::string FarmService::remember_preview(const std::string& job, std::string png) {
-  const auto runs = [&](const std::string& id) {
-    const auto status = farm_.status(id);
-    return status && status->state == JobState::running;
-  };
-  std::lock_guard lock(previews_mutex_);
-  std::erase_if(previews_, [&](const auto& entry) { return !runs(entry.first); });
-  if (!runs(job)) return png;
-  std::string& last = previews_[job];
-  if (!png.empty()) last = std::move(png);
-  return last;
 }
 
 Status FarmService::Session(grpc::ServerContext* context,

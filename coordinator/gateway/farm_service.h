@@ -8,6 +8,7 @@
 
 #include "coordinator/blobs/store.h"
 #include "coordinator/gateway/callers.h"
+#include "coordinator/gateway/previews.h"
 #include "coordinator/gateway/server.h"
 #include "coordinator/gateway/silence_watch.h"
 #include "coordinator/jobs/farm.h"
@@ -46,8 +47,6 @@ class FarmService final : public pb::Farm::Service {
   grpc::Status ListWorkers(grpc::ServerContext*, const pb::ListWorkersRequest*, pb::ListWorkersReply*) override;
 
  private:
-  // The last preview that was shown of a job that runs: what is shown while its plan computes.
-  std::string remember_preview(const std::string& job, std::string png);
   // Throws Error::bad_input where the frame's state is none, or not one of its base.
   // What the request says of each frame, in itself or in a blob.
   pb::JobFrames frames_of(const pb::SubmitJobRequest& request);
@@ -62,8 +61,7 @@ class FarmService final : public pb::Farm::Service {
   std::atomic<unsigned> uploads_{0}, sessions_{0};
   std::mutex summaries_mutex_;
   std::map<std::string, coordinator::SceneSummary> summaries_;  // by scene blob
-  std::mutex previews_mutex_;
-  std::map<std::string, std::string> previews_;  // PNG by job
+  Previews previews_{farm_};
 };
 
 }  // namespace gleaner::gateway

@@ -65,6 +65,8 @@ SessionCall::SessionCall(Farm& farm, BlobStore& blobs, const pb::SessionOpen& op
       blobs_(blobs),
       format_(open.format()),
       refine_to_(open.refine_to()),
+      denoise_first_(open.settings().denoise().empty() ? Denoise::off : from_proto(open.settings()).denoise),
+      denoise_refined_(open.settings().denoise().empty() ? Denoise::fast : denoise_first_),
       base_(base_of(blobs, open)),
       posed_(base_),
       scene_(base_),
@@ -213,6 +215,7 @@ std::optional<SessionCall::Wanted> SessionCall::next(Stream& stream) {
 std::optional<SessionCall::Rendered> SessionCall::render(const Wanted& wanted) {
   describe(wanted.state);
   request_.settings.camera = wanted.camera;
+  request_.settings.denoise = farm_.can_denoise() ? (wanted.changed ? denoise_first_ : denoise_refined_) : Denoise::off;
   request_.settings.spp = wanted.spp;
   for (const QuickSetting& setting : quick_settings)
     if (!given_.contains(std::string(setting.name)))

@@ -65,6 +65,8 @@ class SessionCall {
   coordinator::JobRequest request_;
   gleaner::v1::PictureFormat format_;
   std::uint32_t first_spp_ = 1, refine_to_;
+  // Where a worker can. A first picture is to come soon: it is denoised where the request says so.
+  const coordinator::Denoise denoise_first_, denoise_refined_;
   std::set<std::string> given_;  // settings of the request
   std::shared_ptr<const scene::Scene> base_;
 

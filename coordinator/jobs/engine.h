@@ -170,6 +170,9 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   // Runs `call`, which asks the plan or makes one, with the plan to itself; then a cancelled job ends here.
   template <typename Call>
   auto compute(Frame& frame, const Call& call);
+  // Of Farm::show() and Farm::denoise().
+  std::optional<Picture> show(Farm& farm, JobRequest request, Job::Showing showing, const std::stop_token& stop);
+  std::unique_ptr<Plan> plan_for(const Frame& frame, const SceneSummary& summary) const;
   void aim(Frame& frame);  // makes its plan
   // Of the scene as the frame's state shows it. Throws Error::bad_input where the state does not fit its base.
   SceneSummary summary_of(const Frame& frame);

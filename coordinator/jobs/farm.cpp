@@ -141,7 +141,7 @@ std::uint64_t Farm::last_event() const {
   return impl_->event_log.last();
 }
 
-std::optional<Film> Farm::preview(const std::string& id) {
+std::optional<Film> Farm::preview(const std::string& id, bool guides) {
   std::shared_ptr<Job> job;
   {
     std::lock_guard lock(impl_->mutex);
@@ -159,7 +159,7 @@ std::optional<Film> Farm::preview(const std::string& id) {
     for (const auto& frame : frames) {
       const std::unique_lock plan_lock(frame->plan_mutex, std::try_to_lock);
       all_seen = all_seen && plan_lock;
-      if (plan_lock && frame->plan && frame->drawn) return frame->plan->preview_film();
+      if (plan_lock && frame->plan && frame->drawn) return frame->plan->preview_film(guides);
     }
     if (all_seen) break;
   }

@@ -101,6 +101,11 @@ class Farm {
   // nor a word in the journal. `shown`: of the scene as the request's state shows it, with its lineage. None: `stop`
   // was requested. Throws as submit(), and Error::failed where the frame failed.
   std::optional<Picture> show(const JobRequest& request, const SceneSummary& shown, const std::stop_token& stop);
+  // Whether a worker has the denoiser's library.
+  bool can_denoise() const;
+  // A picture of a job that runs (R G B, and guides where it has them), denoised as show() renders: for someone who
+  // waits for it. None: `stop` was requested, or the job does not run any more. Throws as show().
+  std::optional<Picture> denoise(const std::string& job, Film film, const std::stop_token& stop);
   // The status after it; none: no such job. What has ended stays as it ended. A job whose plan computes has ended when
   // this returns: nobody waits for the plan.
   std::optional<JobStatus> cancel(const std::string& job);
@@ -120,7 +125,7 @@ class Farm {
   std::uint64_t last_event() const;
   // The first of the frames that run, as far as its batches came in. None: no such job, nothing to show, or a plan that
   // computes at this moment (it is not waited for).
-  std::optional<Film> preview(const std::string& job);
+  std::optional<Film> preview(const std::string& job, bool guides = false);
   // One line for every stage that has items which nobody runs. None: no such job.
   std::optional<std::vector<std::string>> why(const std::string& job) const;
   // Files that the job's finished frames left.

@@ -11,6 +11,7 @@
 #include "coordinator/artifacts/scene_lineage.h"
 #include "coordinator/film/exposure.h"
 #include "coordinator/jobs/engine.h"
+#include "coordinator/plan/denoise_plan.h"
 #include "scene/model/error.h"
 #include "scene/model/frame_state.h"
 
@@ -114,12 +115,19 @@ SceneSummary Farm::Impl::summary_of(const Frame& frame) {
   return summary;
 }
 
+std::unique_ptr<Plan> Farm::Impl::plan_for(const Frame& frame, const SceneSummary& summary) const {
+  const auto& showing = frame.job->showing;
+  if (showing && showing->given)
+    return std::make_unique<DenoisePlan>(frame.settings, summary, std::make_unique<GivenPicture>(*showing->given));
+  return settings.plan(frame.settings, summary);
+}
+
 void Farm::Impl::aim(Frame& frame) {
   compute(frame, [&] {
     frame.plan.reset();  // before the next one takes its memory
     const SceneSummary summary = summary_of(frame);
     frame.lineage = summary.lineage;
-    frame.plan = settings.plan(frame.settings, summary);
+    frame.plan = plan_for(frame, summary);
     frame.drawn = false;
   });
   std::lock_guard lock(mutex);

@@ -49,10 +49,11 @@ struct Job : std::enable_shared_from_this<Job> {
   double worker_seconds = 0;                      // of accepted batches
   std::uint64_t rays = 0;
 
-  // Of Farm::show(): somebody waits for the frame's picture. Null: its files are written.
+  // Of Farm::show() and denoise(): somebody waits for the frame's picture. Null: its files are written.
   struct Showing {
     SceneSummary shown;
-    std::optional<Film> film;
+    std::optional<Film> given{};  // it is rendered, and only denoised
+    std::optional<Film> film{};   // what is waited for, once it is there
     FrameReport report{};
   };
   std::unique_ptr<Showing> showing;

@@ -1,5 +1,6 @@
-// A frame for someone who waits for it: a job that is in no list, before all others.
+// A frame for someone who waits for it, or a picture to be denoised: a job that is in no list, before all others.
 
+#include <algorithm>
 #include <utility>
 
 #include "coordinator/jobs/engine.h"
@@ -8,32 +9,63 @@
 
 namespace gleaner::coordinator {
 
-std::optional<Farm::Picture> Farm::show(const JobRequest& asked, const SceneSummary& shown,
+std::optional<Farm::Picture> Farm::show(const JobRequest& request, const SceneSummary& shown,
                                         const std::stop_token& stop) {
-  JobRequest request = asked;
-  request.priority = most_priority;
-  const std::shared_ptr<Job> job = impl_->accept(request);
-  job->showing = std::make_unique<Job::Showing>(Job::Showing{.shown = shown, .film = std::nullopt});
-  impl_->join_ended_threads();
+  return impl_->show(*this, request, {.shown = shown}, stop);
+}
+
+bool Farm::can_denoise() const {
+  std::lock_guard lock(impl_->mutex);
+  return std::ranges::any_of(impl_->workers, [](const auto& entry) {
+    return !entry.second.draining && !entry.second.hello.device.denoiser.empty();
+  });
+}
+
+std::optional<Farm::Picture> Farm::denoise(const std::string& id, Film film, const std::stop_token& stop) {
+  JobRequest request;
   {
     std::lock_guard lock(impl_->mutex);
-    if (!impl_->has_memory_for(*job)) throw Error::failed("a frame to be shown: jobs that run have the memory");
+    const std::shared_ptr<Job> job = impl_->find(id);
+    if (!job || ended(job->state)) return std::nullopt;
+    request.scene_name = job->request.scene_name;
+    request.scenes = {job->request.scenes.front()};
+    request.settings = job->request.settings;
+  }
+  request.settings.width = film.width;
+  request.settings.height = film.height;
+  request.settings.spp = std::max(2u, request.settings.spp);  // as a frame's own denoising would need
+  request.settings.target_error = 0;
+  request.settings.trajectory.clear();
+  request.settings.denoise = Denoise::fast;
+  const SceneSummary shown = request.scenes.front().summary;
+  return impl_->show(*this, request, {.shown = shown, .given = std::move(film)}, stop);
+}
+
+std::optional<Farm::Picture> Farm::Impl::show(Farm& farm, JobRequest request, Job::Showing showing,
+                                              const std::stop_token& stop) {
+  request.priority = most_priority;
+  const std::shared_ptr<Job> job = accept(request);
+  job->showing = std::make_unique<Job::Showing>(std::move(showing));
+  join_ended_threads();
+  {
+    std::lock_guard lock(mutex);
+    if (!has_memory_for(*job)) throw Error::failed("a frame to be shown: jobs that run have the memory");
     do job->id = new_job_id();
-    while (impl_->jobs.contains(job->id));
-    job->accepted = job->started = impl_->now();
+    while (jobs.contains(job->id));
+    job->accepted = job->started = now();
     job->state = JobState::running;
     job->progress = FrameProgress(job->started);
-    impl_->jobs[job->id] = job;
-    impl_->order.push_back(job);
-    impl_->running.push_back(job);
-    if (!impl_->begin_frame(job)) {
-      impl_->end_job(*job, JobState::failed, "no thread for it");
+    jobs[job->id] = job;
+    order.push_back(job);
+    running.push_back(job);
+    if (!begin_frame(job)) {
+      end_job(*job, JobState::failed, "no thread for it");
       throw Error::failed("a frame to be shown: no thread for it");
     }
   }
-  const std::stop_callback cancelled(stop, [&] { cancel(job->id); });
-  std::unique_lock lock(impl_->mutex);
-  impl_->job_changed.wait(lock, [&] { return ended(job->state) || impl_->stopping; });
+  const std::stop_callback cancelled(stop, [&] { farm.cancel(job->id); });
+  std::unique_lock lock(mutex);
+  job_changed.wait(lock, [&] { return ended(job->state) || stopping; });
   if (job->state == JobState::failed) throw Error::failed(job->message);
   if (job->state != JobState::done || !job->showing->film) return std::nullopt;
   return Picture{std::move(*job->showing->film), std::move(job->showing->report)};

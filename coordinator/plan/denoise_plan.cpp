@@ -58,6 +58,12 @@ std::span<const DenoiseRecord> denoise_records(const Graph::Artifact& stage) {
   return {reinterpret_cast<const DenoiseRecord*>(bytes.data()), bytes.size() / sizeof(DenoiseRecord)};
 }
 
+Step GivenPicture::next(const FinishedStage*) {
+  Step step;
+  step.done = true;
+  return step;
+}
+
 DenoisePlan::DenoisePlan(const FrameSettings& settings, const SceneSummary& scene, std::unique_ptr<Plan> method)
     : settings_(settings), method_(std::move(method)), graph_(scene.lineage) {}
 
@@ -103,8 +109,8 @@ void DenoisePlan::preview(const std::string& stage, std::uint64_t first, std::ui
   if (!film_) method_->preview(stage, first, count, records);
 }
 
-Film DenoisePlan::preview_film() const {
-  if (!film_) return method_->preview_film();
+Film DenoisePlan::preview_film(bool guides) const {
+  if (!film_) return method_->preview_film(guides);
   Film film{film_->width, film_->height, {}};
   for (const char* name : {"R", "G", "B"}) film.channels.push_back(*film_->find(name));
   return film;

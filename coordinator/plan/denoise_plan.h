@@ -5,6 +5,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <utility>
 
 #include "coordinator/plan/graph.h"
 #include "kernels/denoise_records.h"
@@ -26,7 +27,7 @@ class DenoisePlan final : public Plan {
   void take(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override;
   double predicted_work() const override;
   void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override;
-  Film preview_film() const override;
+  Film preview_film(bool guides = false) const override;
   // What there is of the samples is denoised all the same.
   bool conclude(const std::vector<CutStage>& cut) override;
   Step after_conclude() override;
@@ -48,6 +49,24 @@ class DenoisePlan final : public Plan {
   std::optional<Film> film_;  // once the method is done
   std::optional<kernels::DenoiseFacts> facts_;
   double shared_ = 0;  // Plan::shared_squared_error()
+};
+
+// A picture that is there already, as the method of a DenoisePlan.
+class GivenPicture final : public Plan {
+ public:
+  explicit GivenPicture(Film film) : film_(std::move(film)) {}
+
+  Step next(const FinishedStage*) override;
+  void preview(const std::string&, std::uint64_t, std::uint64_t, const Bytes&) override {}
+  Film preview_film(bool) const override { return film_; }
+  Film film() const override { return film_; }
+  Film take_film() override { return std::move(film_); }
+  std::vector<Skip> skips() const override { return {}; }
+  std::string parameters_json() const override { return "{}"; }
+  std::vector<std::string> outline() const override { return {}; }
+
+ private:
+  Film film_;
 };
 
 // What the stage's input, its records and the layers of its own take.

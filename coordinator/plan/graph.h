@@ -173,7 +173,7 @@ class GraphPlan : public Plan {
   void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) final {
     graph_.preview(stage, first, count, records);
   }
-  Film preview_film() const final { return film_.preview(); }
+  Film preview_film(bool guides = false) const final { return film_.preview(guides); }
   Film film() const final { return film_.film(); }
   Film take_film() final { return film_.take_film(); }
   std::vector<Skip> skips() const override { return skips_; }

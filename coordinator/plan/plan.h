@@ -78,7 +78,8 @@ class Plan {
   // Any order of batches; null film layers are made on first use. Not called for streamed stages, whose records the
   // plan has.
   virtual void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) = 0;
-  virtual Film preview_film() const = 0;
+  // `guides`: with layers albedo.* and normal.* where there are some, as a denoiser reads them.
+  virtual Film preview_film(bool guides = false) const = 0;
   // The time is up. `cut` are the stages that were asked for and have not finished. True: film() holds what there is.
   // False: that is no picture yet, one of them must be finished; nothing has changed.
   virtual bool conclude(const std::vector<CutStage>& cut) {

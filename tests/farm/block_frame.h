@@ -73,7 +73,7 @@ class BlockPlan final : public coordinator::Plan {
     return step;
   }
   void preview(const std::string&, std::uint64_t, std::uint64_t, const Bytes&) override {}
-  Film preview_film() const override { return {}; }
+  Film preview_film(bool) const override { return {}; }
   Film film() const override {
     Film film{.width = 1, .height = 1, .channels = {}};
     for (const char* name : {"R", "G", "B"}) film.channel(name).values = {0.5f};

@@ -3,8 +3,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cstring>
+#include <future>
+#include <span>
+#include <stop_token>
+
 #include "coordinator/blobs/sha256.h"
 #include "coordinator/jobs/progress.h"
+#include "kernels/denoise_records.h"
 #include "tests/farm/scripted_farm.h"
 
 namespace gleaner::test {
@@ -786,6 +792,66 @@ TEST_F(FarmEngine, DenoisingIsRefusedWhereNobodyCan) {
   EXPECT_EQ(end_of(farm, job).state, JobState::done);
 }
 
+// A batch of stage "denoise" whose picture is of this colour everywhere.
+void denoise_to(ScriptedWorker& worker, const Offered& offer, float color) {
+  const std::vector<kernels::DenoiseRecord> records(offer.lease.count, {{color, color, color}, 0});
+  kernels::DenoiseFacts facts{};
+  std::strcpy(facts.version, "2.5.1");
+  facts.denoised = 1;
+  const auto bytes_of = [](const auto& values) {
+    const auto bytes = std::as_bytes(std::span(values));
+    return Bytes(bytes.begin(), bytes.end());
+  };
+  EXPECT_EQ(worker.deliver(offer, bytes_of(records), 0.01, bytes_of(std::span(&facts, 1))), Verdict::accepted);
+}
+
+TEST_F(FarmEngine, APictureOfAJobThatRunsIsDenoisedByWhoCan) {
+  Farm farm(settings(), blobs_);
+  ScriptedWorker worker, able;
+  worker.join(farm);
+  const std::string job = farm.submit(request());
+  const auto first = worker.next();
+  ASSERT_TRUE(first);
+  EXPECT_FALSE(farm.can_denoise());
+  WorkerHello hello;
+  hello.name = "able";
+  hello.device.denoiser = "2.5.1";
+  able.join_as(farm, hello);
+  EXPECT_TRUE(farm.can_denoise());
+
+  const std::vector<float> grey(12, 0.25f);
+  Film film{4, 3, {{"R", grey}, {"G", grey}, {"B", grey}}};
+  auto denoised = std::async(std::launch::async, [&] { return farm.denoise(job, std::move(film), {}); });
+  // The job's own stage cannot end: the first batch of it is out.
+  for (;;) {
+    const auto offer = able.next();
+    ASSERT_TRUE(offer);
+    if (offer->work->kind != "denoise") {
+      able.deliver(*offer, able.compute(*offer, blobs_));
+      continue;
+    }
+    EXPECT_EQ(offer->lease.count, 12u);
+    denoise_to(able, *offer, 0.5f);
+    break;
+  }
+  const std::optional<Farm::Picture> picture = denoised.get();
+  ASSERT_TRUE(picture);
+  EXPECT_EQ(picture->film.width, 4u);
+  EXPECT_EQ(picture->film.find("G")->values, std::vector<float>(12, 0.5f));
+  EXPECT_THAT(farm.list(), SizeIs(1)) << "it is in no list";
+
+  // Nobody waits any more.
+  std::stop_source stop;
+  stop.request_stop();
+  EXPECT_FALSE(farm.denoise(job, Film{4, 3, {{"R", grey}, {"G", grey}, {"B", grey}}}, stop.get_token()));
+  able.leave();
+  EXPECT_FALSE(farm.can_denoise());
+  worker.deliver(*first, worker.compute(*first, blobs_));
+  serve(farm, worker, job);
+  EXPECT_EQ(end_of(farm, job).state, JobState::done);
+  EXPECT_FALSE(farm.denoise(job, Film{4, 3, {{"R", grey}, {"G", grey}, {"B", grey}}}, {})) << "it has ended";
+}
+
 // A plan of one solo stage that denoises.
 class DenoisingPlan final : public Plan {
  public:
@@ -799,7 +865,7 @@ class DenoisingPlan final : public Plan {
     return step;
   }
   void preview(const std::string&, std::uint64_t, std::uint64_t, const Bytes&) override {}
-  Film preview_film() const override { return film(); }
+  Film preview_film(bool) const override { return film(); }
   Film film() const override {
     return {4, 4, {{"R", std::vector<float>(16)}, {"G", std::vector<float>(16)}, {"B", std::vector<float>(16)}}};
   }

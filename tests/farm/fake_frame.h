@@ -152,7 +152,7 @@ class FakePlan final : public coordinator::Plan {
       std::copy(values.begin(), values.end(), channel.values.begin() + static_cast<long>(first));
   }
 
-  Film preview_film() const override { return film_; }
+  Film preview_film(bool) const override { return film_; }
   Film film() const override { return film_; }
   std::vector<coordinator::Skip> skips() const override { return {{"photons", "the fake has no light", 7}}; }
   std::vector<std::string> warnings() const override {

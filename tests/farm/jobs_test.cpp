@@ -31,7 +31,7 @@ class CountedPlan final : public Plan {
   void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override {
     plan_.preview(stage, first, count, records);
   }
-  Film preview_film() const override { return plan_.preview_film(); }
+  Film preview_film(bool) const override { return plan_.preview_film(false); }
   Film film() const override { return plan_.film(); }
   std::vector<Skip> skips() const override { return {}; }
   std::string parameters_json() const override { return "{}"; }
@@ -77,7 +77,7 @@ class SlowPlan final : public Plan {
     return plan_.next(finished);
   }
   void preview(const std::string&, std::uint64_t, std::uint64_t, const Bytes&) override {}
-  Film preview_film() const override { return plan_.preview_film(); }
+  Film preview_film(bool) const override { return plan_.preview_film(false); }
   Film film() const override { return plan_.film(); }
   std::vector<Skip> skips() const override { return {}; }
   std::string parameters_json() const override { return "{}"; }
@@ -278,7 +278,7 @@ class GatedPlan final : public Plan {
     plan_.take(stage, first, count, records);
   }
   void preview(const std::string&, std::uint64_t, std::uint64_t, const Bytes&) override { gate_->pass(); }
-  Film preview_film() const override { return plan_.preview_film(); }
+  Film preview_film(bool) const override { return plan_.preview_film(false); }
   Film film() const override { return plan_.film(); }
   std::vector<Skip> skips() const override { return {}; }
   std::string parameters_json() const override { return "{}"; }

@@ -671,7 +671,7 @@ class OneStagePlan final : public Plan {
     return step;
   }
   void preview(const std::string&, std::uint64_t, std::uint64_t, const Bytes&) override {}
-  Film preview_film() const override { return {}; }
+  Film preview_film(bool) const override { return {}; }
   Film film() const override { return {}; }
   std::vector<Skip> skips() const override { return {}; }
   std::string parameters_json() const override { return "{}"; }

@@ -47,7 +47,7 @@ class ScriptedWorker final : public LeasedWorker {
     return fake_gather(*hashes, lease.first, lease.count);
   }
 
-  Verdict deliver(const Offered& offer, Bytes records, double seconds = 0.01) {
+  Verdict deliver(const Offered& offer, Bytes records, double seconds = 0.01, Bytes facts = {}) {
     BatchCost cost;
     cost.seconds = seconds;
     cost.trace_seconds = 0.5 * seconds;
@@ -55,7 +55,9 @@ class ScriptedWorker final : public LeasedWorker {
     cost.camera_rays = offer.lease.count;
     cost.scatter_rays = 2 * offer.lease.count;
     cost.shadow_rays = 3 * offer.lease.count;
-    return farm_->result(id, offer.lease.id, offer.lease.epoch, std::move(records), cost);
+    BatchOutput output{std::move(records)};
+    output.facts = std::move(facts);
+    return farm_->result(id, offer.lease.id, offer.lease.epoch, std::move(output), cost);
   }
 
   std::vector<Lease> revoked() {

@@ -4,8 +4,10 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <chrono>
 #include <set>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "cli/embedded.h"
@@ -15,6 +17,7 @@
 #include "scene/library/library.h"
 #include "scene/model/edited_scene.h"
 #include "scene/model/error.h"
+#include "worker/denoise/denoiser.h"
 
 namespace gleaner::test {
 namespace {
@@ -188,6 +191,35 @@ TEST_F(Session, RefinesWhileNothingChanges) {
   EXPECT_THAT(made(all[1]), Contains("links.exchange"));
   EXPECT_THAT(reused(all[1]), Contains("links.light"));
   EXPECT_THAT(reused(all[2]), Contains("links.smooth"));
+}
+
+TEST_F(Session, RefinedPicturesAreDenoised) {
+  try {
+    worker::denoiser_version();
+  } catch (const Error& error) {
+    GTEST_SKIP() << error.what();
+  }
+  while (!farm_.farm().can_denoise()) std::this_thread::sleep_for(std::chrono::milliseconds(10));  // workers join
+  const auto shown = [&](const std::string& denoise, std::uint32_t spp = 1) {
+    grpc::ClientContext context;
+    auto stream = stub_->Session(&context);
+    pb::SessionRequest open = opening(lit_box(), 4);
+    open.mutable_open()->mutable_settings()->set_denoise(denoise);
+    open.mutable_open()->mutable_settings()->set_samples_per_pixel(spp);
+    stream->Write(open);
+    std::vector<bool> denoised;
+    pb::SessionPicture picture;
+    while (stream->Read(&picture)) {
+      const std::vector<std::string> stages = made(picture);
+      denoised.push_back(std::ranges::find(stages, "denoise") != stages.end());
+      if (picture.last()) break;
+    }
+    stream->WritesDone();
+    return denoised;
+  };
+  EXPECT_EQ(shown(""), (std::vector<bool>{false, true}));
+  EXPECT_EQ(shown("off"), (std::vector<bool>{false, false}));
+  EXPECT_EQ(shown("fast", 2), (std::vector<bool>{true, true}));
 }
 
 TEST_F(Session, RefusesWhatTheSceneLacksAndGoesOn) {
