@@ -10,9 +10,11 @@ namespace {
 
 // Edge of groups of tiles that are passed over together, in tiles.
 constexpr std::uint32_t kGroupTiles = 8;
-// How fast the harmonic mean distance grows with the distance to a wall that stands on the surface: 3 pi / 2, from the
-// cosine-weighted mean of the directions' part towards the wall. What stands free grows more slowly.
-constexpr float kMostSlope = 4.712389f;
+// How fast a mean distance may grow away from a neighbour's: as the harmonic mean does before a wall, 3/2 times as fast
+// as the distance (the cosine-weighted mean of the cosine is 2/3). Beside a wall that stands on the surface it grows 3
+// pi / 2 times as fast, but there light changes fastest: for as many records, 3/2 errs least
+// (docs/explanation/splat.md).
+constexpr float kMostSlope = 1.5f;
 
 using Vec = std::array<float, 3>;
 
@@ -121,10 +123,8 @@ class Selector {
     cover(place, 1);
   }
 
-  // A surface that is near a record is near its neighbours too, though their rays may have missed it: no mean distance
-  // exceeds another's by more than a wall between the two would allow (neighbour clamping: Krivanek et al. 2006,
-  // "Making Radiance and Irradiance Caching Practical". Theirs has the distance itself, which is right for the nearest
-  // surface; harmonic means beside every corner would be less than a quarter of what they are).
+  // A surface that is near a record is near its neighbours too, though their rays may have missed it: neighbour
+  // clamping, after Krivanek et al. 2006, "Making Radiance and Irradiance Caching Practical".
   void add(const SplatPoint& point, float mean) {
     if (!(mean > 0)) mean = settings_.most_radius * point.footprint;
     for (const Selection::Place& place : made_.places)
