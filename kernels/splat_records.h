@@ -42,14 +42,15 @@ GLEANER_SIZE(SplatPointParameters, 96);
 // something else.
 #define SPLAT_RADIUS 9u  // m: the harmonic mean distance, within its bounds; of a shading cluster: how far it reaches
 #define SPLAT_ACCURACY 10u  // a; of a shading cluster: the same for normals, as sqrt(1 - n.m)
-#define SPLAT_SPACING 11u   // m, of a shading cluster: how far its members lie apart
+#define SPLAT_SPACING \
+  11u  // m, of a shading cluster: how far its members lie apart; else the mean distance without bounds
 
 // Stage kind "splat_gather" (input "places"). An item is a place; its record is a row of the cache.
 typedef struct {
   PathParameters samples;    // camera, size and items are not read; the depth is the light's
   gl_uint records;           // items of the stage
   gl_uint polar, azimuthal;  // strata of the hemisphere: azimuthal is a multiple of 16
-  gl_uint reserved;
+  gl_uint first_place;       // row of the first item's place
 } SplatGatherParameters;
 GLEANER_SIZE(SplatGatherParameters, 144);
 // Strata, at most.
@@ -77,22 +78,40 @@ typedef struct {
 GLEANER_SIZE(SplatShadeParameters, 16);
 
 #ifndef __OPENCL_VERSION__
-// Stage kind "splat_select" (input "points"); solo. One item: the places of the records, 0 or more.
+// Stage kind "splat_select" (inputs "points" and, where there are records already, "given": their places); solo. One
+// item: the places of all records, those given first.
 struct SplatSelectParameters {
   std::uint32_t width = 0, height = 0, samples = 0;  // as SplatPointParameters
   float accuracy = 0;                                // a; 0: every point is a place
-  std::uint32_t records = 0;                         // at most; 0: no limit
+  std::uint32_t most_new = 0;                        // places beside the given ones, at most; 0: no limit
   std::uint32_t probe_rays = 0;                      // that tell a place's mean distance: a multiple of 16
   float least_radius = 0, most_radius = 0;           // of R_k, in pixels
-  std::uint32_t seed_low = 0, seed_high = 0;
+  std::uint32_t block_tiles = 0;    // edge of blocks that are visited side by side; 0: the whole picture
+  std::uint32_t keep_accuracy = 0;  // not 0: no finer than the given places'
   std::uint32_t reserved[2] = {};
 };
 static_assert(sizeof(SplatSelectParameters) == 48);
 
+// Stage kind "splat_extend" (input "given", or none); solo: the same for what a camera sees, whose points are made on
+// the way and not kept. Width, height and samples of both parts are the same.
+struct SplatExtendParameters {
+  SplatPointParameters points;
+  SplatSelectParameters select;
+};
+static_assert(sizeof(SplatExtendParameters) == 144);
+
 struct SplatSelectFacts {
-  std::uint64_t points = 0, records = 0, rounds = 0, probes = 0;
+  std::uint64_t points = 0, records = 0, given = 0, rounds = 0, probes = 0;
   double accuracy = 0;  // that the records were chosen with: above the one asked for where there were too many
 };
+
+// Stage kind "splat_merge" (inputs "places" and "records.0", "records.1", ...: what was gathered at them, in their
+// order); solo. One item: the cache, with the places' radii and accuracy.
+struct SplatMergeParameters {
+  std::uint32_t records = 0;
+  std::uint32_t reserved = 0;
+};
+static_assert(sizeof(SplatMergeParameters) == 8);
 
 }  // namespace gleaner::kernels
 #endif

@@ -11,6 +11,7 @@
 #include "coordinator/artifacts/scene_lineage.h"
 #include "coordinator/film/write.h"
 #include "coordinator/gateway/convert.h"
+#include "coordinator/plan/methods.h"
 #include "scene/model/error.h"
 #include "scene/model/names.h"
 
@@ -20,9 +21,10 @@ using namespace gleaner::coordinator;
 
 namespace {
 
-constexpr std::size_t most_refused = 100;          // words that wait to be told
-constexpr Seconds rate_window = 3;                 // over which pictures a second are counted
-constexpr std::uint32_t refines_by = 4;            // samples of a picture over those of the one before
+constexpr std::size_t most_refused = 100;  // words that wait to be told
+constexpr Seconds rate_window = 3;         // over which pictures a second are counted
+constexpr std::uint32_t refines_by = 4;    // samples of a picture over those of the one before
+constexpr std::size_t most_looks = 256;    // cameras that a picture may begin with; then the next one stands alone
 constexpr std::string_view stage_word = "stage ";  // a skip's words for a stage that was made before
 
 // What makes first pictures come sooner, unless the request says otherwise.
@@ -94,6 +96,7 @@ SessionCall::SessionCall(Farm& farm, BlobStore& blobs, const pb::SessionOpen& op
 void SessionCall::describe(const scene::FrameState& state) {
   auto bytes = std::make_shared<const Bytes>(scene::serialize(state));
   if (state_ && *state_ == *bytes) return;
+  looks_.clear();
   posed_.show(state, request_.scene_name);
   shown_ = summarize(*posed_.scene());
   FrameScene& shown = request_.scenes.front();
@@ -101,6 +104,17 @@ void SessionCall::describe(const scene::FrameState& state) {
   shown.summary = shown_;
   state_ = std::move(bytes);
   shown.state_blob = state.empty() ? std::string() : blobs_.lend(state_);
+}
+
+// Cameras of the pictures of this state, with the next one's. Where a picture may have a few new records only, even one
+// that shows the same adds to them.
+std::vector<scene::Camera> SessionCall::looks_with(const scene::Camera& camera) const {
+  std::vector<scene::Camera> looks = looks_;
+  const bool same = !looks.empty() && std::memcmp(&looks.back(), &camera, sizeof camera) == 0;
+  if (same && whole_setting(request_.settings, "splat.new_records").value_or(0) == 0) return looks;
+  if (looks.size() >= most_looks) looks.clear();
+  looks.push_back(camera);
+  return looks;
 }
 
 void SessionCall::run(grpc::ServerContext& context, Stream& stream) {
@@ -217,6 +231,7 @@ std::optional<SessionCall::Rendered> SessionCall::render(const Wanted& wanted) {
   request_.settings.camera = wanted.camera;
   request_.settings.denoise = farm_.can_denoise() ? (wanted.changed ? denoise_first_ : denoise_refined_) : Denoise::off;
   request_.settings.spp = wanted.spp;
+  request_.settings.looks = looks_with(wanted.camera);
   for (const QuickSetting& setting : quick_settings)
     if (!given_.contains(std::string(setting.name)))
       request_.settings.set[std::string(setting.name)] = wanted.changed ? setting.first : setting.refined;
@@ -224,6 +239,7 @@ std::optional<SessionCall::Rendered> SessionCall::render(const Wanted& wanted) {
   std::lock_guard lock(mutex_);
   refining_ = false;
   if (!picture) return std::nullopt;
+  looks_ = request_.settings.looks;
   if (!changed_) shown_spp_ = wanted.spp;
   return Rendered{std::move(*picture), wanted.change, wanted.spp, wanted.changed, !changed_ && !may_refine()};
 }

@@ -59,6 +59,7 @@ class SessionCall {
   std::optional<Rendered> render(const Wanted& wanted);  // none: it was given up
   gleaner::v1::SessionPicture picture_of(const Rendered& rendered);
   void describe(const scene::FrameState& state);
+  std::vector<scene::Camera> looks_with(const scene::Camera& camera) const;
 
   coordinator::Farm& farm_;
   coordinator::BlobStore& blobs_;
@@ -74,8 +75,9 @@ class SessionCall {
   scene::PosedScene posed_;
   coordinator::Blob state_;
   coordinator::SceneSummary shown_;
-  std::deque<Seconds> pictures_;  // when first pictures went out, of the last seconds
-  std::mutex write_mutex_;        // for messages to the caller
+  std::vector<scene::Camera> looks_;  // of the pictures of this state, as FrameSettings has them
+  std::deque<Seconds> pictures_;      // when first pictures went out, of the last seconds
+  std::mutex write_mutex_;            // for messages to the caller
 
   // Shared with the reader's thread.
   std::mutex mutex_;

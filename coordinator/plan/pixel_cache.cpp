@@ -60,6 +60,18 @@ bool PixelCache::holds(const FrameSettings& settings) {
 }
 
 Graph::Artifact PixelCache::ask_points(Graph& graph, const std::string& method, int priority) const {
+  return graph.add({.name = method + ".points",
+                    .kind = "splat_points",
+                    .items = tiles(),
+                    .scene_parts = kSurfaces,
+                    .priority = priority,
+                    .work = kPointWork * static_cast<double>(points()),
+                    .output = {.record_bytes = SPLAT_TILE_PIXELS * samples_ * SPLAT_POINT_WORDS * 4,
+                               .placement = Placement::retain}},
+                   point_parameters());
+}
+
+SplatPointParameters PixelCache::point_parameters() const {
   SplatPointParameters p{};
   p.camera = settings_.camera;
   p.width = settings_.width;
@@ -68,14 +80,7 @@ Graph::Artifact PixelCache::ask_points(Graph& graph, const std::string& method, 
   p.depth = settings_.depth;
   p.seed_low = low(settings_.seed);
   p.seed_high = high(settings_.seed);
-  return graph.add({.name = method + ".points",
-                    .kind = "splat_points",
-                    .items = tiles(),
-                    .priority = priority,
-                    .work = kPointWork * static_cast<double>(points()),
-                    .output = {.record_bytes = SPLAT_TILE_PIXELS * samples_ * SPLAT_POINT_WORDS * 4,
-                               .placement = Placement::retain}},
-                   p);
+  return p;
 }
 
 Graph::Artifact PixelCache::ask_shading(Graph& graph, const std::string& method, int priority,
@@ -97,6 +102,7 @@ StageSpec PixelCache::choosing(const std::string& name, const char* kind, int pr
           .kind = kind,
           .items = 1,
           .solo = true,
+          .scene_parts = kSurfaces,
           .priority = priority,
           .output = {.record_bytes = SPLAT_POINT_WORDS * 4,
                      .counted = true,

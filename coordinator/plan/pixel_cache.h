@@ -32,6 +32,7 @@ class PixelCache {
   static bool holds(const FrameSettings& settings);
   static constexpr std::uint64_t most_pixels = 1u << 26;
 
+  kernels::SplatPointParameters point_parameters() const;
   // Stages "METHOD.points" and "METHOD.shade", of these priorities.
   Graph::Artifact ask_points(Graph& graph, const std::string& method, int priority) const;
   // Tiles of `points` lit by the records of `cache`.

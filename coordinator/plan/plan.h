@@ -56,6 +56,9 @@ struct FrameSettings {
   // Cameras that stand for the trajectory on which `camera` is one place (trajectory_of()): what a plan makes for all
   // frames of the trajectory is made for these. Empty: a single camera.
   std::vector<scene::Camera> trajectory;
+  // Cameras of the pictures of one scene that somebody looks at, in their order; the last one is `camera`. What a plan
+  // made for those before may serve this one. Empty: the picture stands alone.
+  std::vector<scene::Camera> looks{};
   double target_error = 0;  // 0 = none
   Denoise denoise = Denoise::off;
   std::map<std::string, std::string> set;  // --set KEY=VALUE

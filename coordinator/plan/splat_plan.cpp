@@ -1,6 +1,7 @@
 #include "coordinator/plan/splat_plan.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <limits>
 #include <nlohmann/json.hpp>
@@ -23,13 +24,22 @@ constexpr std::uint32_t kMostProbeRays = 256;
 // Bounds of R_k, in pixels: with an accuracy of 0.15 a record reaches 1.5 pixels at least, and of a picture of 512
 // pixels 38 at most.
 constexpr float kLeastRadius = 10, kMostRadiusOfWidth = 0.5f;
+// Edge of the blocks of pixels that are visited side by side, in tiles.
+constexpr std::uint32_t kBlockTiles = 2;
+// Points of a camera whose records others begin with, at most: they are looked at by one worker.
+constexpr std::uint64_t kMostCameraPoints = std::uint64_t{1} << 17;
 // The cache's stages wait for each other, paths for nothing: these fill what the others leave free.
 constexpr int kFirst = 1;
 
 struct SplatSettings {
   double accuracy;
-  std::uint32_t rays, bounces, records;
+  std::uint32_t rays, bounces, records;  // records: new ones, at most
 };
+
+// Cameras whose records the picture begins with.
+const std::vector<scene::Camera>& begins_with(const FrameSettings& settings) {
+  return settings.trajectory.empty() ? settings.looks : settings.trajectory;
+}
 
 SplatSettings read_settings(const FrameSettings& settings) {
   SplatSettings s{};
@@ -54,7 +64,8 @@ class SplatPlan final : public GraphPlan {
         splat_(read_settings(settings)),
         strata_(strata_of(std::max(1u, splat_.rays))),
         cache_(settings),
-        paths_(graph_, film_, settings) {
+        paths_(graph_, film_, settings),
+        cameras_(splat_.accuracy > 0 ? begins_with(settings) : std::vector<scene::Camera>()) {
     skips_ = path_skips(scene.needs);
     if (settings.depth == 1)
       skips_.push_back({"the cache", "a depth of 1 is direct light alone", 1});
@@ -81,19 +92,32 @@ class SplatPlan final : public GraphPlan {
     return most && settings_.depth ? std::min(most, settings_.depth) : std::max(most, settings_.depth);
   }
 
+  // Places, of which all but those of the camera before are new, and what is gathered at these.
+  struct Records {
+    Artifact places, gathered;  // gathered: none where no place is new
+    SplatSelectFacts facts{};
+  };
+
   double own_work() const;
 
   void begin() override;
+  SplatSelectParameters select_parameters(std::uint32_t width, std::uint32_t height, std::uint32_t samples) const;
+  SplatExtendParameters extend_parameters(std::size_t camera) const;
+  void extend(std::size_t camera);
   Artifact ask_places(const Artifact& points);
-  void gather(const Artifact& points, const Artifact& places);
+  void take_places(Records& records, std::uint64_t given, const std::string& gather);
+  Artifact ask_merge();
+  void shade(const Artifact& points, const Artifact& cache);
 
   FrameSettings settings_;
   SplatSettings splat_;
   Strata strata_;
   PixelCache cache_;
   PathSampler paths_;
-  SplatSelectFacts facts_{};
-  bool chosen_ = false;  // facts_ are known
+  std::vector<scene::Camera> cameras_;  // whose records the picture begins with
+  std::vector<Records> before_;         // of each of these
+  Records own_;
+  bool chosen_ = false;  // the facts of all are known
 };
 
 void SplatPlan::begin() {
@@ -102,16 +126,17 @@ void SplatPlan::begin() {
     return;
   }
   paths_.begin({.classes = PATH_CLASS_IRRADIANCE, .limit = std::numeric_limits<float>::infinity()});
-  const Artifact points = cache_.ask_points(graph_, "splat", kFirst), places = ask_places(points);
-  graph_.when({places}, [this, points, places] {
-    facts_ = places.facts<SplatSelectFacts>();
+  const Artifact points = cache_.ask_points(graph_, "splat", kFirst);
+  before_.resize(cameras_.size());
+  for (std::size_t camera = 0; camera < cameras_.size(); ++camera) extend(camera);
+  own_.places = ask_places(points);
+  std::vector<Artifact> all = {own_.places};
+  for (const Records& records : before_) all.push_back(records.places);
+  graph_.when(std::move(all), [this, points] {
+    take_places(own_, before_.empty() ? 0 : before_.back().facts.records, "splat.gather");
     chosen_ = true;
-    places.check_facts(
-        facts_.records == places.record_count() && facts_.accuracy >= 0 && std::isfinite(facts_.accuracy),
-        std::to_string(facts_.records) + " records at an accuracy of " + std::to_string(facts_.accuracy) + ", and " +
-            std::to_string(places.record_count()) + " places");
-    if (facts_.records > 0)
-      gather(points, places);
+    if (own_.facts.records > 0)
+      shade(points, ask_merge());
     else
       film_.add_pass({});
     own_stages_asked_ = true;
@@ -127,31 +152,117 @@ double usual_records(double pixels, double accuracy) {
 double SplatPlan::own_work() const {
   if (!caches()) return 0;
   const double records = chosen_
-                             ? static_cast<double>(facts_.records)
+                             ? static_cast<double>(own_.facts.records)
                              : usual_records(static_cast<double>(cache_.points()) / cache_.samples(), splat_.accuracy);
   return cache_.work() + records * strata_.count();
 }
 
-Artifact SplatPlan::ask_places(const Artifact& points) {
+SplatSelectParameters SplatPlan::select_parameters(std::uint32_t width, std::uint32_t height,
+                                                   std::uint32_t samples) const {
   SplatSelectParameters p{};
-  p.width = settings_.width;
-  p.height = settings_.height;
-  p.samples = cache_.samples();
+  p.width = width;
+  p.height = height;
+  p.samples = samples;
   p.accuracy = static_cast<float>(splat_.accuracy);
-  p.records = splat_.records;
+  p.most_new = splat_.records;
   p.probe_rays = std::min(kMostProbeRays, (splat_.rays + 15) / 16 * 16);
-  p.least_radius = kLeastRadius;
-  p.most_radius = std::max(kLeastRadius, kMostRadiusOfWidth * static_cast<float>(settings_.width));
-  return graph_.add(cache_.choosing("splat.select", "splat_select", kFirst), p, {{"points", points}});
+  // Of a picture with fewer pixels these are larger.
+  const float scale = static_cast<float>(width) / static_cast<float>(settings_.width);
+  p.least_radius = kLeastRadius * scale;
+  p.most_radius = std::max(kLeastRadius, kMostRadiusOfWidth * static_cast<float>(settings_.width)) * scale;
+  p.block_tiles = kBlockTiles;
+  return p;
 }
 
-void SplatPlan::gather(const Artifact& points, const Artifact& places) {
-  SplatGatherParameters p = cache_.gather_parameters(facts_.records, strata_);
+// A camera's picture of its own points, with fewer pixels where it has many.
+SplatExtendParameters SplatPlan::extend_parameters(std::size_t camera) const {
+  const double pixels = static_cast<double>(settings_.width) * settings_.height;
+  const double edge = std::min(1.0, std::sqrt(static_cast<double>(kMostCameraPoints) / pixels));
+  const auto scaled = [edge](std::uint32_t length) {
+    return std::max(1u, static_cast<std::uint32_t>(edge * static_cast<double>(length)));
+  };
+  SplatExtendParameters p{};
+  p.points = cache_.point_parameters();
+  p.points.camera = cameras_[camera];
+  p.points.width = scaled(settings_.width);
+  p.points.height = scaled(settings_.height);
+  p.points.samples = static_cast<std::uint32_t>(std::bit_floor(
+      std::clamp<std::uint64_t>(kMostCameraPoints / (std::uint64_t{p.points.width} * p.points.height), 1, 16)));
+  // Points of their own, should two cameras be the same.
+  p.points.seed_high += static_cast<std::uint32_t>(camera) + 1;
+  p.select = select_parameters(p.points.width, p.points.height, p.points.samples);
+  return p;
+}
+
+// The records that this camera needs beside those of the cameras before it. They know nothing of the frame that asks.
+void SplatPlan::extend(std::size_t camera) {
+  std::vector<Graph::Input> given;
+  if (camera > 0) given.push_back({"given", before_[camera - 1].places});
+  StageSpec spec = cache_.choosing(numbered("splat.extend", camera), "splat_extend", kFirst);
+  spec.output.most_records = 0xffffffffu;
+  spec.output.reusable = true;
+  before_[camera].places = graph_.add(std::move(spec), extend_parameters(camera), std::move(given));
+  std::vector<Artifact> until;
+  for (std::size_t k = 0; k <= camera; ++k) until.push_back(before_[k].places);
+  graph_.when(std::move(until), [this, camera] {
+    take_places(before_[camera], camera > 0 ? before_[camera - 1].facts.records : 0, numbered("splat.gather", camera));
+  });
+}
+
+Artifact SplatPlan::ask_places(const Artifact& points) {
+  SplatSelectParameters p = select_parameters(settings_.width, settings_.height, cache_.samples());
+  std::vector<Graph::Input> inputs = {{"points", points}};
+  if (!before_.empty()) {
+    inputs.push_back({"given", before_.back().places});
+    p.keep_accuracy = 1;
+  }
+  StageSpec spec = cache_.choosing("splat.select", "splat_select", kFirst);
+  if (!before_.empty()) spec.output.most_records = 0xffffffffu;
+  spec.output.reusable = true;  // other lights shine on the same places
+  return graph_.add(std::move(spec), p, std::move(inputs));
+}
+
+// What was chosen is known: light is gathered at the places that are new.
+void SplatPlan::take_places(Records& records, std::uint64_t given, const std::string& gather) {
+  const auto facts = records.facts = records.places.facts<SplatSelectFacts>();
+  records.places.check_facts(facts.records == records.places.record_count() && facts.given == given &&
+                                 facts.records >= given && facts.accuracy >= 0 && std::isfinite(facts.accuracy),
+                             std::to_string(facts.records) + " records, " + std::to_string(facts.given) +
+                                 " of them given, at an accuracy of " + std::to_string(facts.accuracy) + ", and " +
+                                 std::to_string(records.places.record_count()) + " places");
+  const std::uint64_t added = facts.records - facts.given;
+  if (added == 0) return;
+  SplatGatherParameters p = cache_.gather_parameters(added, strata_);
   p.samples.depth = depth();
   p.samples.filter = PATH_CLASS_IRRADIANCE;
   p.samples.clamp = std::numeric_limits<float>::infinity();
-  const Artifact cache = graph_.add(
-      PixelCache::gathering("splat.gather", "splat_gather", kFirst, facts_.records, strata_), p, {{"places", places}});
+  p.first_place = low(facts.given);
+  StageSpec spec = PixelCache::gathering(gather, "splat_gather", kFirst, added, strata_);
+  spec.output.reusable = &records != &own_;
+  records.gathered = graph_.add(std::move(spec), p, {{"places", records.places}});
+}
+
+// All records as one cache.
+Artifact SplatPlan::ask_merge() {
+  if (before_.empty()) return own_.gathered;
+  std::vector<Graph::Input> inputs = {{"places", own_.places}};
+  for (const Records& records : before_)
+    if (records.gathered) inputs.push_back({numbered("records", inputs.size() - 1), records.gathered});
+  if (own_.gathered) inputs.push_back({numbered("records", inputs.size() - 1), own_.gathered});
+  return graph_.add({.name = "splat.merge",
+                     .kind = "splat_merge",
+                     .items = 1,
+                     .solo = true,
+                     .scene_parts = kNoScene,
+                     .priority = kFirst,
+                     .output = {.record_bytes = CACHE_WORDS * 4,
+                                .counted = true,
+                                .most_records = low(own_.facts.records),
+                                .placement = Placement::retain}},
+                    SplatMergeParameters{.records = low(own_.facts.records)}, std::move(inputs));
+}
+
+void SplatPlan::shade(const Artifact& points, const Artifact& cache) {
   const Artifact shaded = cache_.ask_shading(graph_, "splat", kFirst, points, cache);
   cache_.preview(graph_, film_, shaded);
   graph_.when({shaded}, [this, shaded] { film_.add_pass(cache_.picture_of(shaded.records())); });
@@ -159,10 +270,11 @@ void SplatPlan::gather(const Artifact& points, const Artifact& places) {
 
 std::vector<std::string> SplatPlan::warnings() const {
   std::vector<std::string> warnings = paths_.warnings();
-  if (splat_.records && facts_.records > splat_.records)
+  const std::uint64_t added = own_.facts.records - own_.facts.given;
+  if (splat_.records && added > splat_.records)
     warnings.push_back("splat.new_records is " + std::to_string(splat_.records) +
-                       ", but the coarsest cache that covers the picture has " + std::to_string(facts_.records) +
-                       " records");
+                       ", but the coarsest cache that covers the picture needs " + std::to_string(added) +
+                       " new records");
   return warnings;
 }
 
@@ -172,11 +284,15 @@ std::string SplatPlan::parameters_json() const {
   if (caches()) {
     splat["gather_rays"] = strata_.count();
     splat["points_a_pixel"] = cache_.samples();
-    splat["points"] = facts_.points;
-    splat["records"] = facts_.records;
-    splat["rounds"] = facts_.rounds;
-    splat["probes"] = facts_.probes;
-    if (splat_.accuracy > 0) splat["accuracy"] = facts_.accuracy;
+    splat["points"] = own_.facts.points;
+    splat["records"] = own_.facts.records;
+    splat["rounds"] = own_.facts.rounds;
+    splat["probes"] = own_.facts.probes;
+    if (!cameras_.empty()) {
+      splat["cameras"] = cameras_.size();
+      splat["new_records"] = own_.facts.records - own_.facts.given;
+    }
+    if (splat_.accuracy > 0) splat["accuracy"] = own_.facts.accuracy;
   }
   json["splat"] = splat;
   return json.dump();
@@ -187,6 +303,9 @@ std::vector<std::string> SplatPlan::outline() const {
   if (caches()) {
     lines.push_back("splat.points: " + std::to_string(cache_.samples()) + " surface points of each pixel, in " +
                     std::to_string(cache_.tiles()) + " tiles, split");
+    if (!cameras_.empty())
+      lines.push_back("splat.extend, splat.gather: records of " + std::to_string(cameras_.size()) +
+                      " cameras, those of one beside what the ones before it have; made once for all pictures");
     lines.push_back("splat.select: where records are needed, solo");
     lines.push_back("splat.gather: light from " + std::to_string(strata_.count()) +
                     " directions at each record, split");
@@ -217,7 +336,9 @@ Method splat_method() {
            "rays of each record; 0: no cache, paths find all light"},
           {"splat.bounces", whole, 0, 1024, "0", "bounces of the cache's light; 0: until Russian roulette ends it"},
           {"splat.new_records", whole, 0, 1u << 24, "0",
-           "records of a frame, at most: the accuracy is coarsened until they suffice; 0: no limit"},
+           "new records of a frame, at most, beside those it begins with: the accuracy is coarsened until they "
+           "suffice, "
+           "and frames that follow make it finer; 0: no limit"},
       }};
 }
 

@@ -222,6 +222,35 @@ TEST_F(Session, RefinedPicturesAreDenoised) {
   EXPECT_EQ(shown("fast", 2), (std::vector<bool>{true, true}));
 }
 
+// Cameras see records of those before them, until anything but the camera changes.
+TEST_F(Session, KeepsCacheRecordsWhileOnlyTheCameraMoves) {
+  const scene::Scene scene = lit_box();
+  pb::SessionRequest open = opening(scene);
+  pb::FrameSettings& frame = *open.mutable_open()->mutable_settings();
+  frame.set_method("splat");
+  frame.clear_set();
+  (*frame.mutable_set())["splat.accuracy"] = "0.4";
+  (*frame.mutable_set())["splat.gather_rays"] = "64";
+  const auto camera_at = [&](std::uint64_t number, float x) {
+    pb::SessionRequest request = change(number);
+    *request.mutable_change()->mutable_camera() = frame.camera();
+    request.mutable_change()->mutable_camera()->mutable_origin()->set_x(x);
+    return request;
+  };
+  const std::vector<pb::SessionPicture> all =
+      pictures({open, camera_at(1, 0.1f), camera_at(2, 0.2f), light_at(3, 0.2f), camera_at(4, 0.1f)});
+  ASSERT_EQ(all.size(), 5u);
+  EXPECT_THAT(made(all[0]), IsSupersetOf({"splat.extend.0", "splat.gather.0"}));
+  EXPECT_THAT(reused(all[1]), IsSupersetOf({"splat.extend.0", "splat.gather.0"}));
+  EXPECT_THAT(made(all[1]), Contains("splat.extend.1"));
+  EXPECT_THAT(reused(all[2]), IsSupersetOf({"splat.extend.0", "splat.gather.0", "splat.extend.1"}));
+  EXPECT_THAT(made(all[2]), Contains("splat.extend.2"));
+  // A light moves: one camera's records, and no more.
+  EXPECT_THAT(made(all[3]), Contains("splat.gather.0"));
+  EXPECT_THAT(made(all[3]), Not(Contains("splat.extend.1")));
+  EXPECT_THAT(reused(all[4]), Contains("splat.gather.0"));
+}
+
 TEST_F(Session, RefusesWhatTheSceneLacksAndGoesOn) {
   const scene::Scene scene = lit_box();
   pb::SessionRequest half = light_at(3, 0.4f);  // right, and then wrong

@@ -38,9 +38,10 @@ JobRequest request_of(const scene::Scene& scene) {
 }
 
 // The frames' reports, of a farm that has rendered nothing before.
-std::vector<json> render(const std::vector<scene::Scene>& scenes, JobRequest request) {
+std::vector<json> render(const std::vector<scene::Scene>& scenes, JobRequest request, unsigned workers = 1) {
   TemporaryFolder folder;
   cli::EmbeddedSettings settings;
+  settings.workers = workers;
   settings.paths = [&](const std::string&, std::uint32_t frame) {
     return coordinator::FramePaths{{}, {}, folder.path() / (std::to_string(frame) + ".json")};
   };
@@ -65,6 +66,10 @@ std::vector<json> render(const std::vector<scene::Scene>& scenes, JobRequest req
 
 std::vector<json> render(const scene::Scene& scene, JobRequest request) {
   return render(std::vector{scene}, std::move(request));
+}
+
+std::string pixels_of(const scene::Scene& scene, JobRequest request, unsigned workers) {
+  return render(std::vector{scene}, std::move(request), workers).at(0)["pixels_sha256"];
 }
 
 std::vector<std::string> names(const json& entries, const char* key) {
@@ -116,6 +121,75 @@ TEST(FarmTrajectory, FramesOfOneCameraHaveNone) {
   EXPECT_THAT(names(frames[0]["stages"], "name"), Contains("vpl.points"));
   EXPECT_THAT(names(frames[0]["stages"], "name"), Not(Contains(StartsWith("vpl.points."))));
   EXPECT_EQ(frames[1]["pixels_sha256"], frames[0]["pixels_sha256"]);
+}
+
+JobRequest splat_request(const scene::Scene& scene) {
+  JobRequest request = request_of(scene);
+  request.settings.method = "splat";
+  request.settings.spp = 2;
+  request.settings.set = {{"splat.accuracy", "0.4"}, {"splat.gather_rays", "64"}};
+  return request;
+}
+
+// Records of the trajectory's cameras are made once; a frame adds the few that only it needs, and its bits depend
+// neither on that nor on the number of workers.
+TEST(FarmTrajectory, LaterFramesKeepCacheRecords) {
+  const scene::Scene scene = scene::make_scene("cornell-box", {});
+  JobRequest request = splat_request(scene);
+  request.last_frame = 4;
+  for (int frame = 0; frame < 4; ++frame) {
+    request.cameras.push_back(request.settings.camera);
+    request.cameras.back().origin[0] += 0.1f * static_cast<float>(frame);
+  }
+  const std::vector<json> frames = render(scene, request);
+  std::uint64_t of_all = 0;
+  for (std::size_t k = 0; k < frames.size(); ++k) {
+    const auto run = names(frames[k]["stages"], "name"), left_out = names(frames[k]["skips"], "what");
+    for (const char* stage :
+         {"splat.extend.0", "splat.extend.1", "splat.extend.2", "splat.extend.3", "splat.gather.0"}) {
+      EXPECT_EQ(std::ranges::count(run, stage), k == 0 ? 1 : 0) << stage << ", frame " << k + 1;
+      EXPECT_EQ(std::ranges::count(left_out, std::string("stage ") + stage), k == 0 ? 0 : 1)
+          << stage << ", frame " << k + 1;
+    }
+    const json& splat = frames[k]["parameters"]["splat"];
+    EXPECT_EQ(splat["cameras"], 4);
+    const std::uint64_t added = splat["new_records"], begun = splat["records"].get<std::uint64_t>() - added;
+    if (k == 0) of_all = begun;
+    EXPECT_EQ(begun, of_all) << "frame " << k + 1;
+    EXPECT_LT(added, begun / 5) << "frame " << k + 1;
+  }
+  EXPECT_NE(frames[1]["pixels_sha256"], frames[0]["pixels_sha256"]);
+  JobRequest alone = splat_request(scene);
+  alone.settings.camera = request.cameras[2];
+  alone.settings.trajectory = coordinator::trajectory_of(request.cameras);
+  for (const unsigned workers : {1u, 3u})
+    EXPECT_EQ(pixels_of(scene, alone, workers), frames[2]["pixels_sha256"]) << workers << " workers";
+  alone.settings.trajectory.clear();
+  EXPECT_NE(pixels_of(scene, alone, 1), frames[2]["pixels_sha256"]);
+}
+
+// With a few new records each, pictures begin coarse and become finer; a picture is named by those before it.
+TEST(FarmTrajectory, PicturesOfASessionMakeTheCacheFiner) {
+  const scene::Scene scene = scene::make_scene("cornell-box", {});
+  JobRequest request = splat_request(scene);
+  request.settings.set["splat.accuracy"] = "0.2";
+  request.settings.set["splat.new_records"] = "50";
+  double before = 100;
+  std::string last;
+  for (std::size_t look = 1; look <= 4; ++look) {
+    request.settings.looks.assign(look, request.settings.camera);
+    const json picture = render(scene, request).at(0);
+    const json& splat = picture["parameters"]["splat"];
+    std::printf("  look %zu: %llu records, %llu of them beyond its cameras', accuracy %.3f\n", look,
+                static_cast<unsigned long long>(splat["records"].get<std::uint64_t>()),
+                static_cast<unsigned long long>(splat["new_records"].get<std::uint64_t>()),
+                splat["accuracy"].get<double>());
+    EXPECT_LE(splat["records"].get<std::uint64_t>(), 50 * (look + 1));
+    EXPECT_LT(splat["accuracy"].get<double>(), before);
+    before = splat["accuracy"];
+    last = picture["pixels_sha256"];
+  }
+  EXPECT_EQ(pixels_of(scene, request, 2), last);
 }
 
 // Frame N of a sequence whose scene moves is the picture of that scene alone; frames that are alike are rendered once.
@@ -270,6 +344,31 @@ TEST(FarmMovingScenes, SurfacesServeEveryLight) {
     EXPECT_EQ(pixels(base, {states[k]}, request, 2)[0], frames[k]["pixels_sha256"]) << "frame " << k + 1 << " alone";
     EXPECT_EQ(pixels(scene::posed(base, states[k], "own"), {}, request, 1)[0], frames[k]["pixels_sha256"])
         << "frame " << k + 1 << ", a scene of its own";
+  }
+}
+
+// Where records are needed follows from shapes alone: another light shines on the same places, and all are gathered
+// anew.
+TEST(FarmMovingScenes, CachePlacesServeEveryLight) {
+  scene::Scene base = moving_box();
+  base.lights = scene::make_scene("furnace-point").lights;
+  for (int k = 0; k < 3; ++k) base.lights[0].position[k] = base.cameras.front().camera.origin[k];
+  const auto lit = [&](float x, double moved) {
+    scene::FrameState state = moved_by(moved);
+    state.light_indices = {0};
+    state.lights = base.lights;
+    state.lights[0].position[0] += x;
+    return state;
+  };
+  const std::vector<scene::FrameState> states = {lit(0, 0), lit(0.1f, 0), lit(0.1f, 0.1)};
+  const JobRequest request = splat_request(base);
+  const std::vector<json> frames = reports(base, states, request, 1);
+  ASSERT_EQ(frames.size(), states.size());
+  for (std::size_t k = 0; k < frames.size(); ++k) {
+    const auto run = names(frames[k]["stages"], "name");
+    EXPECT_EQ(std::ranges::count(run, "splat.select"), k == 1 ? 0 : 1) << "frame " << k + 1;
+    EXPECT_EQ(std::ranges::count(run, "splat.gather"), 1) << "frame " << k + 1;
+    EXPECT_EQ(pixels(base, {states[k]}, request, 2)[0], frames[k]["pixels_sha256"]) << "frame " << k + 1 << " alone";
   }
 }
 

@@ -108,6 +108,17 @@ TEST(PlanFacts, OfCacheRecords) {
     EXPECT_THAT(answer(frame("splat"), {{"splat_select", said(20, facts)}}), HasSubstr("facts that cannot be"))
         << accuracy;
   }
+  // Each camera begins with the places of those before it.
+  FrameSettings settings = frame("splat");
+  settings.trajectory.resize(2);
+  const Said first = said(20, kernels::SplatSelectFacts{.points = 900, .records = 20, .accuracy = 0.15});
+  EXPECT_THAT(answer(settings, {{"splat_extend", first}}), HasSubstr("20 records, 0 of them given"));
+  settings.trajectory.resize(1);
+  const auto then = [](std::uint64_t given) {
+    return said(25, kernels::SplatSelectFacts{.points = 900, .records = 25, .given = given, .accuracy = 0.15});
+  };
+  EXPECT_EQ(answer(settings, {{"splat_extend", first}, {"splat_select", then(20)}}), "accepted");
+  EXPECT_THAT(answer(settings, {{"splat_extend", first}, {"splat_select", then(19)}}), HasSubstr("19 of them given"));
 }
 
 TEST(PlanFacts, OfPhotonMaps) {

@@ -59,20 +59,12 @@ using kernels::SplatPointParameters;
 
 std::uint32_t wave_capacity(const Device& device) { return device.info().cpu ? 1u << 12 : 1u << 17; }
 
-SplatPointParameters read_parameters(const StageRun& run) {
-  const auto p = run.parameters<SplatPointParameters>();
-  run.check_film(p.camera, p.width, p.height);
-  check_splat_samples(run, p.samples);
-  run.check_range(std::uint64_t{splat_tiles(p.width)} * splat_tiles(p.height));
-  return p;
-}
-
 class PixelThread : public HostThread {
  public:
   PixelThread(const StageRun& run, const Program& program, const SplatPointParameters& p, const cl::Buffer& parameters,
-              WorkQueue& work, unsigned index)
+              std::uint64_t first_tile, WorkQueue& work, unsigned index)
       : HostThread(run.device, run.workspace, run.scene.tracer(), work, index),
-        first_tile_(static_cast<std::uint32_t>(run.first)),
+        first_tile_(static_cast<std::uint32_t>(first_tile)),
         tile_points_(SPLAT_TILE_PIXELS * p.samples),
         capacity_(wave_capacity(run.device)),
         path_rows_(run.scene.path_rows()),
@@ -112,15 +104,27 @@ class PixelThread : public HostThread {
 
 }  // namespace
 
-BatchResult run_splat_points_stage(const StageRun& run) {
-  const SplatPointParameters p = read_parameters(run);
-  const double start = seconds_now();
+BatchResult find_splat_points(const StageRun& run, const SplatPointParameters& p, std::uint64_t first_tile,
+                              std::uint64_t tiles) {
+  run.check_film(p.camera, p.width, p.height);
+  check_splat_samples(run, p.samples);
   BatchResult result;
-  result.records.resize(run.count * SPLAT_TILE_PIXELS * p.samples * sizeof(SplatPoint));
-  run_split(run, "points.cl", result,
-            [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
-              return std::make_unique<PixelThread>(run, program, p, parameters, work, index);
-            });
+  result.records.resize(tiles * SPLAT_TILE_PIXELS * p.samples * sizeof(SplatPoint));
+  cl::CommandQueue queue = run.device.make_queue();
+  const cl::Buffer parameters = run.parameter_buffer(queue);
+  const Program program = run.build("points.cl");
+  WorkQueue work(tiles, host_threads(run.device), 0, run.task.given_up.get());
+  run_host_threads(work, result, [&](unsigned index) {
+    return std::make_unique<PixelThread>(run, program, p, parameters, first_tile, work, index);
+  });
+  return result;
+}
+
+BatchResult run_splat_points_stage(const StageRun& run) {
+  const auto p = run.parameters<SplatPointParameters>();
+  run.check_range(std::uint64_t{splat_tiles(p.width)} * splat_tiles(p.height));
+  const double start = seconds_now();
+  BatchResult result = find_splat_points(run, p, run.first, run.count);
   result.counters.seconds = seconds_now() - start;
   return result;
 }

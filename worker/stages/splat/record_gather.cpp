@@ -18,14 +18,15 @@ constexpr std::size_t kSlotBytes = FILTERED_SLOT_WORDS * 4;
 
 std::vector<SplatPoint> read_places(const StageRun& run, const SplatGatherParameters& p) {
   const InputRows input(run.task, "places", sizeof(SplatPoint));
-  input.expect_rows(p.records);
+  input.expect_rows(std::uint64_t{p.first_place} + p.records);
   std::vector<SplatPoint> rows(run.count);
-  input.visit(run.first, run.count, [&](std::uint64_t first, std::span<const std::byte> piece) {
-    std::memcpy(&rows[first - run.first], piece.data(), piece.size());
+  const std::uint64_t first_row = p.first_place + run.first;
+  input.visit(first_row, run.count, [&](std::uint64_t first, std::span<const std::byte> piece) {
+    std::memcpy(&rows[first - first_row], piece.data(), piece.size());
   });
   for (std::size_t i = 0; i < rows.size(); ++i) {
     const SplatPoint& place = rows[i];
-    const std::uint64_t row = run.first + i;
+    const std::uint64_t row = first_row + i;
     for (std::size_t k = 0; k < 3; ++k)
       if (!std::isfinite(place.position[k]) || !(std::abs(place.normal[k]) <= 1.001f))
         input.fail(row, "position", "a place and a unit vector", "others");

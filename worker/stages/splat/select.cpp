@@ -9,8 +9,13 @@
 namespace gleaner::worker {
 namespace {
 
-// Edges of blocks that are visited side by side, in tiles; and of groups of tiles that are passed over together.
-constexpr std::uint32_t kBlockTiles = 2, kGroupTiles = 8;
+// Edge of groups of tiles that are passed over together, in tiles.
+constexpr std::uint32_t kGroupTiles = 8;
+// How fast a mean distance may grow away from a neighbour's: as the harmonic mean does before a wall, 3/2 times as fast
+// as the distance (the cosine-weighted mean of the cosine is 2/3). Beside a wall that stands on the surface it grows 3
+// pi / 2 times as fast, but there light changes fastest: for as many records, 3/2 errs least
+// (docs/explanation/splat.md).
+constexpr float kMostSlope = 1.5f;
 
 using Vec = std::array<float, 3>;
 
@@ -53,10 +58,12 @@ class Selector {
       group.tiles = std::move(tiles);
       groups_.push_back(std::move(group));
     }
-    for (auto& tiles : squares_of_tiles(columns, rows, kBlockTiles)) blocks_.push_back({std::move(tiles)});
+    const std::uint32_t edge = settings.block_tiles ? settings.block_tiles : std::max(columns, rows);
+    for (auto& tiles : squares_of_tiles(columns, rows, edge)) blocks_.push_back({std::move(tiles)});
   }
 
-  Selection run(const ProbePoints& probe) {
+  Selection run(std::span<const Selection::Place> given, const ProbePoints& probe) {
+    for (const Selection::Place& place : given) take(place);
     std::vector<std::uint32_t> asked;
     // A record whose radius shrinks uncovers points that were passed: another turn finds them.
     for (bool found = true; found;) {
@@ -73,8 +80,8 @@ class Selector {
         made_.probes += asked.size();
         const std::vector<float> radii = probe(asked);
         for (std::size_t i = 0; i < asked.size(); ++i)
-          if (covers_[asked[i]] == 0) add(asked[i], radii[i]);
-        if (settings_.most_records && made_.places.size() > settings_.most_records) return std::move(made_);
+          if (covers_[asked[i]] == 0) add(points_[asked[i]], radii[i]);
+        if (settings_.most_new && made_.places.size() - given.size() > settings_.most_new) return std::move(made_);
       }
     }
     made_.whole = true;
@@ -103,62 +110,72 @@ class Selector {
   }
 
   // R_k of a mean distance, within its bounds.
-  float bounded(std::uint32_t point, float mean) const {
-    const float pixel = points_[point].footprint;
-    return std::clamp(mean, settings_.least_radius * pixel, settings_.most_radius * pixel);
+  float bounded(const SplatPoint& point, float mean) const {
+    return std::clamp(mean, settings_.least_radius * point.footprint, settings_.most_radius * point.footprint);
   }
 
-  // A surface that is near a record is near its neighbours too, though their rays may have missed it: no mean distance
-  // exceeds another's by more than the two are apart (neighbour clamping: Krivanek et al. 2006, "Making Radiance and
-  // Irradiance Caching Practical").
-  void add(std::uint32_t point, float mean) {
-    const Vec& here = points_[point].position;
-    if (!(mean > 0)) mean = settings_.most_radius * points_[point].footprint;
-    for (std::size_t k = 0; k < means_.size(); ++k) {
-      const float apart = distance(points_[made_.places[k].point].position, here);
-      mean = std::min(mean, means_[k] + apart);
-    }
-    for (std::size_t k = 0; k < means_.size(); ++k) {
-      const float most = mean + distance(points_[made_.places[k].point].position, here);
-      if (means_[k] <= most) continue;
-      means_[k] = most;
-      Selection::Place& place = made_.places[k];
-      const float radius = bounded(place.point, most);
+  // A record that exists. Its bounds are those of the picture that shows it from nearest by.
+  void take(const Selection::Place& given) {
+    Selection::Place place = given;
+    float widest = 0;  // of the pixels that it lights: no less than at its own place, where the picture shows that
+    each_covered(place, [&](std::size_t i) { widest = std::max(widest, points_[i].footprint); });
+    if (widest > 0) place.point.footprint = std::min(place.point.footprint, widest);
+    place.radius = std::min(place.radius, bounded(place.point, place.mean));
+    made_.places.push_back(place);
+    cover(place, 1);
+  }
+
+  // A surface that is near a record is near its neighbours too, though their rays may have missed it: neighbour
+  // clamping, after Krivanek et al. 2006, "Making Radiance and Irradiance Caching Practical".
+  void add(const SplatPoint& point, float mean) {
+    if (!(mean > 0)) mean = settings_.most_radius * point.footprint;
+    for (const Selection::Place& place : made_.places)
+      mean = std::min(mean, place.mean + kMostSlope * distance(place.point.position, point.position));
+    for (Selection::Place& place : made_.places) {
+      const float most = mean + kMostSlope * distance(place.point.position, point.position);
+      if (place.mean <= most) continue;
+      place.mean = most;
+      const float radius = std::min(place.radius, bounded(place.point, most));
       if (radius == place.radius) continue;
       cover(place, -1);
       place.radius = radius;
       cover(place, 1);
     }
-    means_.push_back(mean);
-    made_.places.push_back({point, bounded(point, mean)});
+    made_.places.push_back({point, mean, bounded(point, mean)});
     cover(made_.places.back(), 1);
   }
 
   void cover(const Selection::Place& place, int change) {
-    const Vec& center = points_[place.point].position;
+    each_covered(place, [&](std::size_t i) { covers_[i] += static_cast<std::uint32_t>(change); });
+  }
+
+  // Calls call(point) for each point that the record covers.
+  template <typename Call>
+  void each_covered(const Selection::Place& place, Call call) const {
+    const Vec& center = place.point.position;
     const float reach = settings_.accuracy * place.radius;
     for (const Group& group : groups_) {
       if (!group.box.meets(center, reach)) continue;
       for (const std::uint32_t tile : group.tiles)
-        if (boxes_[tile].meets(center, reach)) cover_tile(place, tile, change);
+        if (boxes_[tile].meets(center, reach)) each_covered_of(tile, place, call);
     }
   }
 
-  void cover_tile(const Selection::Place& place, std::uint32_t tile, int change) {
-    const SplatPoint& record = points_[place.point];
-    const Vec& m = record.normal;
+  template <typename Call>
+  void each_covered_of(std::uint32_t tile, const Selection::Place& place, Call call) const {
+    const Vec &center = place.point.position, &m = place.point.normal;
     const float reach = settings_.accuracy * place.radius, reach2 = reach * reach;
-    for (std::uint32_t i = tile * tile_points_; i < (tile + 1) * tile_points_; ++i) {
+    for (std::size_t i = std::size_t{tile} * tile_points_; i < (std::size_t{tile} + 1) * tile_points_; ++i) {
       const Surface& point = surfaces_[i];
-      const float x = point.position[0] - record.position[0], y = point.position[1] - record.position[1],
-                  z = point.position[2] - record.position[2];
+      const float x = point.position[0] - center[0], y = point.position[1] - center[1],
+                  z = point.position[2] - center[2];
       // Eq. 4.
       if (!(x * x + y * y + z * z <= reach2)) continue;
       const Vec& n = point.normal;
       if (splat::splat_error(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], place.radius) > settings_.accuracy) continue;
       if (splat::splat_is_hidden(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], SPLAT_MOST_DEPTH * (1 - SPLAT_SLACK)))
         continue;
-      covers_[i] += static_cast<std::uint32_t>(change);
+      call(i);
     }
   }
 
@@ -175,14 +192,14 @@ class Selector {
   std::vector<PointBox> boxes_;        // about each tile's points
   std::vector<Group> groups_;
   std::vector<Block> blocks_;
-  std::vector<float> means_;  // of the places: mean distances without bounds, m
   Selection made_;
 };
 
 }  // namespace
 
-Selection select_places(const SelectSettings& settings, std::span<const SplatPoint> points, const ProbePoints& probe) {
-  return Selector(settings, points).run(probe);
+Selection select_places(const SelectSettings& settings, std::span<const SplatPoint> points,
+                        std::span<const Selection::Place> given, const ProbePoints& probe) {
+  return Selector(settings, points).run(given, probe);
 }
 
 }  // namespace gleaner::worker

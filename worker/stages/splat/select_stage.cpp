@@ -1,20 +1,23 @@
-// Stage kind "splat_select": where records are needed (select.h), by probe rays on the device
+// Stage kinds "splat_select" and "splat_extend": where records are needed (select.h), by probe rays on the device
 // (kernels/splat/probe.cl). Solo.
 
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <unordered_map>
 
 #include "kernels/rays.h"
 #include "scene/model/error.h"
 #include "worker/stages/splat/select.h"
 #include "worker/stages/splat/stages.h"
 #include "worker/stages/split_stage.h"
+#include "worker/wavefront/input_rows.h"
 #include "worker/wavefront/path_wave.h"
 
 namespace gleaner::worker {
 namespace {
 
+using kernels::SplatExtendParameters;
 using kernels::SplatSelectFacts;
 using kernels::SplatSelectParameters;
 
@@ -24,8 +27,7 @@ constexpr float kCoarser = 1.25f, kMostAccuracy = 8;
 // Where every point has a record of its own, R_k in pixels: such a record reaches no other point.
 constexpr float kOwnRadius = 1e-4f;
 
-SplatSelectParameters read_parameters(const StageRun& run) {
-  const auto p = run.parameters<SplatSelectParameters>();
+void check(const StageRun& run, const SplatSelectParameters& p) {
   check_splat_points(run, p.width, p.height, p.samples);
   if (!(p.accuracy >= 0) || !(p.accuracy <= kMostAccuracy))
     throw Error::bad_input(run.where(), "accuracy", "0 to 8", std::to_string(p.accuracy));
@@ -34,7 +36,6 @@ SplatSelectParameters read_parameters(const StageRun& run) {
   if (!(p.least_radius > 0) || !(p.most_radius >= p.least_radius) || !std::isfinite(p.most_radius))
     throw Error::bad_input(run.where(), "radii", "pixels above 0", std::to_string(p.least_radius));
   run.check_range(1);
-  return p;
 }
 
 // One host thread's rays of the places of a round.
@@ -78,25 +79,70 @@ class ProbeThread : public HostThread {
   Kernel make_, sum_;
 };
 
-std::vector<float> probe(const StageRun& run, const SplatSelectParameters& p, const std::vector<SplatPoint>& points,
-                         std::span<const std::uint32_t> asked, BatchResult& result) {
-  std::vector<SplatPoint> places;
-  places.reserve(asked.size());
-  for (const std::uint32_t point : asked) places.push_back(points[point]);
-  std::vector<float> radii(asked.size());
-  const Program program = run.build("probe.cl");
-  WorkQueue work(places.size(), host_threads(run.device), 0, run.task.given_up.get());
-  run_host_threads(work, result, [&](unsigned index) {
-    return std::make_unique<ProbeThread>(run, program, p.probe_rays, places, radii, work, index);
+class Probe {
+ public:
+  Probe(const StageRun& run, const SplatSelectParameters& p, std::span<const SplatPoint> points, BatchResult& result)
+      : run_(run), rays_(p.probe_rays), points_(points), result_(result), program_(run.build("probe.cl")) {}
+
+  // The mean distances about these points. Each is measured once, however often a selection begins anew.
+  std::vector<float> operator()(std::span<const std::uint32_t> asked) {
+    std::vector<SplatPoint> places;
+    for (const std::uint32_t point : asked)
+      if (known_.try_emplace(point, static_cast<std::uint32_t>(radii_.size() + places.size())).second)
+        places.push_back(points_[point]);
+    const std::size_t before = radii_.size();
+    radii_.resize(before + places.size());
+    const std::span<float> made = std::span(radii_).subspan(before);
+    WorkQueue work(places.size(), host_threads(run_.device), 0, run_.task.given_up.get());
+    if (!places.empty())
+      run_host_threads(work, result_, [&](unsigned index) {
+        return std::make_unique<ProbeThread>(run_, program_, rays_, places, made, work, index);
+      });
+    std::vector<float> means;
+    for (const std::uint32_t point : asked) means.push_back(radii_[known_.at(point)]);
+    return means;
+  }
+
+ private:
+  const StageRun& run_;
+  std::uint32_t rays_;
+  std::span<const SplatPoint> points_;
+  BatchResult& result_;
+  Program program_;
+  std::unordered_map<std::uint32_t, std::uint32_t> known_;  // point -> its place among the radii
+  std::vector<float> radii_;
+};
+
+// The places of records that exist already, as this stage wrote them. `accuracy`: what they were chosen with; 0: there
+// are none.
+std::vector<Selection::Place> given_places(const StageRun& run, float* accuracy) {
+  std::vector<Selection::Place> places;
+  *accuracy = 0;
+  if (!run.task.inputs.contains("given")) return places;
+  const InputRows input(run.task, "given", sizeof(SplatPoint));
+  places.reserve(input.rows());
+  input.visit(0, input.rows(), [&](std::uint64_t first, std::span<const std::byte> piece) {
+    for (std::size_t at = 0; at < piece.size(); at += sizeof(SplatPoint)) {
+      Selection::Place place;
+      std::memcpy(&place.point, piece.data() + at, sizeof place.point);
+      place.radius = place.point.factor[0];
+      place.mean = place.point.factor[2];
+      *accuracy = std::max(*accuracy, place.point.factor[1]);
+      bool sound = place.point.exists() && place.radius > 0 && place.mean > 0;
+      for (std::size_t k = 0; k < 3; ++k)
+        sound = sound && std::isfinite(place.point.position[k]) && std::isfinite(place.point.normal[k]) &&
+                std::isfinite(place.point.factor[k]);
+      if (!sound) input.fail(first + at / sizeof(SplatPoint), "radius", "a place with its distances", "another");
+      places.push_back(place);
+    }
   });
-  return radii;
+  return places;
 }
 
 Selection every_point(const std::vector<SplatPoint>& points) {
   Selection selection;
-  for (std::size_t i = 0; i < points.size(); ++i)
-    if (points[i].exists())
-      selection.places.push_back({static_cast<std::uint32_t>(i), kOwnRadius * points[i].footprint});
+  for (const SplatPoint& point : points)
+    if (point.exists()) selection.places.push_back({point, kOwnRadius * point.footprint, kOwnRadius * point.footprint});
   selection.points = selection.places.size();
   selection.whole = true;
   return selection;
@@ -104,50 +150,74 @@ Selection every_point(const std::vector<SplatPoint>& points) {
 
 // `accuracy` gets what the places are good for.
 Selection select(const StageRun& run, const SplatSelectParameters& p, const std::vector<SplatPoint>& points,
-                 double* accuracy, BatchResult& result) {
+                 std::span<const Selection::Place> given, float given_accuracy, double* accuracy, BatchResult& result) {
   *accuracy = 1;
   if (p.accuracy == 0) return every_point(points);
   SelectSettings settings{.width = p.width,
                           .height = p.height,
                           .samples = p.samples,
-                          .accuracy = p.accuracy,
+                          .accuracy = std::max(p.accuracy, p.keep_accuracy ? given_accuracy : 0),
                           .least_radius = p.least_radius,
                           .most_radius = p.most_radius,
-                          .most_records = p.records};
+                          .block_tiles = p.block_tiles,
+                          .most_new = p.most_new};
+  Probe probe(run, p, points, result);
   for (;;) {
-    if (settings.accuracy >= kMostAccuracy) settings.most_records = 0;
-    Selection selection = select_places(
-        settings, points, [&](std::span<const std::uint32_t> asked) { return probe(run, p, points, asked, result); });
+    if (settings.accuracy >= kMostAccuracy) settings.most_new = 0;
+    Selection selection = select_places(settings, points, given, std::ref(probe));
     *accuracy = settings.accuracy;
     if (selection.whole) return selection;
     settings.accuracy = std::min(settings.accuracy * kCoarser, kMostAccuracy);
   }
 }
 
-}  // namespace
-
-BatchResult run_splat_select_stage(const StageRun& run) {
-  const SplatSelectParameters p = read_parameters(run);
-  const double start = seconds_now();
-  BatchResult result;
-  const std::vector<SplatPoint> points = read_splat_points(run, p.width, p.height, p.samples);
+void choose_places(const StageRun& run, const SplatSelectParameters& p, const std::vector<SplatPoint>& points,
+                   BatchResult& result) {
   SplatSelectFacts facts;
-  const Selection selection = select(run, p, points, &facts.accuracy, result);
+  float given_accuracy = 0;
+  const std::vector<Selection::Place> given = given_places(run, &given_accuracy);
+  const Selection selection = select(run, p, points, given, given_accuracy, &facts.accuracy, result);
   result.records.resize(selection.places.size() * sizeof(SplatPoint));
   std::byte* to = result.records.data();
   for (const Selection::Place& place : selection.places) {
-    SplatPoint row = points[place.point];
-    row.factor = {place.radius, static_cast<float>(facts.accuracy), 0};
+    SplatPoint row = place.point;
+    row.factor = {place.radius, static_cast<float>(facts.accuracy), place.mean};
     std::memcpy(to, &row, sizeof row);
     to += sizeof row;
   }
   facts.points = selection.points;
   facts.records = selection.places.size();
+  facts.given = p.accuracy > 0 ? given.size() : 0;
   facts.rounds = selection.rounds;
   facts.probes = selection.probes;
   result.counts = {static_cast<std::uint32_t>(selection.places.size())};
   result.facts.resize(sizeof facts);
   std::memcpy(result.facts.data(), &facts, sizeof facts);
+}
+
+}  // namespace
+
+BatchResult run_splat_select_stage(const StageRun& run) {
+  const auto p = run.parameters<SplatSelectParameters>();
+  check(run, p);
+  const double start = seconds_now();
+  BatchResult result;
+  choose_places(run, p, read_splat_points(run, p.width, p.height, p.samples), result);
+  result.counters.seconds = seconds_now() - start;
+  return result;
+}
+
+BatchResult run_splat_extend_stage(const StageRun& run) {
+  const auto p = run.parameters<SplatExtendParameters>();
+  check(run, p.select);
+  if (p.points.width != p.select.width || p.points.height != p.select.height || p.points.samples != p.select.samples)
+    throw Error::bad_input(run.where(), "width", "the same in both parts", std::to_string(p.points.width));
+  const double start = seconds_now();
+  BatchResult result =
+      find_splat_points(run, p.points, 0, std::uint64_t{splat_tiles(p.points.width)} * splat_tiles(p.points.height));
+  std::vector<SplatPoint> points(result.records.size() / sizeof(SplatPoint));
+  std::memcpy(points.data(), result.records.data(), result.records.size());
+  choose_places(run, p.select, points, result);
   result.counters.seconds = seconds_now() - start;
   return result;
 }

@@ -9,13 +9,18 @@ namespace gleaner::worker {
 
 BatchResult run_splat_points_stage(const StageRun& run);
 BatchResult run_splat_select_stage(const StageRun& run);
+BatchResult run_splat_extend_stage(const StageRun& run);
 BatchResult run_splat_gather_stage(const StageRun& run);
+BatchResult merge_splat_records(const StageTask& task);
 BatchResult run_splat_shade_stage(const StageRun& run);
 
 // Throws Error::bad_input for a number of samples of a pixel that is out of range.
 void check_splat_samples(const StageRun& run, std::uint32_t samples);
 // The same, and for a picture of no or too many points.
 void check_splat_points(const StageRun& run, std::uint32_t width, std::uint32_t height, std::uint32_t samples);
+// The points of tiles [first_tile, first_tile + tiles). The task's parameters begin with `p`.
+BatchResult find_splat_points(const StageRun& run, const kernels::SplatPointParameters& p, std::uint64_t first_tile,
+                              std::uint64_t tiles);
 // The input "points", of whole tiles. Throws Error::bad_input for other numbers of them, and such as are not finite.
 std::vector<SplatPoint> read_splat_points(const StageRun& run, std::uint32_t width, std::uint32_t height,
                                           std::uint32_t samples);

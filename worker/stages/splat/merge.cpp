@@ -1,0 +1,60 @@
+// Stage kind "splat_merge": what was gathered at places at several times, as one cache. Solo, on the host.
+//
+// Records are gathered once. How far they reach, the places tell anew whenever records are added: a new one may show
+// that a surface is near, and a finer accuracy makes all reach less far.
+
+#include <cmath>
+#include <cstring>
+#include <string>
+
+#include "kernels/splat_records.h"
+#include "scene/model/error.h"
+#include "worker/stages/splat/stages.h"
+#include "worker/wavefront/input_rows.h"
+
+namespace gleaner::worker {
+namespace {
+
+void append(const StageTask& task, const std::string& name, std::vector<CacheRecord>& records) {
+  const InputRows input(task, name, sizeof(CacheRecord));
+  const std::size_t before = records.size();
+  records.resize(before + input.rows());
+  input.visit(0, input.rows(), [&](std::uint64_t first, std::span<const std::byte> piece) {
+    std::memcpy(&records[before + first], piece.data(), piece.size());
+  });
+}
+
+}  // namespace
+
+BatchResult merge_splat_records(const StageTask& task) {
+  kernels::SplatMergeParameters p;
+  if (task.parameters.size() != sizeof p)
+    throw Error::bad_input("stage splat_merge", "parameters", std::to_string(sizeof p) + " bytes",
+                           std::to_string(task.parameters.size()));
+  std::memcpy(&p, task.parameters.data(), sizeof p);
+  std::vector<CacheRecord> records;
+  for (unsigned part = 0; task.inputs.contains("records." + std::to_string(part)); ++part)
+    append(task, "records." + std::to_string(part), records);
+  const InputRows places(task, "places", sizeof(SplatPoint));
+  places.expect_rows(records.size());
+  if (records.size() != p.records)
+    throw Error::bad_input("stage splat_merge", "records", std::to_string(p.records), std::to_string(records.size()));
+  places.visit(0, records.size(), [&](std::uint64_t first, std::span<const std::byte> piece) {
+    for (std::size_t at = 0; at < piece.size(); at += sizeof(SplatPoint)) {
+      SplatPoint place;
+      std::memcpy(&place, piece.data() + at, sizeof place);
+      const std::uint64_t row = first + at / sizeof place;
+      CacheRecord& record = records[row];
+      if (place.position != record.position) places.fail(row, "position", "that of its record", "another");
+      record.radius = place.factor[0];
+      record.accuracy = place.factor[1];
+    }
+  });
+  BatchResult result;
+  result.records.resize(records.size() * sizeof(CacheRecord));
+  if (!records.empty()) std::memcpy(result.records.data(), records.data(), result.records.size());
+  result.counts = {p.records};
+  return result;
+}
+
+}  // namespace gleaner::worker
