@@ -232,8 +232,8 @@ std::optional<SplatCounts> SplatPlan::better_counts() const {
 
 // Records before they are chosen, as cornell-box and modern-hall of 64 to 512 pixels have them.
 double usual_records(double pixels, double accuracy) {
-  const double usual = 17 * std::pow(pixels, 0.5);
-  return accuracy > 0 ? std::min(pixels, usual * std::pow(0.15 / accuracy, 1.7)) : pixels;
+  const double usual = 27 * std::pow(pixels, 0.55);
+  return accuracy > 0 ? std::min(pixels, usual * std::pow(0.15 / accuracy, 2)) : pixels;
 }
 
 double SplatPlan::own_work() const {
