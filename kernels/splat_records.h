@@ -67,6 +67,7 @@ GLEANER_SIZE(SplatGatherParameters, 144);
 #define CACHE_TRANSLATION 19u  // nabla_t
 #define CACHE_ACCURACY 28u     // a: where eq. 2 gives more than 1 / a, the record counts
 #define CACHE_SPARE 29u
+#define CACHE_NOISE CACHE_SPARE  // of E_k, over it: half the difference between the means of its even and odd strata
 
 // Stage kind "splat_shade" (inputs "points", of the stage's items, and "cache"). An item is a tile; its record is RGB
 // of each of its pixels.
@@ -112,6 +113,22 @@ struct SplatMergeParameters {
   std::uint32_t reserved = 0;
 };
 static_assert(sizeof(SplatMergeParameters) == 8);
+
+// Stage kind "splat_judge" (inputs "points" and "cache"); solo. One item, no records: what a look at a cache tells.
+struct SplatJudgeParameters {
+  std::uint32_t samples = 0;  // as SplatPointParameters
+  std::uint32_t pixels = 0;   // that are looked at, at most
+};
+static_assert(sizeof(SplatJudgeParameters) == 8);
+
+// Means over pixels and channels, in radiance and its square.
+struct SplatJudgeFacts {
+  std::uint64_t pixels = 0;     // that were looked at
+  double mean = 0, square = 0;  // of the cache's light
+  double noise = 0;             // squared error that the records' own noise makes
+  double sampling = 0;          // squared error of a pixel's few points
+  double spread = 0;            // of what several records say of one point: their variance, less that of their noise
+};
 
 }  // namespace gleaner::kernels
 #endif

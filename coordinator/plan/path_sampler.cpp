@@ -234,7 +234,10 @@ void PathSampler::reach_for_target() {
 void PathSampler::continue_or_end() {
   // Lists are large: the next one is made when this one's memory is free.
   stages_.back().list.reset();
-  if (settings_.target_error > 0) return settings_.denoise == Denoise::off ? reach_for_target() : ask_judgement();
+  if (settings_.target_error > 0) {
+    const auto look = [this] { settings_.denoise == Denoise::off ? reach_for_target() : ask_judgement(); };
+    return complement_.known ? graph_.when({complement_.known}, look) : look();
+  }
   const std::uint64_t left = budget() - spent_;
   done_ = left == 0;
   if (done_) return program_.inputs.clear();

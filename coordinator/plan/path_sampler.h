@@ -27,6 +27,9 @@ class PathSampler {
     // What the method's own light is predicted to add to the picture: mean radiance, and squared error (a mean over
     // pixels and channels), for which the samples have to leave room where a target error is given.
     double mean = 0, squared_error = 0;
+    // An event, until which the two above are not known: no samples but the first are asked for before, where a target
+    // error is given.
+    Graph::Artifact known{};
   };
 
   // Which stage makes a sample. A method with a kind of its own gives parameters that begin with PathParameters.
@@ -44,6 +47,13 @@ class PathSampler {
   // The same with a program that was not known before.
   void begin(const Complement& complement, Program program);
   bool begun() const { return !stages_.empty(); }
+  // The first samples of all pixels.
+  const Graph::Artifact& first_samples() const { return stages_.front().artifact; }
+  // What the complement could not say. Before its event.
+  void tell(double mean, double squared_error) {
+    complement_.mean = mean;
+    complement_.squared_error = squared_error;
+  }
   bool done() const { return done_; }
   // Makes do with what a cut stage has brought. False: some pixels have no sample yet, and nothing has changed.
   bool conclude(const std::vector<CutStage>& cut, std::vector<Skip>& skips);

@@ -178,7 +178,7 @@ PhotonPlan::PhotonPlan(const FrameSettings& settings, const SceneSummary& scene)
       sharp_(has_sharp_parts(scene.needs)),
       most_radius_(photon_.radius > 0 ? photon_.radius : kMostRadius * diagonal_of(scene.bounds)),
       paths_(graph_, film_, settings),
-      cache_(settings),
+      cache_(settings, settings.spp),
       strata_(strata_of(std::max(1u, photon_.rays))) {
   skips_ = path_skips(scene.needs);
   if (has_caustics()) {

@@ -39,12 +39,12 @@ Strata strata_of(std::uint32_t rays) {
   return {std::max(1u, (rays + azimuthal / 2) / azimuthal), azimuthal};
 }
 
-PixelCache::PixelCache(const FrameSettings& settings) : settings_(settings) {
+PixelCache::PixelCache(const FrameSettings& settings, std::uint32_t samples) : settings_(settings) {
   const std::uint64_t pixels = std::uint64_t{settings.width} * settings.height;
   const std::uint64_t most =
       std::min<std::uint64_t>(SPLAT_MOST_SAMPLES, kMostPoints / std::max<std::uint64_t>(1, pixels));
   samples_ = static_cast<std::uint32_t>(
-      std::bit_floor(std::clamp<std::uint64_t>(settings.spp, 1, std::max<std::uint64_t>(1, most))));
+      std::bit_floor(std::clamp<std::uint64_t>(samples, 1, std::max<std::uint64_t>(1, most))));
 }
 
 std::uint64_t PixelCache::tiles() const {

@@ -22,7 +22,8 @@ Strata strata_of(std::uint32_t rays);
 
 class PixelCache {
  public:
-  explicit PixelCache(const FrameSettings& settings);
+  // `samples`: points of each pixel, as far as the film allows; a power of two, or the one below.
+  PixelCache(const FrameSettings& settings, std::uint32_t samples);
 
   std::uint32_t samples() const { return samples_; }  // points of a pixel
   std::uint64_t tiles() const;

@@ -5,10 +5,12 @@
 #include <cmath>
 #include <limits>
 #include <nlohmann/json.hpp>
+#include <optional>
 
 #include "coordinator/plan/graph.h"
 #include "coordinator/plan/path_sampler.h"
 #include "coordinator/plan/pixel_cache.h"
+#include "coordinator/plan/splat_choice.h"
 #include "kernels/splat_records.h"
 #include "scene/model/error.h"
 
@@ -18,12 +20,15 @@ namespace {
 using namespace kernels;
 using Artifact = Graph::Artifact;
 
-constexpr std::uint32_t kUsualRays = 1024;
-constexpr double kUsualAccuracy = 0.15;
 constexpr std::uint32_t kMostProbeRays = 256;
 // Bounds of R_k, in pixels: with an accuracy of 0.15 a record reaches 1.5 pixels at least, and of a picture of 512
 // pixels 38 at most.
 constexpr float kLeastRadius = 10, kMostRadiusOfWidth = 0.5f;
+// Samples of a pixel that records of a session's pictures are good for.
+constexpr std::uint32_t kSessionSamples = 16;
+// Pixels that a look at a cache looks at, and caches that are made for a target error, at most.
+constexpr std::uint32_t kJudgedPixels = 1024;
+constexpr unsigned kMostCaches = 2;
 // Edge of the blocks of pixels that are visited side by side, in tiles.
 constexpr std::uint32_t kBlockTiles = 2;
 // Points of a camera whose records others begin with, at most: they are looked at by one worker.
@@ -31,9 +36,9 @@ constexpr std::uint64_t kMostCameraPoints = std::uint64_t{1} << 17;
 // The cache's stages wait for each other, paths for nothing: these fill what the others leave free.
 constexpr int kFirst = 1;
 
-struct SplatSettings {
-  double accuracy;
-  std::uint32_t rays, bounces, records;  // records: new ones, at most
+struct SplatSettings : SplatCounts {
+  GivenSplatCounts given;
+  std::uint32_t bounces, records;  // records: new ones, at most
 };
 
 // Cameras whose records the picture begins with.
@@ -43,8 +48,11 @@ const std::vector<scene::Camera>& begins_with(const FrameSettings& settings) {
 
 SplatSettings read_settings(const FrameSettings& settings) {
   SplatSettings s{};
-  s.accuracy = real_setting(settings, "splat.accuracy").value_or(kUsualAccuracy);
-  s.rays = whole_setting(settings, "splat.gather_rays").value_or(kUsualRays);
+  s.given = {.accuracy = real_setting(settings, "splat.accuracy"),
+             .rays = whole_setting(settings, "splat.gather_rays")};
+  // Pictures of a session share records, however many samples each of them has.
+  const std::uint32_t spp = settings.looks.empty() ? settings.spp : kSessionSamples;
+  static_cast<SplatCounts&>(s) = choose_splat_counts(spp, settings.target_error, s.given);
   s.bounces = whole_setting(settings, "splat.bounces").value_or(0);
   s.records = whole_setting(settings, "splat.new_records").value_or(0);
   return s;
@@ -63,7 +71,7 @@ class SplatPlan final : public GraphPlan {
         settings_(settings),
         splat_(read_settings(settings)),
         strata_(strata_of(std::max(1u, splat_.rays))),
-        cache_(settings),
+        cache_(settings, splat_.points),
         paths_(graph_, film_, settings),
         cameras_(splat_.accuracy > 0 ? begins_with(settings) : std::vector<scene::Camera>()) {
     skips_ = path_skips(scene.needs);
@@ -76,6 +84,9 @@ class SplatPlan final : public GraphPlan {
   bool conclude(const std::vector<CutStage>& cut) override {
     // Less than the cache's light and the paths' first samples is no picture.
     return (!caches() || film_.passes() > 0) && paths_.conclude(cut, skips_);
+  }
+  double shared_squared_error() const override {
+    return judged_ ? judged_->noise + judged_->sampling + splat_interpolation_error(*judged_, own_.facts.accuracy) : 0;
   }
   double predicted_work() const override {
     return paths_.predicted_work() + work_to_come(own_work(), paths_.asked_work());
@@ -100,14 +111,25 @@ class SplatPlan final : public GraphPlan {
 
   double own_work() const;
 
+  // Whether the cache is looked at before paths begin, or so that a denoiser knows what it cannot see.
+  bool judges() const { return settings_.target_error > 0 || settings_.denoise != Denoise::off; }
+
   void begin() override;
+  void make_cache();
+  void judge(const Artifact& cache);
+  void take_judgement(const Artifact& cache, const Artifact& judgement);
+  double wanted_squared_error() const;  // by the samples so far
+  std::optional<SplatCounts> better_counts() const;
+  std::string of_this_cache(const std::string& stage) const {
+    return caches_made_ > 1 ? numbered(stage, caches_made_ - 1) : stage;
+  }
   SplatSelectParameters select_parameters(std::uint32_t width, std::uint32_t height, std::uint32_t samples) const;
   SplatExtendParameters extend_parameters(std::size_t camera) const;
   void extend(std::size_t camera);
-  Artifact ask_places(const Artifact& points);
+  Artifact ask_places();
   void take_places(Records& records, std::uint64_t given, const std::string& gather);
   Artifact ask_merge();
-  void shade(const Artifact& points, const Artifact& cache);
+  void shade(const Artifact& cache);
 
   FrameSettings settings_;
   SplatSettings splat_;
@@ -116,8 +138,13 @@ class SplatPlan final : public GraphPlan {
   PathSampler paths_;
   std::vector<scene::Camera> cameras_;  // whose records the picture begins with
   std::vector<Records> before_;         // of each of these
+  Artifact points_;
   Records own_;
-  bool chosen_ = false;  // the facts of all are known
+  unsigned caches_made_ = 0;
+  std::optional<SplatJudgeFacts> judged_;  // of the last cache
+  Artifact errors_known_;                  // an event, where a target error is given: paths may go on
+  double wanted_squared_error_ = 0;        // of the whole picture, where one is given
+  bool chosen_ = false;                    // the facts of all are known
 };
 
 void SplatPlan::begin() {
@@ -125,28 +152,88 @@ void SplatPlan::begin() {
     paths_.begin({});
     return;
   }
-  paths_.begin({.classes = PATH_CLASS_IRRADIANCE, .limit = std::numeric_limits<float>::infinity()});
-  const Artifact points = cache_.ask_points(graph_, "splat", kFirst);
+  // Samples for a target error are as many as the cache leaves to them.
+  if (settings_.target_error > 0) errors_known_ = graph_.event();
+  paths_.begin(
+      {.classes = PATH_CLASS_IRRADIANCE, .limit = std::numeric_limits<float>::infinity(), .known = errors_known_});
+  points_ = cache_.ask_points(graph_, "splat", kFirst);
   before_.resize(cameras_.size());
   for (std::size_t camera = 0; camera < cameras_.size(); ++camera) extend(camera);
-  own_.places = ask_places(points);
+  make_cache();
+}
+
+void SplatPlan::make_cache() {
+  ++caches_made_;
+  own_ = {};
+  own_.places = ask_places();
   std::vector<Artifact> all = {own_.places};
   for (const Records& records : before_) all.push_back(records.places);
-  graph_.when(std::move(all), [this, points] {
-    take_places(own_, before_.empty() ? 0 : before_.back().facts.records, "splat.gather");
+  graph_.when(std::move(all), [this] {
+    take_places(own_, before_.empty() ? 0 : before_.back().facts.records, of_this_cache("splat.gather"));
     chosen_ = true;
-    if (own_.facts.records > 0)
-      shade(points, ask_merge());
-    else
+    if (own_.facts.records == 0) {
+      if (errors_known_) graph_.announce(errors_known_);
       film_.add_pass({});
-    own_stages_asked_ = true;
+      own_stages_asked_ = true;
+    } else if (judges()) {
+      judge(ask_merge());
+    } else {
+      shade(ask_merge());
+    }
   });
 }
 
-// Records before they are chosen, as two Cornell boxes of 48 to 256 pixels have them.
+void SplatPlan::judge(const Artifact& cache) {
+  StageSpec spec = {.name = of_this_cache("splat.judge"),
+                    .kind = "splat_judge",
+                    .items = 1,
+                    .solo = true,
+                    .scene_parts = kNoScene,
+                    .priority = kFirst,
+                    .output = {.record_bytes = 4, .counted = true, .placement = Placement::retain}};
+  const Artifact judgement =
+      graph_.add(std::move(spec), SplatJudgeParameters{.samples = cache_.samples(), .pixels = kJudgedPixels},
+                 {{"points", points_}, {"cache", cache}});
+  // How much error that is, the picture's mean says, of which the first samples know the rest.
+  graph_.when({judgement, paths_.first_samples()}, [this, cache, judgement] { take_judgement(cache, judgement); });
+}
+
+void SplatPlan::take_judgement(const Artifact& cache, const Artifact& judgement) {
+  const auto facts = judgement.facts<SplatJudgeFacts>();
+  bool sound = true;
+  for (const double value : {facts.mean, facts.square, facts.noise, facts.sampling, facts.spread})
+    sound = sound && value >= 0 && std::isfinite(value);
+  judgement.check_facts(sound, "a noise of " + std::to_string(facts.noise));
+  judged_ = facts;
+  if (const std::optional<SplatCounts> better = better_counts()) {
+    static_cast<SplatCounts&>(splat_) = *better;
+    strata_ = strata_of(splat_.rays);
+    make_cache();
+    return;
+  }
+  if (errors_known_) {
+    paths_.tell(judged_->mean, shared_squared_error());
+    graph_.announce(errors_known_);
+    wanted_squared_error_ = wanted_squared_error();
+  }
+  shade(cache);
+}
+
+double SplatPlan::wanted_squared_error() const {
+  return std::pow(settings_.target_error * (film_.mean_radiance() + judged_->mean), 2);
+}
+
+// What other frames begin with stays as it is.
+std::optional<SplatCounts> SplatPlan::better_counts() const {
+  if (!settings_.target_error || !cameras_.empty() || caches_made_ == kMostCaches || splat_.records)
+    return std::nullopt;
+  return better_splat_counts(splat_, *judged_, wanted_squared_error(), splat_.given);
+}
+
+// Records before they are chosen, as cornell-box and modern-hall of 64 to 512 pixels have them.
 double usual_records(double pixels, double accuracy) {
-  const double usual = 7.4 * std::pow(pixels, 0.674);
-  return accuracy > 0 ? std::min(pixels, usual * std::pow(kUsualAccuracy / accuracy, 2)) : pixels;
+  const double usual = 27 * std::pow(pixels, 0.55);
+  return accuracy > 0 ? std::min(pixels, usual * std::pow(0.15 / accuracy, 2)) : pixels;
 }
 
 double SplatPlan::own_work() const {
@@ -209,14 +296,14 @@ void SplatPlan::extend(std::size_t camera) {
   });
 }
 
-Artifact SplatPlan::ask_places(const Artifact& points) {
+Artifact SplatPlan::ask_places() {
   SplatSelectParameters p = select_parameters(settings_.width, settings_.height, cache_.samples());
-  std::vector<Graph::Input> inputs = {{"points", points}};
+  std::vector<Graph::Input> inputs = {{"points", points_}};
   if (!before_.empty()) {
     inputs.push_back({"given", before_.back().places});
     p.keep_accuracy = 1;
   }
-  StageSpec spec = cache_.choosing("splat.select", "splat_select", kFirst);
+  StageSpec spec = cache_.choosing(of_this_cache("splat.select"), "splat_select", kFirst);
   if (!before_.empty()) spec.output.most_records = 0xffffffffu;
   spec.output.reusable = true;  // other lights shine on the same places
   return graph_.add(std::move(spec), p, std::move(inputs));
@@ -262,14 +349,19 @@ Artifact SplatPlan::ask_merge() {
                     SplatMergeParameters{.records = low(own_.facts.records)}, std::move(inputs));
 }
 
-void SplatPlan::shade(const Artifact& points, const Artifact& cache) {
-  const Artifact shaded = cache_.ask_shading(graph_, "splat", kFirst, points, cache);
+void SplatPlan::shade(const Artifact& cache) {
+  const Artifact shaded = cache_.ask_shading(graph_, "splat", kFirst, points_, cache);
+  points_ = {};
+  own_stages_asked_ = true;
   cache_.preview(graph_, film_, shaded);
   graph_.when({shaded}, [this, shaded] { film_.add_pass(cache_.picture_of(shaded.records())); });
 }
 
 std::vector<std::string> SplatPlan::warnings() const {
   std::vector<std::string> warnings = paths_.warnings();
+  if (judged_ && settings_.target_error > 0 && shared_squared_error() > wanted_squared_error_)
+    warnings.push_back("the cache alone is predicted to be off by more than the target error of " +
+                       std::to_string(settings_.target_error));
   const std::uint64_t added = own_.facts.records - own_.facts.given;
   if (splat_.records && added > splat_.records)
     warnings.push_back("splat.new_records is " + std::to_string(splat_.records) +
@@ -293,6 +385,14 @@ std::string SplatPlan::parameters_json() const {
       splat["new_records"] = own_.facts.records - own_.facts.given;
     }
     if (splat_.accuracy > 0) splat["accuracy"] = own_.facts.accuracy;
+    if (judged_ && judged_->mean > 0) {
+      splat["caches"] = caches_made_;
+      splat["mean"] = judged_->mean;
+      splat["error_of_records"] = std::sqrt(judged_->noise) / judged_->mean;
+      splat["error_of_sampling"] = std::sqrt(judged_->sampling) / judged_->mean;
+      splat["error_of_interpolation"] =
+          std::sqrt(splat_interpolation_error(*judged_, own_.facts.accuracy)) / judged_->mean;
+    }
   }
   json["splat"] = splat;
   return json.dump();
@@ -309,6 +409,7 @@ std::vector<std::string> SplatPlan::outline() const {
     lines.push_back("splat.select: where records are needed, solo");
     lines.push_back("splat.gather: light from " + std::to_string(strata_.count()) +
                     " directions at each record, split");
+    if (judges()) lines.push_back("splat.judge: how far the cache is off, from itself, solo");
     lines.push_back("splat.shade: " + std::to_string(cache_.tiles()) + " tiles lit by the records near them, split");
   }
   for (const std::string& line : paths_.outline()) lines.push_back(line);
@@ -323,16 +424,17 @@ Method splat_method() {
       .name = "splat",
       .help =
           "Radiance cache splatting: indirect light on diffuse surfaces is gathered at a few records and interpolated "
-          "between them; explained in docs/explanation/splat.md.",
+          "between them; explained in docs/explanation/splat.md. * What is not set is chosen for --spp or "
+          "--target-error.",
       .make = make_plan_of<SplatPlan>,
       // Beside the paths: the pass, its square, the preview and the records twice, all RGB.
       .bytes_a_pixel = kPathBytesAPixel + 5 * 3 * sizeof(float),
       .check = check,
       .settings = {
-          {"splat.accuracy", real, 0, 1, "0.15",
+          {"splat.accuracy", real, 0, 1, "*",
            "a: a record reaches that part of the mean distance to the surfaces about it; less: more records; 0: a "
            "record at every point that a pixel shows"},
-          {"splat.gather_rays", whole, 0, SPLAT_MOST_RAYS / 2, "1024",
+          {"splat.gather_rays", whole, 0, SPLAT_MOST_RAYS / 2, "*",
            "rays of each record; 0: no cache, paths find all light"},
           {"splat.bounces", whole, 0, 1024, "0", "bounces of the cache's light; 0: until Russian roulette ends it"},
           {"splat.new_records", whole, 0, 1u << 24, "0",

@@ -5,6 +5,9 @@
 //   splat.points -> splat.select -> splat.gather -> splat.shade  what pixels show; where records are needed; their
 //                                                                light; pixels lit by them
 //
+// Where a target error is given, splat.judge looks at the cache before it is splatted: paths get what its errors leave,
+// or a better one is made first.
+//
 // Pictures of a camera trajectory, and those that somebody looks at one after the other, begin with the records of
 // cameras that their settings name, in the order in which these stand there:
 //

@@ -68,6 +68,20 @@ class Gradients {
     return kPi * sum / static_cast<double>(samples_.size());
   }
 
+  // Half the difference between what even and odd strata say, over what they say together, of the mean of the colours.
+  // Neighbours of a stratum are of the other kind, so that light that changes slowly makes none.
+  double noise() const {
+    double sum = 0, difference = 0;
+    for (std::uint32_t j = 0; j < grid_.polar; ++j)
+      for (std::uint32_t k = 0; k < grid_.azimuthal; ++k) {
+        const std::array<float, 3>& light = samples_[index(j, k)].radiance;
+        const double all = double{light[0]} + light[1] + light[2];
+        sum += all;
+        difference += (j + k) % 2 == 0 ? all : -all;
+      }
+    return sum > 0 ? difference / sum : 0;
+  }
+
   // The derivative by the normal's rotation, the integral of L (n x w) dw: eq. 8 adds (n_k x n) times it. Of the
   // linear part it is known; the rest is summed over the strata, each with its part of the integral of (n x w).
   Vec rotation(std::size_t color) const {
@@ -155,6 +169,7 @@ CacheRecord cache_record(const SplatPoint& place, const HemisphereGrid& grid,
   record.accuracy = place.factor[1];
   const Frame frame(place.normal);
   const Gradients gradients(grid, samples, frame);
+  record.spare[CACHE_NOISE - CACHE_SPARE] = static_cast<float>(gradients.noise());
   for (std::size_t color = 0; color < 3; ++color) {
     const double irradiance = gradients.irradiance(color);
     const Vec rotation = gradients.rotation(color), translation = gradients.translation(color);

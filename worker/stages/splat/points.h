@@ -28,6 +28,7 @@ struct CacheRecord {
   std::array<float, 9> rotation, translation;  // a colour after the other
   float accuracy;
   std::array<float, 3> spare;
+  float noise() const { return spare[0]; }  // CACHE_NOISE
 };
 static_assert(sizeof(CacheRecord) == CACHE_WORDS * 4);
 

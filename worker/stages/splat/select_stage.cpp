@@ -148,15 +148,37 @@ Selection every_point(const std::vector<SplatPoint>& points) {
   return selection;
 }
 
+// What of `most_new` records the places of `covering` leave is spent on the next finer accuracy, as far as it goes, so
+// that pictures that follow come to it. `settings`: what the places cover all points with.
+Selection spend_the_rest(const SelectSettings& settings, const std::vector<SplatPoint>& points,
+                         const Selection& covering, std::size_t given, std::uint32_t most_new,
+                         const ProbePoints& probe) {
+  const std::size_t most = given + most_new, rest = most - std::min(most, covering.places.size());
+  // Places that shrink on the way cover less: some records are left for what that takes.
+  for (std::size_t share = rest * 3 / 4; share > 0; share /= 2) {
+    SelectSettings finer = settings;
+    finer.accuracy /= kCoarser;
+    finer.most_new = static_cast<std::uint32_t>(share);
+    Selection more = select_places(finer, points, covering.places, probe);
+    more.places.resize(std::min(more.places.size(), covering.places.size() + share));
+    SelectSettings again = settings;
+    again.most_new = 0;
+    Selection whole = select_places(again, points, more.places, probe);
+    if (whole.places.size() <= most) return whole;
+  }
+  return covering;
+}
+
 // `accuracy` gets what the places are good for.
 Selection select(const StageRun& run, const SplatSelectParameters& p, const std::vector<SplatPoint>& points,
                  std::span<const Selection::Place> given, float given_accuracy, double* accuracy, BatchResult& result) {
   *accuracy = 1;
   if (p.accuracy == 0) return every_point(points);
+  const float finest = std::max(p.accuracy, p.keep_accuracy ? given_accuracy : 0);
   SelectSettings settings{.width = p.width,
                           .height = p.height,
                           .samples = p.samples,
-                          .accuracy = std::max(p.accuracy, p.keep_accuracy ? given_accuracy : 0),
+                          .accuracy = finest,
                           .least_radius = p.least_radius,
                           .most_radius = p.most_radius,
                           .block_tiles = p.block_tiles,
@@ -166,7 +188,10 @@ Selection select(const StageRun& run, const SplatSelectParameters& p, const std:
     if (settings.accuracy >= kMostAccuracy) settings.most_new = 0;
     Selection selection = select_places(settings, points, given, std::ref(probe));
     *accuracy = settings.accuracy;
-    if (selection.whole) return selection;
+    if (selection.whole)
+      return p.most_new && settings.accuracy > finest
+                 ? spend_the_rest(settings, points, selection, given.size(), p.most_new, std::ref(probe))
+                 : selection;
     settings.accuracy = std::min(settings.accuracy * kCoarser, kMostAccuracy);
   }
 }

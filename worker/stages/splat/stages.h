@@ -12,6 +12,7 @@ BatchResult run_splat_select_stage(const StageRun& run);
 BatchResult run_splat_extend_stage(const StageRun& run);
 BatchResult run_splat_gather_stage(const StageRun& run);
 BatchResult merge_splat_records(const StageTask& task);
+BatchResult judge_splat_cache(const StageTask& task);
 BatchResult run_splat_shade_stage(const StageRun& run);
 
 // Throws Error::bad_input for a number of samples of a pixel that is out of range.

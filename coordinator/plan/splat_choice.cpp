@@ -1,0 +1,72 @@
+#include "coordinator/plan/splat_choice.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+
+namespace gleaner::coordinator {
+namespace {
+
+// Fitted to cornell-box and sponza-dabrovic; `bench/splat choice` shows whether they hold. A sample a pixel of what the
+// cache leaves to paths is noisy by so much of the picture's mean.
+constexpr double kSampleError = 0.14;
+constexpr double kLeastSamples = 16, kMostSamples = 4096;
+
+// So is the cache where its records have a ray each, in a picture of which half the light is the cache's.
+constexpr double kRayNoise = 0.5;
+constexpr double kLeastRays = 64, kMostRays = 4096;
+// Interpolation is off by so much of the cache's light with an accuracy of 1; by the square of less.
+constexpr double kInterpolation = 0.34, kCacheShare = 0.5;
+constexpr double kLeastAccuracy = 0.08, kMostAccuracy = 0.6;
+// Squared error of interpolation in the picture, over the variance of what the records of a point say.
+constexpr double kErrorOfSpread = 1.0;
+
+// Of the picture's squared error: the paths', noise of records, and what interpolation does wrong. Such that a ray for
+// a record is worth about as much as one for a pixel.
+constexpr double kPathShare = 0.45, kNoiseShare = 0.35, kInterpolationShare = 0.2;
+// Beyond these another cache is made.
+constexpr double kMostNoiseShare = 0.45, kMostInterpolationShare = 0.3, kMostStep = 16;
+
+double accuracy_of(double accuracy) { return std::clamp(accuracy, kLeastAccuracy, kMostAccuracy); }
+
+std::uint32_t rays_of(double rays) {
+  return static_cast<std::uint32_t>(std::lround(std::clamp(rays, kLeastRays, kMostRays)));
+}
+
+}  // namespace
+
+SplatCounts choose_splat_counts(std::uint32_t spp, double error, const GivenSplatCounts& given) {
+  const double samples = error > 0
+                             ? std::clamp(std::pow(kSampleError / error, 2) / kPathShare, kLeastSamples, kMostSamples)
+                             : std::max(1u, spp);
+  const double squared_error = kSampleError * kSampleError / (kPathShare * samples);
+  SplatCounts counts;
+  counts.rays = given.rays.value_or(rays_of(kRayNoise * kRayNoise / (kNoiseShare * squared_error)));
+  counts.accuracy = given.accuracy.value_or(
+      accuracy_of(std::sqrt(std::sqrt(kInterpolationShare * squared_error) / (kCacheShare * kInterpolation))));
+  counts.points = std::bit_floor(static_cast<std::uint32_t>(std::clamp(samples, 1.0, 16.0)));
+  return counts;
+}
+
+double splat_interpolation_error(const kernels::SplatJudgeFacts& facts, double accuracy) {
+  // Records of a point may agree and be wrong.
+  const double usual = std::pow(kInterpolation * accuracy * accuracy * facts.mean, 2);
+  return std::max(usual, kErrorOfSpread * facts.spread);
+}
+
+std::optional<SplatCounts> better_splat_counts(const SplatCounts& counts, const kernels::SplatJudgeFacts& facts,
+                                               double squared_error, const GivenSplatCounts& given) {
+  if (!(squared_error > 0)) return std::nullopt;
+  SplatCounts better = counts;
+  const double noise = facts.noise / squared_error,
+               off = splat_interpolation_error(facts, counts.accuracy) / squared_error;
+  if (!given.rays && noise > kMostNoiseShare)
+    better.rays = rays_of(counts.rays * std::min(noise / kNoiseShare, kMostStep));
+  // The square of what interpolation does wrong goes with the fourth power of the accuracy.
+  if (!given.accuracy && off > kMostInterpolationShare)
+    better.accuracy = accuracy_of(counts.accuracy / std::pow(std::min(off / kInterpolationShare, kMostStep), 0.25));
+  if (better.rays == counts.rays && better.accuracy == counts.accuracy) return std::nullopt;
+  return better;
+}
+
+}  // namespace gleaner::coordinator

@@ -1,0 +1,37 @@
+#pragma once
+// How accurate a cache method `splat` takes where that is not set, and with how many rays: such that its records are
+// noisy, and interpolation is off, by a part of what the paths beside it are. Pure.
+
+#include <cstdint>
+#include <optional>
+
+#include "kernels/splat_records.h"
+
+namespace gleaner::coordinator {
+
+struct SplatCounts {
+  double accuracy = 0;       // a; 0: a record at every point
+  std::uint32_t rays = 0;    // of each record; 0: no cache
+  std::uint32_t points = 1;  // of a pixel: a power of two
+};
+
+// What was set, and stays.
+struct GivenSplatCounts {
+  std::optional<double> accuracy{};
+  std::optional<std::uint32_t> rays{};
+};
+
+// `spp`: samples of a pixel; where `error` > 0 (RMSE over the mean radiance of the picture), as many as paths are
+// predicted to need for it.
+SplatCounts choose_splat_counts(std::uint32_t spp, double error, const GivenSplatCounts& given);
+
+// Squared error that interpolation with this accuracy makes in the picture (a mean over pixels and channels), after a
+// look at the cache.
+double splat_interpolation_error(const kernels::SplatJudgeFacts& facts, double accuracy);
+
+// What a cache of these counts was found to be is known: counts that leave enough of `squared_error`, the whole
+// picture's, to the paths. None: these do, or nothing may be changed.
+std::optional<SplatCounts> better_splat_counts(const SplatCounts& counts, const kernels::SplatJudgeFacts& facts,
+                                               double squared_error, const GivenSplatCounts& given);
+
+}  // namespace gleaner::coordinator
