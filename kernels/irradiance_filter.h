@@ -1,5 +1,6 @@
 // The path filter of PATH_CLASS_IRRADIANCE (kernels/path_filter.h says what a filter is): the partner has an irradiance
-// cache.
+// cache. And of PATH_CLASS_RADIANCE: the partner caches incoming radiance where lobes are rough, too, and has what
+// leaves the first surface by these.
 //
 // The first surface that a camera path meets past mirrors and glass shows the partner's light where that leaves by its
 // diffuse layer, was scattered before, and not by mirrors and smooth glass alone. So direct light stays the path
@@ -59,7 +60,8 @@ FN vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v
 #ifdef SPLAT_GATHER
   return pick((vf)FILTER_KEEP, f->state, specular);
 #else
-  LayerChoice c = choose_layer(scene, v, direction, specular, glass, pair_key, sample, throughput);
+  vi with_lobe = PATH_FILTER == PATH_CLASS_RADIANCE ? all_lanes() : no_lanes();
+  LayerChoice c = choose_layer(scene, v, direction, specular, glass, with_lobe, pair_key, sample, throughput);
   *throughput = pick3(*throughput, splat3(zero_f()), f->layered & none(specular));
   vi first = f->state == (vf)FILTER_NO_SURFACE;
   vf state = pick((vf)FILTER_KEEP, f->state, (first & c.through) | (f->layered & specular));

@@ -9,9 +9,10 @@ typedef struct {
   vi through;   // a mirror or glass, behind which the first surface is still to come
 } LayerChoice;
 
-// The layer or the lobe is chosen at random, which *throughput makes up for.
-FN LayerChoice choose_layer(const Scene* scene, const Vertex* v, v3 direction, vi specular, vi glass, vu pair_key,
-                            vu sample, v3* throughput) {
+// The layer or the lobe is chosen at random, which *throughput makes up for. `with_lobe`: rough lobes count as the
+// layer.
+FN LayerChoice choose_layer(const Scene* scene, const Vertex* v, v3 direction, vi specular, vi glass, vi with_lobe,
+                            vu pair_key, vu sample, v3* throughput) {
   LayerChoice c;
   c.by_layer = none(specular | glass);
   c.through = glass;
@@ -21,7 +22,8 @@ FN LayerChoice choose_layer(const Scene* scene, const Vertex* v, v3 direction, v
   v3 factor;
   sample_pair(pair_key, sample, GLEANER_PATH_SEQUENCE, 4u, &u_part, &u_spare);
   vi opaque = c.by_layer;
-  c.by_layer = choose_part(scene, m, v->frame.view, direction, opaque, no_lanes(), u_part, &gain, &factor);
+  c.by_layer =
+      choose_part(scene, m, v->frame.view, direction, opaque, with_lobe & has_rough_lobe(m), u_part, &gain, &factor);
   *throughput = pick3(*throughput, mul3(*throughput, factor), opaque);
   // As step_to_surface_point() has it.
   c.through = c.through | ((m->lobe_share >= one_f()) & none(has_rough_lobe(m)));

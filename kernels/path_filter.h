@@ -27,7 +27,7 @@
 // CAUSTIC light. Paths that left by the layer then find direct light and, where photons do not carry CAUSTIC, that;
 // those that left by a rough lobe gather as before.
 // Radiance links between vertices take another class, by itself: RADIOSITY (kernels/radiosity_filter.h). So does an
-// irradiance cache: IRRADIANCE (kernels/irradiance_filter.h).
+// irradiance cache: IRRADIANCE; and with rough lobes a radiance cache: RADIANCE (kernels/irradiance_filter.h).
 //
 // The path tracer calls, in this order: load_filter(); shows_emission() where its ray finds light; filter_vertex() at a
 // surface; filter_reflectance() and filter_sharp() of a light sample; filter_scattering() and filter_passing() for the
@@ -44,7 +44,7 @@
 
 #if defined(PATH_FILTER) && (PATH_FILTER == PATH_CLASS_RADIOSITY || PATH_FILTER == PATH_CLASS_SAMPLED_RADIOSITY)
 #include "kernels/radiosity_filter.h"
-#elif defined(PATH_FILTER) && PATH_FILTER == PATH_CLASS_IRRADIANCE
+#elif defined(PATH_FILTER) && (PATH_FILTER == PATH_CLASS_IRRADIANCE || PATH_FILTER == PATH_CLASS_RADIANCE)
 #include "kernels/irradiance_filter.h"
 #elif defined(PATH_FILTER)
 

@@ -60,7 +60,7 @@ FN v3 filter_sharp(const PathFilter* f, v3 glass) { return glass; }
 
 FN vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v, float clamp_to, v3 direction,
                         vi specular, vi glass, vu pair_key, vu sample, v3* throughput) {
-  LayerChoice c = choose_layer(scene, v, direction, specular, glass, pair_key, sample, throughput);
+  LayerChoice c = choose_layer(scene, v, direction, specular, glass, no_lanes(), pair_key, sample, throughput);
   vi first = f->state == (vf)FILTER_NO_SURFACE;
   vf state = pick((vf)FILTER_KEEP, f->state, first & c.through);
   vi begins = begins_by_layer(v, &c, first);

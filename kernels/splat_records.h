@@ -3,6 +3,7 @@
 #ifndef GLEANER_KERNELS_SPLAT_RECORDS_H
 #define GLEANER_KERNELS_SPLAT_RECORDS_H
 
+#include "kernels/lobe_rows.h"
 #include "kernels/path_records.h"
 
 #ifndef __OPENCL_VERSION__
@@ -26,6 +27,18 @@ namespace gleaner::kernels {
 #define SPLAT_TABLE 13u      // uint: the albedo table of the lobe above the diffuse layer, or GLEANER_NONE
 #define SPLAT_ROW 14u        // its fractional row
 #define SPLAT_KEY 15u        // uint: of random numbers
+// A level is how many scatterings before the point its record's light lacks. Points and records of different levels
+// have nothing to do with each other. SPLAT_TABLE has it in the bits above those of the table, inverted where there is
+// none (kernels/splat/level.h): tables begin in the first 16 million words.
+#define SPLAT_LEVEL_SHIFT 24u
+#define SPLAT_TABLE_BITS 0xffffffu
+#define SPLAT_LEVEL 255u  // above all levels
+
+// What is found: points of diffuse layers; points of rough lobes (has_rough_lobe() of kernels/bsdf.h); of these, at the
+// same places, the lobes themselves (kernels/lobe_rows.h).
+#define SPLAT_LAYERS 0u
+#define SPLAT_LOBES 1u
+#define SPLAT_LOBE_ROWS 2u
 
 // Stage kind "splat_points". An item is a tile; its record has a row for each of its points.
 typedef struct {
@@ -34,7 +47,8 @@ typedef struct {
   gl_uint samples;        // points of a pixel: a power of two
   gl_uint depth;          // most scatterings on a light's way; 0: no limit
   gl_uint seed_low, seed_high;
-  gl_uint reserved[2];
+  gl_uint free_scatterings;  // so many before a point are no part of its level
+  gl_uint what;              // SPLAT_LAYERS, SPLAT_LOBES or SPLAT_LOBE_ROWS
 } SplatPointParameters;
 GLEANER_SIZE(SplatPointParameters, 96);
 
@@ -66,15 +80,41 @@ GLEANER_SIZE(SplatGatherParameters, 144);
 #define CACHE_ROTATION 10u     // nabla_r
 #define CACHE_TRANSLATION 19u  // nabla_t
 #define CACHE_ACCURACY 28u     // a: where eq. 2 gives more than 1 / a, the record counts
-#define CACHE_SPARE 29u
+#define CACHE_LEVEL 29u        // uint: of its place
+#define CACHE_SPARE 30u
 #define CACHE_NOISE CACHE_SPARE  // of E_k, over it: half the difference between the means of its even and odd strata
+
+// Stage kind "splat_lobe_gather" (input "places"): incoming radiance. An item is a place; its record is a row of
+// RADIANCE_WORDS(order) words.
+typedef struct {
+  SplatGatherParameters records;
+  gl_uint order;  // of hemispherical harmonics: l < order
+  gl_uint reserved[3];
+} SplatLobeGatherParameters;
+GLEANER_SIZE(SplatLobeGatherParameters, 160);
+#define SPLAT_MOST_ORDER 10u
+
+// A record of incoming radiance: the words of a record of the cache, of which those of irradiance are not read, and
+// then of each pair (l, m), m >= 0, RADIANCE_PAIR_WORDS: the coefficients of the cosine and of the sine, RGB, each
+// behind itself with its derivatives along both tangents of the record's normal (basis3()), per metre.
+#define RADIANCE_PAIR_WORDS 18u
+#define HARMONIC_PAIRS(order) ((order) * ((order) + 1u) / 2u)
+#define RADIANCE_WORDS(order) (CACHE_WORDS + RADIANCE_PAIR_WORDS * HARMONIC_PAIRS(order))
+
+// Lobes in hemispherical harmonics (worker/stages/splat/lobe_table.h): rows by alpha, from LOBE_TABLE_LEAST to 1 in
+// equal ratios, and by the view's angle to the normal, from 0 to a right one in equal steps.
+#define LOBE_TABLE_ALPHAS 12u
+#define LOBE_TABLE_VIEWS 24u
+#define LOBE_TABLE_LEAST 0.2f
+#define LOBE_TABLE_WORDS(order) (2u * HARMONIC_PAIRS(order))
 
 // Stage kind "splat_shade" (inputs "points", of the stage's items, and "cache"). An item is a tile; its record is RGB
 // of each of its pixels.
 typedef struct {
   gl_uint tiles;
   gl_uint samples;  // as SplatPointParameters
-  gl_uint reserved[2];
+  gl_uint order;    // above 0: the cache is of incoming radiance, and input "lobes" has the points' lobes
+  gl_uint reserved;
 } SplatShadeParameters;
 GLEANER_SIZE(SplatShadeParameters, 16);
 

@@ -323,7 +323,7 @@ void PhotonPlan::gather(const Artifact& map) {
 
 // Which points are gathered at depends on geometry alone: they are chosen while photons are traced.
 void PhotonPlan::ask_clusters(const Artifact& map) {
-  const Artifact points = cache_.ask_points(graph_, "photon", kFirst);
+  const Artifact points = cache_.ask_points(graph_, "photon.points", kFirst);
   PhotonClusterParameters p{};
   p.width = settings_.width;
   p.height = settings_.height;
@@ -390,7 +390,7 @@ void PhotonPlan::shade_clusters(const Artifact& points, std::vector<Graph::Input
                                                 .most_records = low(clusters_.places + refined_),
                                                 .placement = Placement::retain}},
                                     PhotonClusterSmoothParameters{}, std::move(records));
-  const Artifact shaded = cache_.ask_shading(graph_, "photon", kFirst, points, cache);
+  const Artifact shaded = cache_.ask_shading(graph_, "photon.shade", kFirst, points, cache);
   cache_.preview(graph_, film_, shaded);
   graph_.when({shaded}, [this, shaded] { show_clusters(cache_.picture_of(shaded.records())); });
 }

@@ -59,8 +59,11 @@ bool PixelCache::holds(const FrameSettings& settings) {
   return std::uint64_t{settings.width} * settings.height <= most_pixels;
 }
 
-Graph::Artifact PixelCache::ask_points(Graph& graph, const std::string& method, int priority) const {
-  return graph.add({.name = method + ".points",
+Graph::Artifact PixelCache::ask_points(Graph& graph, const std::string& name, int priority,
+                                       std::uint32_t free_scatterings, std::uint32_t what) const {
+  SplatPointParameters p = point_parameters(free_scatterings);
+  p.what = what;
+  return graph.add({.name = name,
                     .kind = "splat_points",
                     .items = tiles(),
                     .scene_parts = kSurfaces,
@@ -68,10 +71,10 @@ Graph::Artifact PixelCache::ask_points(Graph& graph, const std::string& method, 
                     .work = kPointWork * static_cast<double>(points()),
                     .output = {.record_bytes = SPLAT_TILE_PIXELS * samples_ * SPLAT_POINT_WORDS * 4,
                                .placement = Placement::retain}},
-                   point_parameters());
+                   p);
 }
 
-SplatPointParameters PixelCache::point_parameters() const {
+SplatPointParameters PixelCache::point_parameters(std::uint32_t free_scatterings) const {
   SplatPointParameters p{};
   p.camera = settings_.camera;
   p.width = settings_.width;
@@ -80,21 +83,36 @@ SplatPointParameters PixelCache::point_parameters() const {
   p.depth = settings_.depth;
   p.seed_low = low(settings_.seed);
   p.seed_high = high(settings_.seed);
+  p.free_scatterings = free_scatterings;
   return p;
 }
 
-Graph::Artifact PixelCache::ask_shading(Graph& graph, const std::string& method, int priority,
+StageSpec PixelCache::shading(const std::string& name, int priority) const {
+  return {.name = name,
+          .kind = "splat_shade",
+          .items = tiles(),
+          .priority = priority,
+          .work = kShadeWork * static_cast<double>(points()),
+          .output = {.record_bytes = SPLAT_TILE_PIXELS * 12, .floats = true}};
+}
+
+Graph::Artifact PixelCache::ask_shading(Graph& graph, const std::string& name, int priority,
                                         const Graph::Artifact& points, const Graph::Artifact& cache) const {
   SplatShadeParameters p{};
   p.tiles = static_cast<std::uint32_t>(tiles());
   p.samples = samples_;
-  return graph.add({.name = method + ".shade",
-                    .kind = "splat_shade",
-                    .items = tiles(),
-                    .priority = priority,
-                    .work = kShadeWork * static_cast<double>(this->points()),
-                    .output = {.record_bytes = SPLAT_TILE_PIXELS * 12, .floats = true}},
-                   p, {{"points", points, Extent::own_items}, {"cache", cache}});
+  return graph.add(shading(name, priority), p, {{"points", points, Extent::own_items}, {"cache", cache}});
+}
+
+Graph::Artifact PixelCache::ask_lobe_shading(Graph& graph, const std::string& name, int priority,
+                                             const Graph::Artifact& points, const Graph::Artifact& lobes,
+                                             const Graph::Artifact& cache, std::uint32_t order) const {
+  SplatShadeParameters p{};
+  p.tiles = static_cast<std::uint32_t>(tiles());
+  p.samples = samples_;
+  p.order = order;
+  return graph.add(shading(name, priority), p,
+                   {{"points", points, Extent::own_items}, {"lobes", lobes, Extent::own_items}, {"cache", cache}});
 }
 
 StageSpec PixelCache::choosing(const std::string& name, const char* kind, int priority) const {
@@ -111,13 +129,13 @@ StageSpec PixelCache::choosing(const std::string& name, const char* kind, int pr
 }
 
 StageSpec PixelCache::gathering(const std::string& name, const char* kind, int priority, std::uint64_t records,
-                                const Strata& strata) {
+                                const Strata& strata, std::uint32_t words) {
   return {.name = name,
           .kind = kind,
           .items = records,
           .priority = priority,
           .work = static_cast<double>(records) * strata.count(),
-          .output = {.record_bytes = CACHE_WORDS * 4, .placement = Placement::retain}};
+          .output = {.record_bytes = words * 4, .placement = Placement::retain}};
 }
 
 SplatGatherParameters PixelCache::gather_parameters(std::uint64_t records, const Strata& strata) const {

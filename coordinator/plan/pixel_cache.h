@@ -33,18 +33,24 @@ class PixelCache {
   static bool holds(const FrameSettings& settings);
   static constexpr std::uint64_t most_pixels = 1u << 26;
 
-  kernels::SplatPointParameters point_parameters() const;
-  // Stages "METHOD.points" and "METHOD.shade", of these priorities.
-  Graph::Artifact ask_points(Graph& graph, const std::string& method, int priority) const;
+  // Of the scatterings on the way from the camera to a point, its record's light lacks all but `free_scatterings`.
+  kernels::SplatPointParameters point_parameters(std::uint32_t free_scatterings) const;
+  // Stage "METHOD.points", or that of another word for `what` (kernels/splat_records.h).
+  Graph::Artifact ask_points(Graph& graph, const std::string& name, int priority,
+                             std::uint32_t free_scatterings = SPLAT_LEVEL, std::uint32_t what = SPLAT_LAYERS) const;
   // Tiles of `points` lit by the records of `cache`.
-  Graph::Artifact ask_shading(Graph& graph, const std::string& method, int priority, const Graph::Artifact& points,
+  Graph::Artifact ask_shading(Graph& graph, const std::string& name, int priority, const Graph::Artifact& points,
                               const Graph::Artifact& cache) const;
+  // Their `lobes`, by records of incoming radiance of this order.
+  Graph::Artifact ask_lobe_shading(Graph& graph, const std::string& name, int priority, const Graph::Artifact& points,
+                                   const Graph::Artifact& lobes, const Graph::Artifact& cache,
+                                   std::uint32_t order) const;
 
   // The solo stage that chooses, among the points, where light is gathered.
   StageSpec choosing(const std::string& name, const char* kind, int priority) const;
   // The stage that gathers at so many places, and its parameters: filter and clamp are the method's.
   static StageSpec gathering(const std::string& name, const char* kind, int priority, std::uint64_t records,
-                             const Strata& strata);
+                             const Strata& strata, std::uint32_t words = CACHE_WORDS);
   kernels::SplatGatherParameters gather_parameters(std::uint64_t records, const Strata& strata) const;
 
   // The live preview shows the tiles while they are shaded.
@@ -53,6 +59,8 @@ class PixelCache {
   std::vector<float> picture_of(const Bytes& records) const;
 
  private:
+  StageSpec shading(const std::string& name, int priority) const;
+
   FrameSettings settings_;
   std::uint32_t samples_;
 };

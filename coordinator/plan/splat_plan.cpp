@@ -8,6 +8,7 @@
 #include <optional>
 
 #include "coordinator/plan/graph.h"
+#include "coordinator/plan/lobe_cache.h"
 #include "coordinator/plan/path_sampler.h"
 #include "coordinator/plan/pixel_cache.h"
 #include "coordinator/plan/splat_choice.h"
@@ -38,7 +39,7 @@ constexpr int kFirst = 1;
 
 struct SplatSettings : SplatCounts {
   GivenSplatCounts given;
-  std::uint32_t bounces, records;  // records: new ones, at most
+  std::uint32_t bounces, records, order;  // records: new ones, at most
 };
 
 // Cameras whose records the picture begins with.
@@ -55,6 +56,7 @@ SplatSettings read_settings(const FrameSettings& settings) {
   static_cast<SplatCounts&>(s) = choose_splat_counts(spp, settings.target_error, s.given);
   s.bounces = whole_setting(settings, "splat.bounces").value_or(0);
   s.records = whole_setting(settings, "splat.new_records").value_or(0);
+  s.order = whole_setting(settings, "splat.order").value_or(0);
   return s;
 }
 
@@ -72,9 +74,12 @@ class SplatPlan final : public GraphPlan {
         splat_(read_settings(settings)),
         strata_(strata_of(std::max(1u, splat_.rays))),
         cache_(settings, splat_.points),
+        lobes_(graph_, cache_),
+        glossy_(scene.needs.glossy),
         paths_(graph_, film_, settings),
         cameras_(splat_.accuracy > 0 ? begins_with(settings) : std::vector<scene::Camera>()) {
     skips_ = path_skips(scene.needs);
+    if (splat_.order && !glossy_) skips_.push_back({"records of incoming radiance", "no material has a rough lobe", 1});
     if (settings.depth == 1)
       skips_.push_back({"the cache", "a depth of 1 is direct light alone", 1});
     else if (!splat_.rays)
@@ -97,6 +102,7 @@ class SplatPlan final : public GraphPlan {
 
  private:
   bool caches() const { return settings_.depth != 1 && splat_.rays > 0; }
+  bool caches_lobes() const { return caches() && glossy_ && splat_.order > 0; }
   // Most scatterings on the light's way; 0: no limit.
   std::uint32_t depth() const {
     const std::uint32_t most = splat_.bounces ? splat_.bounces + 1 : 0;
@@ -115,6 +121,9 @@ class SplatPlan final : public GraphPlan {
   bool judges() const { return settings_.target_error > 0 || settings_.denoise != Denoise::off; }
 
   void begin() override;
+  // Scatterings on the way to a point that its records' light does not lack: a limit of bounces is the cache's alone,
+  // one of the depth counts mirrors and glass before the surface as well.
+  std::uint32_t free_scatterings() const { return settings_.depth ? settings_.depth - depth() : SPLAT_LEVEL; }
   void make_cache();
   void judge(const Artifact& cache);
   void take_judgement(const Artifact& cache, const Artifact& judgement);
@@ -126,16 +135,23 @@ class SplatPlan final : public GraphPlan {
   SplatSelectParameters select_parameters(std::uint32_t width, std::uint32_t height, std::uint32_t samples) const;
   SplatExtendParameters extend_parameters(std::size_t camera) const;
   void extend(std::size_t camera);
+  SplatGatherParameters gather_parameters(std::uint64_t records) const;
   Artifact ask_places();
   void take_places(Records& records, std::uint64_t given, const std::string& gather);
   Artifact ask_merge();
   void shade(const Artifact& cache);
+  void begin_lobes();
+  void add_light(const std::vector<float>& picture);
 
   FrameSettings settings_;
   SplatSettings splat_;
   Strata strata_;
   PixelCache cache_;
+  LobeCache lobes_;
+  bool glossy_;
   PathSampler paths_;
+  std::vector<float> light_;            // the caches' so far; RGB of each pixel
+  std::uint32_t missing_ = 0;           // caches whose light is to come
   std::vector<scene::Camera> cameras_;  // whose records the picture begins with
   std::vector<Records> before_;         // of each of these
   Artifact points_;
@@ -154,9 +170,12 @@ void SplatPlan::begin() {
   }
   // Samples for a target error are as many as the cache leaves to them.
   if (settings_.target_error > 0) errors_known_ = graph_.event();
-  paths_.begin(
-      {.classes = PATH_CLASS_IRRADIANCE, .limit = std::numeric_limits<float>::infinity(), .known = errors_known_});
-  points_ = cache_.ask_points(graph_, "splat", kFirst);
+  paths_.begin({.classes = caches_lobes() ? PATH_CLASS_RADIANCE : PATH_CLASS_IRRADIANCE,
+                .limit = std::numeric_limits<float>::infinity(),
+                .known = errors_known_});
+  missing_ = caches_lobes() ? 2 : 1;
+  if (caches_lobes()) begin_lobes();
+  points_ = cache_.ask_points(graph_, "splat.points", kFirst, free_scatterings());
   before_.resize(cameras_.size());
   for (std::size_t camera = 0; camera < cameras_.size(); ++camera) extend(camera);
   make_cache();
@@ -173,7 +192,7 @@ void SplatPlan::make_cache() {
     chosen_ = true;
     if (own_.facts.records == 0) {
       if (errors_known_) graph_.announce(errors_known_);
-      film_.add_pass({});
+      add_light({});
       own_stages_asked_ = true;
     } else if (judges()) {
       judge(ask_merge());
@@ -230,6 +249,23 @@ std::optional<SplatCounts> SplatPlan::better_counts() const {
   return better_splat_counts(splat_, *judged_, wanted_squared_error(), splat_.given);
 }
 
+// Both caches' light is one pass.
+void SplatPlan::add_light(const std::vector<float>& picture) {
+  if (light_.size() < picture.size()) light_.resize(picture.size());
+  for (std::size_t i = 0; i < picture.size(); ++i) light_[i] += picture[i];
+  if (--missing_ == 0) film_.add_pass(std::move(light_));
+}
+
+void SplatPlan::begin_lobes() {
+  lobes_.begin({.order = splat_.order,
+                .free_scatterings = free_scatterings(),
+                .select = select_parameters(settings_.width, settings_.height, cache_.samples()),
+                .gather = gather_parameters(0),
+                .strata = strata_,
+                .priority = kFirst},
+               [this](const std::vector<float>& picture) { add_light(picture); });
+}
+
 // Records before they are chosen, as cornell-box and modern-hall of 64 to 512 pixels have them.
 double usual_records(double pixels, double accuracy) {
   const double usual = 27 * std::pow(pixels, 0.55);
@@ -269,7 +305,7 @@ SplatExtendParameters SplatPlan::extend_parameters(std::size_t camera) const {
     return std::max(1u, static_cast<std::uint32_t>(edge * static_cast<double>(length)));
   };
   SplatExtendParameters p{};
-  p.points = cache_.point_parameters();
+  p.points = cache_.point_parameters(free_scatterings());
   p.points.camera = cameras_[camera];
   p.points.width = scaled(settings_.width);
   p.points.height = scaled(settings_.height);
@@ -309,6 +345,14 @@ Artifact SplatPlan::ask_places() {
   return graph_.add(std::move(spec), p, std::move(inputs));
 }
 
+SplatGatherParameters SplatPlan::gather_parameters(std::uint64_t records) const {
+  SplatGatherParameters p = cache_.gather_parameters(records, strata_);
+  p.samples.depth = depth();
+  p.samples.filter = PATH_CLASS_IRRADIANCE;
+  p.samples.clamp = std::numeric_limits<float>::infinity();
+  return p;
+}
+
 // What was chosen is known: light is gathered at the places that are new.
 void SplatPlan::take_places(Records& records, std::uint64_t given, const std::string& gather) {
   const auto facts = records.facts = records.places.facts<SplatSelectFacts>();
@@ -319,10 +363,7 @@ void SplatPlan::take_places(Records& records, std::uint64_t given, const std::st
                                  std::to_string(records.places.record_count()) + " places");
   const std::uint64_t added = facts.records - facts.given;
   if (added == 0) return;
-  SplatGatherParameters p = cache_.gather_parameters(added, strata_);
-  p.samples.depth = depth();
-  p.samples.filter = PATH_CLASS_IRRADIANCE;
-  p.samples.clamp = std::numeric_limits<float>::infinity();
+  SplatGatherParameters p = gather_parameters(added);
   p.first_place = low(facts.given);
   StageSpec spec = PixelCache::gathering(gather, "splat_gather", kFirst, added, strata_);
   spec.output.reusable = &records != &own_;
@@ -350,11 +391,11 @@ Artifact SplatPlan::ask_merge() {
 }
 
 void SplatPlan::shade(const Artifact& cache) {
-  const Artifact shaded = cache_.ask_shading(graph_, "splat", kFirst, points_, cache);
+  const Artifact shaded = cache_.ask_shading(graph_, "splat.shade", kFirst, points_, cache);
   points_ = {};
   own_stages_asked_ = true;
   cache_.preview(graph_, film_, shaded);
-  graph_.when({shaded}, [this, shaded] { film_.add_pass(cache_.picture_of(shaded.records())); });
+  graph_.when({shaded}, [this, shaded] { add_light(cache_.picture_of(shaded.records())); });
 }
 
 std::vector<std::string> SplatPlan::warnings() const {
@@ -384,6 +425,7 @@ std::string SplatPlan::parameters_json() const {
       splat["cameras"] = cameras_.size();
       splat["new_records"] = own_.facts.records - own_.facts.given;
     }
+    if (caches_lobes()) splat["order"] = splat_.order, splat["lobe_records"] = lobes_.records();
     if (splat_.accuracy > 0) splat["accuracy"] = own_.facts.accuracy;
     if (judged_ && judged_->mean > 0) {
       splat["caches"] = caches_made_;
@@ -411,6 +453,11 @@ std::vector<std::string> SplatPlan::outline() const {
                     " directions at each record, split");
     if (judges()) lines.push_back("splat.judge: how far the cache is off, from itself, solo");
     lines.push_back("splat.shade: " + std::to_string(cache_.tiles()) + " tiles lit by the records near them, split");
+    if (caches_lobes())
+      lines.push_back(
+          "splat.lobe_points, lobe_select, lobe_gather, lobe_shade: the same for rough lobes, by incoming "
+          "radiance in hemispherical harmonics of order " +
+          std::to_string(splat_.order));
   }
   for (const std::string& line : paths_.outline()) lines.push_back(line);
   return lines;
@@ -441,6 +488,9 @@ Method splat_method() {
            "new records of a frame, at most, beside those it begins with: the accuracy is coarsened until they "
            "suffice, "
            "and frames that follow make it finer; 0: no limit"},
+          {"splat.order", whole, 0, SPLAT_MOST_ORDER, "0",
+           "order of hemispherical harmonics that light on rough lobes (roughness from 0.45 on) is cached in; 0: paths "
+           "find that light"},
       }};
 }
 

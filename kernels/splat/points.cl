@@ -72,19 +72,33 @@ kernel WIDE void splat_point_step(global const SplatPointParameters* restrict pa
   global const Camera* camera = &parameters->camera;
   float across = 2.0f * camera->half_width / (float)parameters->width;
   vf footprint = camera->type == GLEANER_CAMERA_ORTHOGRAPHIC ? (vf)across : length * across;
+#ifdef NEED_LOBE
+  if (parameters->what != SPLAT_LAYERS) factor = pick3(splat3(zero_f()), point.throughput, point.rough);
+#else
+  if (parameters->what != SPLAT_LAYERS) return;
+#endif
   // Rays from here begin on the viewer's side.
   v3 place = offset_ray_origin(v->hit.p, v->hit.error, geometric, geometric);
   vi found = point.found & (max_component(factor) > zero_f()) & finite3(factor) & finite3(place) &
              (footprint > zero_f()) & finite_f(footprint);
   if (!any_lane(found)) return;
+  vu row = pick_u((vu)count, point.slot, found);
+#ifdef NEED_LOBE
+  if (parameters->what == SPLAT_LOBE_ROWS) {
+    write_lobe(points, row, &point);
+    return;
+  }
+#endif
+  vu free_ones = (vu)parameters->free_scatterings;
+  vu level = min(point.depth - min(point.depth, free_ones), (vu)(SPLAT_LEVEL - 1u));
   vf w[SPLAT_POINT_WORDS];
   put_words3(w, SPLAT_POSITION, place);
   put_words3(w, SPLAT_NORMAL, v->frame.normal);
   put_words3(w, SPLAT_GEOMETRIC, geometric);
   put_words3(w, SPLAT_FACTOR, factor);
   w[SPLAT_FOOTPRINT] = footprint;
-  w[SPLAT_TABLE] = as_vf(point.table);
+  w[SPLAT_TABLE] = as_vf(point.table ^ (level << SPLAT_LEVEL_SHIFT));
   w[SPLAT_ROW] = point.table_row;
   w[SPLAT_KEY] = as_vf(hash_combine(key, point.slot & (SPLAT_MOST_SAMPLES - 1u)));
-  store_words(points, pick_u((vu)count, point.slot, found) * SPLAT_POINT_WORDS, w);
+  store_words(points, row * SPLAT_POINT_WORDS, w);
 }

@@ -1,20 +1,23 @@
 // Rays over strata of records' hemispheres, which gather what arrives there, and how far their first surfaces are.
-// RECORD_STATE(place), a macro, is the state of the path filter that they begin with.
+// RECORD_STATE(place), a macro, is the state of the path filter that they begin with. Strata are of equal
+// cosine-weighted solid angle, with RECORD_RADIANCE of equal solid angle.
 #ifndef GLEANER_KERNELS_SPLAT_RECORD_RAYS_H
 #define GLEANER_KERNELS_SPLAT_RECORD_RAYS_H
 
+#include "kernels/splat/level.h"
 #include "kernels/splat_records.h"
 
 // Of a ray's slot.
 #define SLOT_NEARNESS 9u    // 1/m: one over the distance to its first surface; 0: there is none
 #define SLOT_DIRECTION 10u  // x and y in the record's frame (basis3() of its normal)
 
-// What of the light from the local direction d the diffuse layer at a place takes, over what it takes in the mean.
+// What of the light from the local direction d the diffuse layer at a place takes, over what it takes in the mean. Of
+// incoming radiance: what geometry leaves of it.
 FN vf layer_share(const Scene* scene, const vf* place, v3 d, v3 direction) {
   vf share = one_f();
-#ifdef NEED_LOBE
+#if defined(NEED_LOBE) && !defined(RECORD_RADIANCE)
   Surface m;
-  m.table = as_vu(place[SPLAT_TABLE]);
+  m.table = table_of_point(as_vu(place[SPLAT_TABLE]));
   m.table_row = place[SPLAT_ROW];
   share = left_to_layer(scene, &m, clamp_f(d.z, (vf)1e-6f, one_f())) / left_mean_of(scene, &m);
 #endif
@@ -27,8 +30,20 @@ FN vf layer_share(const Scene* scene, const vf* place, v3 d, v3 direction) {
   return share;
 }
 
-// Ray i is that of stratum i % strata of the batch's record i / strata: strata of equal cosine-weighted solid angle,
-// ring by ring from the normal on, in rings of `azimuthal`.
+// Through a stratum of the hemisphere, local.
+FN v3 stratum_direction(vf u0, vf u1) {
+#ifdef RECORD_RADIANCE
+  vf s, c, z = one_f() - u1;
+  sincos_2pi(u0, &s, &c);
+  vf r = safe_sqrt(one_f() - z * z);
+  return make3(r * c, r * s, z);
+#else
+  return sample_cosine(u0, u1);
+#endif
+}
+
+// Ray i is that of stratum i % strata of the batch's record i / strata, ring by ring from the normal on, in rings of
+// `azimuthal`.
 kernel WIDE void splat_gather_rays(global const SplatGatherParameters* restrict parameters, SCENE_PARAMETERS,
                                    global const float* restrict places, uint first_record, uint first_path, uint base,
                                    uint count, global float* restrict paths, global float* restrict slots) {
@@ -49,7 +64,8 @@ kernel WIDE void splat_gather_rays(global const SplatGatherParameters* restrict 
                         stratum / GLEANER_PATH_SEQUENCE);
   vu sample = stratum & (GLEANER_PATH_SEQUENCE - 1u);
   vf u0 = unit_float(hash_combine(key, sample * 2u)), u1 = unit_float(hash_combine(key, sample * 2u + 1u));
-  v3 d = sample_cosine((to_f(stratum - ring * azimuthal) + u0) / (float)azimuthal, (to_f(ring) + u1) / (float)polar);
+  v3 d =
+      stratum_direction((to_f(stratum - ring * azimuthal) + u0) / (float)azimuthal, (to_f(ring) + u1) / (float)polar);
   v3 n = words3(place, SPLAT_NORMAL), s, t;
   basis3(n, &s, &t);
   NextRay ray;
@@ -64,8 +80,14 @@ kernel WIDE void splat_gather_rays(global const SplatGatherParameters* restrict 
 #endif
   uint at = (base + first_lane) / LANES;
   vu slot = (vu)(first_path + first_lane) + lane_index();
-  set_path(paths, at, &ray, slot, (vu)(1u | (1u << META_DIFFUSE) | (1u << META_BOUNCE)) | (sample << META_SAMPLE), key);
+  vu scatterings = 1u + level_of_point(as_vu(place[SPLAT_TABLE]));
+  set_path(paths, at, &ray, slot,
+           scatterings | (vu)((1u << META_DIFFUSE) | (1u << META_BOUNCE)) | (sample << META_SAMPLE), key);
+#ifdef RECORD_RADIANCE
+  set_row_f(paths, PATH_ROWS, at, ROW_PDF, (vf)(0.5f * INV_PI));
+#else
   set_row_f(paths, PATH_ROWS, at, ROW_PDF, d.z * (vf)INV_PI);
+#endif
   set_row_f(paths, PATH_ROWS, at, ROW_TOTAL, one_f());
   set_row_f(paths, PATH_ROWS, at, ROW_ETA, one_f());
   set_row_f(paths, PATH_ROWS, at, ROW_FILTER, RECORD_STATE(place));

@@ -6,6 +6,7 @@
 // A point owns its sums, and takes records in their order: no two work-items add to one number. The paper's weight
 // jumps from 1 / a to nothing where a record ends, which shows as an edge; what exceeds 1 / a does not.
 #include "kernels/sampling.h"
+#include "kernels/splat/level.h"
 #include "kernels/splat/weight.h"
 #include "kernels/splat_records.h"
 #include "kernels/wide.h"
@@ -31,13 +32,15 @@ kernel WIDE void splat_accumulate(global const float* restrict points, global co
   vf weights = zero_f();
   if (any_lane(there)) {
     v3 p = words3(point, SPLAT_POSITION), n = words3(point, SPLAT_NORMAL);
+    vu level = level_of_point(as_vu(point[SPLAT_TABLE]));
     uint end = offsets[tile + 1u];
     for (uint i = offsets[tile]; i < end; ++i) {
       global const float* record = cache + (ulong)CACHE_WORDS * list[i];
       float accuracy = record[CACHE_ACCURACY];
       v3 d = sub3(p, vector_at(record, CACHE_POSITION)), m = vector_at(record, CACHE_NORMAL);
       vf error = splat_error(d.x, d.y, d.z, n.x, n.y, n.z, m.x, m.y, m.z, (vf)record[CACHE_RADIUS]);
-      vi counts = there & (error <= (vf)(accuracy * (1.0f + SPLAT_SLACK))) &
+      vi counts = there & (level == ((global const uint*)record)[CACHE_LEVEL]) &
+                  (error <= (vf)(accuracy * (1.0f + SPLAT_SLACK))) &
                   none(splat_is_hidden(d.x, d.y, d.z, n.x, n.y, n.z, m.x, m.y, m.z, SPLAT_MOST_DEPTH));
       if (!any_lane(counts)) continue;
       vf least = (vf)(1.0f / accuracy);

@@ -18,6 +18,7 @@
 typedef struct {
   Vertex vertex;
   vi found;       // lanes whose path ends here, with a point
+  vu depth;       // scatterings before it
   vu slot;        // the path's
   v3 direction;   // of the ray that found it
   v3 throughput;  // of the camera path
@@ -58,6 +59,7 @@ FN SurfacePoint step_to_surface_point(const Scene* scene, global float* paths, u
   const Surface* m = &v.surface;
   vi here = v.active & none(v.passes);
   point.slot = slot;
+  point.depth = depth;
   point.direction = direction;
   point.throughput = throughput;
   point.albedo = layer_albedo(m);

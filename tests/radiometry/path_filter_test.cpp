@@ -104,6 +104,30 @@ TEST_P(PathFilter, ClassesAddUp) {
   EXPECT_LT(off.standard_error(), 0.03 * indirect.mean) << "too noisy to prove anything";
 }
 
+// Where all surfaces are diffuse layers and rough lobes, a cache of incoming radiance takes all indirect light; of
+// irradiance, what leaves by layers.
+TEST(PathFilterCaches, TakeIndirectLight) {
+  Shot shot = shot_of("cornell-glossy");
+  Scene scene = *shot.scene;
+  for (auto& material : scene.materials)
+    if (material.roughness < 1) material.roughness = 0.5f;
+  scene::finish_materials(scene);
+  shot.scene = std::make_shared<const Scene>(std::move(scene));
+  const Means whole = means_without(shot, 0), layers = means_without(shot, PATH_CLASS_IRRADIANCE),
+              both = means_without(shot, PATH_CLASS_RADIANCE);
+  Sample left, lobes, direct;
+  for (std::uint32_t c = 0; c < shot.chunks; ++c) {
+    EXPECT_EQ(both.indirect[c], 0.0);
+    left.add(layers.indirect[c] / whole.indirect[c]);
+    lobes.add(layers.indirect[c]);
+    direct.add(both.direct[c] - whole.direct[c]);
+  }
+  std::printf("  lobes send %.4f of indirect light\n", left.mean);
+  EXPECT_GT(lobes.mean, 10 * lobes.standard_error());
+  EXPECT_LT(left.mean, 0.5);
+  EXPECT_LT(std::abs(direct.mean), 5 * direct.standard_error() + 1e-6 * whole.direct[0]);
+}
+
 INSTANTIATE_TEST_SUITE_P(Scenes, PathFilter, testing::Values("glossy-range", "cornell-glossy"), [](const auto& scene) {
   std::string name = scene.param;
   std::erase(name, '-');
@@ -115,11 +139,13 @@ TEST(PathFilterParameters, UnknownClassesAreRefused) {
   worker::Executor& on = executor(shot.trace);
   kernels::PathParameters p = parameters_of(shot);
   p.clamp = 1;
-  // RADIOSITY, SAMPLED_RADIOSITY and IRRADIANCE are no part of other classes; LAYER is the photon maps' alone.
+  // RADIOSITY, SAMPLED_RADIOSITY, IRRADIANCE and RADIANCE are no part of other classes; LAYER is the photon maps'
+  // alone.
   for (const std::uint32_t classes :
-       {PATH_CLASS_RADIOSITY | PATH_CLASS_DIFFUSE, PATH_CLASS_IRRADIANCE | PATH_CLASS_DIFFUSE, PATH_CLASS_LAYER,
+       {PATH_CLASS_RADIOSITY | PATH_CLASS_DIFFUSE, PATH_CLASS_IRRADIANCE | PATH_CLASS_DIFFUSE,
+        PATH_CLASS_RADIANCE | PATH_CLASS_DIFFUSE, PATH_CLASS_RADIANCE | PATH_CLASS_IRRADIANCE, PATH_CLASS_LAYER,
         PATH_CLASS_LAYER | PATH_CLASS_DIFFUSE, PATH_CLASS_SAMPLED_RADIOSITY | PATH_CLASS_DIFFUSE,
-        2 * PATH_CLASS_SAMPLED_RADIOSITY}) {
+        2 * PATH_CLASS_RADIANCE}) {
     p.filter = classes;
     const worker::StageTask task = task_of(p, load(on, shot.scene));
     EXPECT_THROW(on.run(task, 0, 1), Error) << classes;

@@ -348,7 +348,7 @@ TEST(Photon, BrightRecordsDoNotShineOnDarkOnes) {
       records[i].position = {static_cast<float>(i), 0, 0};
       records[i].normal = {0, 0, 1};
       records[i].radius = 1;
-      records[i].spare = {2, 0.1f, 0};
+      records[i].spare = {2, 0.1f};
     }
     records[0].irradiance = {light, light, light};
     records[1].irradiance = {20, 20, 20};

@@ -1,6 +1,7 @@
 // Method `splat`: gradients of environments that are known, the whole picture against the path tracer, and records that
 // do not depend on batches.
 
+#include <algorithm>
 #include <cmath>
 #include <functional>
 #include <numbers>
@@ -79,13 +80,146 @@ TEST(Splat, MeanIsThePathTracers) {
   }
 }
 
-TEST(Splat, RecordsDoNotDependOnBatches) {
-  const Frame frame =
-      square_frame("splat", scene::make_scene("cornell-glass", {}), {}, 32, 4, {{"splat.gather_rays", "64"}});
+// The Cornell box with a mirror, lit by a point: no path finds a bright light by chance, so that few rays tell the
+// mean.
+Scene mirror_room() {
+  Scene scene = scene::make_scene("cornell-mirror", {});
+  for (auto& material : scene.materials) std::fill_n(material.emission, 3, 0.0f);
+  scene::Light light{};
+  light.type = GLEANER_LIGHT_POINT;
+  light.position[1] = 1.5f;
+  light.position[2] = 0.3f;
+  light.direction[2] = -1;
+  light.intensity[0] = light.intensity[1] = light.intensity[2] = 2;
+  light.cos_inner = 1;
+  light.cos_outer = -1;
+  scene.lights.push_back(light);
+  scene::finish_materials(scene);
+  return scene;
+}
+
+// Of indirect light.
+void expect_means_of_path(const Scene& scene, std::uint32_t depth, const Settings& set) {
+  Frame frame = square_frame("path", scene, {}, 64, 1024, {});
+  frame.settings.depth = depth;
+  const Rendered path = render(frame);
+  frame.settings.method = "splat";
+  frame.settings.spp = 64;
+  frame.settings.set = set;
+  const Rendered made = render(frame);
+  for (const char* channel : {"indirect.R", "indirect.G", "indirect.B"}) {
+    const double expected = mean_of(path.film, channel), found = mean_of(made.film, channel);
+    std::printf("  %s: %.6f, expected %.6f, %+.2f %%\n", channel, found, expected, 100 * (found / expected - 1));
+    EXPECT_NEAR(found / expected, 1, 0.005) << channel;
+  }
+}
+
+TEST(Splat, InterpolationBesideAMirrorHasNoBias) { expect_means_of_path(mirror_room(), 0, {}); }
+
+// Light on a surface that is seen in the mirror has come by one scattering less.
+TEST(Splat, ADepthLimitCountsMirrorsBeforeTheSurface) {
+  for (const std::uint32_t depth : {3u, 4u}) {
+    std::printf("  depth %u\n", depth);
+    expect_means_of_path(mirror_room(), depth, {{"splat.gather_rays", "256"}});
+  }
+}
+
+// A limit of bounces is the cache's own: as long as the depth's is beyond it, nobody sees that one.
+TEST(Splat, BouncesCountFromTheSurface) {
+  Frame frame = square_frame("splat", mirror_room(), {}, 32, 4, {{"splat.gather_rays", "64"}, {"splat.bounces", "1"}});
+  const std::vector<float> any = render(frame).floats("splat.shade");
+  frame.settings.depth = 4;
+  EXPECT_EQ(render(frame).floats("splat.shade"), any);
+}
+
+// What `worker` makes of points on the plane z = 0 and of records there, R of each point.
+std::vector<float> shade(const std::vector<worker::SplatPoint>& points, const std::vector<CacheRecord>& cache) {
+  const auto bytes_of = [](const auto& rows) {
+    auto bytes = std::make_shared<scene::Bytes>(rows.size() * sizeof rows[0]);
+    std::memcpy(bytes->data(), rows.data(), bytes->size());
+    return bytes;
+  };
+  worker::Executor& on = executor(worker::TraceKind::automatic);
+  kernels::SplatShadeParameters p{};
+  p.tiles = static_cast<std::uint32_t>(points.size() / SPLAT_TILE_PIXELS);
+  p.samples = 1;
+  worker::StageTask task;
+  task.kind = "splat_shade";
+  task.scene = load(on, std::make_shared<const Scene>(scene::make_scene("cornell-box", {})));
+  task.parameters.resize(sizeof p);
+  std::memcpy(task.parameters.data(), &p, sizeof p);
+  task.inputs["points"] = bytes_of(points);
+  task.inputs["cache"] = bytes_of(cache);
+  const worker::BatchResult result = on.run(task, 0, p.tiles);
+  std::vector<float> rgb(result.records.size() / 4), red;
+  std::memcpy(rgb.data(), result.records.data(), result.records.size());
+  for (std::size_t i = 0; i < rgb.size(); i += 3) red.push_back(rgb[i]);
+  return red;
+}
+
+// Whatever their weights: records that tell of a linear function by value and gradient.
+TEST(Splat, ALinearFieldIsInterpolatedExactly) {
+  std::mt19937 random(7);
+  std::uniform_real_distribution<float> number(0, 1);
+  const auto field = [](float x, float y) { return 2 + 0.5f * x - 0.75f * y; };
+  std::vector<worker::SplatPoint> points(4 * SPLAT_TILE_PIXELS);
+  for (worker::SplatPoint& point : points) {
+    point = {};
+    point.position = {number(random), number(random), 0};
+    point.normal = point.geometric = {0, 0, 1};
+    point.factor = {1, 1, 1};
+    point.footprint = 0.01f;
+    point.table = GLEANER_NONE;
+  }
+  std::vector<CacheRecord> cache(100);
+  for (CacheRecord& record : cache) {
+    record = {};
+    record.position = {number(random), number(random), 0};
+    record.normal = {0, 0, 1};
+    record.radius = 1 + number(random);
+    record.accuracy = 0.5f;
+    record.irradiance[0] = field(record.position[0], record.position[1]);
+    record.translation[0] = 0.5f;
+    record.translation[1] = -0.75f;
+  }
+  const std::vector<float> shown = shade(points, cache);
+  for (std::size_t i = 0; i < points.size(); ++i)
+    EXPECT_NEAR(shown[i], field(points[i].position[0], points[i].position[1]), 1e-5f) << i;
+}
+
+// A record at every point shows what its own hemisphere gathered, and nothing else.
+TEST(Splat, ARecordAtEveryPointIsHemisphereSampling) {
+  const Rendered made = render(square_frame("splat", scene::make_scene("cornell-glossy", {}), {}, 32, 1,
+                                            {{"splat.accuracy", "0"}, {"splat.gather_rays", "64"}}));
+  const auto rows_of = [&]<typename Row>(const char* stage, Row) {
+    const scene::Bytes& bytes = made.results.at(stage).records;
+    std::vector<Row> rows(bytes.size() / sizeof(Row));
+    std::memcpy(rows.data(), bytes.data(), bytes.size());
+    return rows;
+  };
+  const auto points = rows_of("splat.points", worker::SplatPoint{});
+  const auto records = rows_of("splat.gather", CacheRecord{});
+  const std::vector<float> shown = made.floats("splat.shade");
+  std::size_t record = 0;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    if (!points[i].exists()) continue;
+    ASSERT_LT(record, records.size());
+    for (std::size_t k = 0; k < 3; ++k) {
+      const float expected = points[i].factor[k] * records[record].irradiance[k];
+      EXPECT_NEAR(shown[3 * i + k], expected, 1e-6f * expected) << "point " << i;
+    }
+    ++record;
+  }
+  EXPECT_EQ(record, records.size());
+  EXPECT_GT(record, 900u);
+}
+
+// Each of these stages again, in batches of five, by two threads.
+void expect_same_in_batches(const Frame& frame, std::initializer_list<const char*> names) {
   const Rendered made = render(frame);
   worker::Executor two({.device = -1, .threads = 2, .trace = worker::TraceKind::automatic});
   two.load_scene("two", frame.scene, nullptr);
-  for (const char* name : {"splat.points", "splat.select", "splat.gather", "splat.shade"}) {
+  for (const char* name : names) {
     const coordinator::StageSpec& spec = made.specs.at(name);
     const worker::BatchResult& whole = made.results.at(name);
     worker::StageTask task = made.tasks.at(name);
@@ -101,8 +235,25 @@ TEST(Splat, RecordsDoNotDependOnBatches) {
       at += part.records.size();
       first += count;
     }
+    EXPECT_GT(at, 0u) << name;
     EXPECT_EQ(at, whole.records.size()) << name;
   }
+}
+
+TEST(Splat, RecordsDoNotDependOnBatches) {
+  expect_same_in_batches(
+      square_frame("splat", scene::make_scene("cornell-glass", {}), {}, 32, 4, {{"splat.gather_rays", "64"}}),
+      {"splat.points", "splat.select", "splat.gather", "splat.shade"});
+}
+
+TEST(Splat, RecordsOfLobesDoNotDependOnBatches) {
+  Scene scene = scene::make_scene("cornell-glossy", {});
+  for (auto& material : scene.materials)
+    if (material.roughness < 1) material.roughness = 0.6f;
+  scene::finish_materials(scene);
+  expect_same_in_batches(
+      square_frame("splat", std::move(scene), {}, 32, 4, {{"splat.gather_rays", "64"}, {"splat.order", "5"}}),
+      {"splat.lobe_points", "splat.lobes", "splat.lobe_select", "splat.lobe_gather", "splat.lobe_shade"});
 }
 
 }  // namespace

@@ -25,7 +25,7 @@ CacheRecord cluster_record(const SplatPoint& place, const HemisphereGrid& grid,
   sized.factor[0] = std::clamp(mean, reach, most);
   CacheRecord record = cache_record(sized, grid, samples);
   record.radius = std::min(mean, most);
-  record.spare = {reach, turn, 0};
+  record.spare = {reach, turn};
   return record;
 }
 
@@ -45,7 +45,7 @@ BatchResult run_photon_cluster_gather_stage(const StageRun& run) {
         return std::make_unique<RecordThread<PhotonGatherThread>>(places, part, run.workspace, work, index, p.estimate,
                                                                   *map, cut);
       },
-      cluster_record);
+      record_maker(cluster_record));
 }
 
 }  // namespace gleaner::worker

@@ -167,6 +167,7 @@ CacheRecord cache_record(const SplatPoint& place, const HemisphereGrid& grid,
   record.normal = place.normal;
   record.radius = place.factor[0];
   record.accuracy = place.factor[1];
+  record.level = place.level();
   const Frame frame(place.normal);
   const Gradients gradients(grid, samples, frame);
   record.spare[CACHE_NOISE - CACHE_SPARE] = static_cast<float>(gradients.noise());

@@ -18,6 +18,11 @@ struct SplatPoint {
   float row;
   std::uint32_t key;
   bool exists() const { return footprint > 0; }
+  // `table` holds both (kernels/splat/level.h).
+  std::uint32_t albedo_table() const {
+    return (table & SPLAT_TABLE_BITS) == SPLAT_TABLE_BITS ? GLEANER_NONE : table & SPLAT_TABLE_BITS;
+  }
+  std::uint32_t level() const { return (table ^ albedo_table()) >> SPLAT_LEVEL_SHIFT; }
 };
 static_assert(sizeof(SplatPoint) == SPLAT_POINT_WORDS * 4);
 
@@ -27,7 +32,8 @@ struct CacheRecord {
   std::array<float, 3> irradiance;
   std::array<float, 9> rotation, translation;  // a colour after the other
   float accuracy;
-  std::array<float, 3> spare;
+  std::uint32_t level;
+  std::array<float, 2> spare;
   float noise() const { return spare[0]; }  // CACHE_NOISE
 };
 static_assert(sizeof(CacheRecord) == CACHE_WORDS * 4);

@@ -108,6 +108,8 @@ BatchResult find_splat_points(const StageRun& run, const SplatPointParameters& p
                               std::uint64_t tiles) {
   run.check_film(p.camera, p.width, p.height);
   check_splat_samples(run, p.samples);
+  if (p.what > SPLAT_LOBE_ROWS)
+    throw Error::bad_input(run.where(), "what", "0 to " + std::to_string(SPLAT_LOBE_ROWS), std::to_string(p.what));
   BatchResult result;
   result.records.resize(tiles * SPLAT_TILE_PIXELS * p.samples * sizeof(SplatPoint));
   cl::CommandQueue queue = run.device.make_queue();

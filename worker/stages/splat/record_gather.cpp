@@ -36,15 +36,16 @@ std::vector<SplatPoint> read_places(const StageRun& run, const SplatGatherParame
       input.fail(row, "accuracy", "a number above 0", std::to_string(place.factor[1]));
     if (!(place.factor[2] >= 0) || !std::isfinite(place.factor[2]))
       input.fail(row, "spacing", "metres, not negative", std::to_string(place.factor[2]));
-    if (place.table != GLEANER_NONE && !run.scene.has_albedo_row(place.table, place.row))
-      input.fail(row, "table", "an albedo table of the scene", std::to_string(place.table));
+    if (const std::uint32_t table = place.albedo_table();
+        table != GLEANER_NONE && !run.scene.has_albedo_row(table, place.row))
+      input.fail(row, "table", "an albedo table of the scene", std::to_string(table));
   }
   return rows;
 }
 
-// One record of its rays' slots. Light that is not finite is left out and counted.
-CacheRecord record_of(const SplatPoint& place, const HemisphereGrid& grid, const float* slots, MakeRecord make_record,
-                      ThreadCounters& counters, std::uint64_t item) {
+// A record of its rays' slots. Light that is not finite is left out and counted.
+void make_record(const SplatPoint& place, const HemisphereGrid& grid, const float* slots, const RecordMaker& maker,
+                 ThreadCounters& counters, std::uint64_t item, std::byte* record) {
   std::vector<HemisphereSample> samples(grid.strata());
   std::uint64_t lost = 0;
   for (HemisphereSample& sample : samples) {
@@ -58,12 +59,12 @@ CacheRecord record_of(const SplatPoint& place, const HemisphereGrid& grid, const
   }
   counters.nonfinite += lost;
   if (lost && counters.nonfinite_items.size() < REPORTED_ITEMS) counters.nonfinite_items.push_back(item);
-  return make_record(place, grid, samples);
+  maker.make(place, grid, samples, record);
 }
 
 // Makes the records of a part's places, by all host threads.
 void make_records(const StageRun& run, const SamplePart& part, std::span<const SplatPoint> places,
-                  const HemisphereGrid& grid, MakeRecord make_record, std::byte* records, BatchResult& result,
+                  const HemisphereGrid& grid, const RecordMaker& maker, std::byte* records, BatchResult& result,
                   cl::CommandQueue& queue) {
   std::vector<float> slots(std::size_t{part.paths} * FILTERED_SLOT_WORDS);
   queue.enqueueReadBuffer(part.slots, CL_TRUE, 0, part.paths * kSlotBytes, slots.data());
@@ -71,11 +72,9 @@ void make_records(const StageRun& run, const SamplePart& part, std::span<const S
   std::vector<ThreadCounters> counters(threads);
   run_threads(threads, [&](unsigned thread) {
     const double start = seconds_now();
-    for (std::size_t i = thread; i < places.size(); i += threads) {
-      const CacheRecord record = record_of(places[i], grid, &slots[i * grid.strata() * FILTERED_SLOT_WORDS],
-                                           make_record, counters[thread], part.first_item + i);
-      std::memcpy(records + i * sizeof record, &record, sizeof record);
-    }
+    for (std::size_t i = thread; i < places.size(); i += threads)
+      make_record(places[i], grid, &slots[i * grid.strata() * FILTERED_SLOT_WORDS], maker, counters[thread],
+                  part.first_item + i, records + i * maker.bytes);
     counters[thread].all = seconds_now() - start;
   });
   for (const ThreadCounters& one : counters) one.add_to(result.counters, threads);
@@ -93,7 +92,7 @@ void check_record_parameters(const StageRun& run, const SplatGatherParameters& p
 }
 
 BatchResult gather_records(const StageRun& run, const SplatGatherParameters& p, const Program& program,
-                           const MakeRecordThread& make_thread, MakeRecord make_record) {
+                           const MakeRecordThread& make_thread, const RecordMaker& maker) {
   const double start = seconds_now();
   const HemisphereGrid grid{p.polar, p.azimuthal};
   cl::CommandQueue queue = run.device.make_queue();
@@ -101,7 +100,7 @@ BatchResult gather_records(const StageRun& run, const SplatGatherParameters& p, 
   PlaceTable places{.buffer = run.workspace.take("splat.places", (rows.size() + 1) * sizeof(SplatPoint))};
   queue.enqueueWriteBuffer(places.buffer, CL_TRUE, 0, rows.size() * sizeof(SplatPoint), rows.data());
   BatchResult result;
-  result.records.resize(run.count * sizeof(CacheRecord));
+  result.records.resize(run.count * maker.bytes);
   SamplePart part{.device = run.device, .scene = run.scene, .program = program};
   part.parameters = run.parameter_buffer(queue);
   part.generator = "splat_gather_rays";
@@ -115,8 +114,8 @@ BatchResult gather_records(const StageRun& run, const SplatGatherParameters& p, 
     part.slots = run.workspace.take("path.slots", (std::size_t{part.slot_count()} + 1) * kSlotBytes);
     WorkQueue work(part.paths, host_threads(run.device), 1024, run.task.given_up.get());
     run_host_threads(work, result, [&](unsigned index) { return make_thread(places, part, work, index); });
-    make_records(run, part, std::span(rows).subspan(done, part.item_count), grid, make_record,
-                 result.records.data() + done * sizeof(CacheRecord), result, queue);
+    make_records(run, part, std::span(rows).subspan(done, part.item_count), grid, maker,
+                 result.records.data() + done * maker.bytes, result, queue);
   }
   result.counters.seconds = seconds_now() - start;
   return result;

@@ -2,6 +2,7 @@
 // Stages that gather light at records: paths over strata of each record's hemisphere, and the record of their slots
 // (kernels/splat/record_rays.h). Which light that is, the method's program says.
 
+#include <cstring>
 #include <functional>
 #include <memory>
 #include <utility>
@@ -49,11 +50,23 @@ void check_record_parameters(const StageRun& run, const kernels::SplatGatherPara
 using MakeRecordThread = std::function<std::unique_ptr<SampleThread>(const PlaceTable& places, const SamplePart& part,
                                                                      WorkQueue& work, unsigned index)>;
 // Makes a record of a place and of what its rays found.
-using MakeRecord = CacheRecord (*)(const SplatPoint& place, const HemisphereGrid& grid,
-                                   std::span<const HemisphereSample> samples);
+struct RecordMaker {
+  std::size_t bytes = 0;  // of a record
+  std::function<void(const SplatPoint& place, const HemisphereGrid& grid, std::span<const HemisphereSample> samples,
+                     std::byte* record)>
+      make;
+};
+// Of a function that returns it.
+template <typename Make>
+RecordMaker record_maker(Make make) {
+  return {sizeof(CacheRecord), [make](const auto& place, const auto& grid, auto samples, std::byte* to) {
+            const CacheRecord record = make(place, grid, samples);
+            std::memcpy(to, &record, sizeof record);
+          }};
+}
 
 // Runs a batch. `parameters` have been checked; the stage's own begin with them.
 BatchResult gather_records(const StageRun& run, const kernels::SplatGatherParameters& parameters,
-                           const Program& program, const MakeRecordThread& make_thread, MakeRecord make_record);
+                           const Program& program, const MakeRecordThread& make_thread, const RecordMaker& maker);
 
 }  // namespace gleaner::worker

@@ -168,7 +168,7 @@ class Selector {
       const float x = point.position[0] - center[0], y = point.position[1] - center[1],
                   z = point.position[2] - center[2];
       // Eq. 4.
-      if (!(x * x + y * y + z * z <= reach2)) continue;
+      if (!(x * x + y * y + z * z <= reach2) || points_[i].level() != place.point.level()) continue;
       const Vec& n = point.normal;
       if (splat::splat_error(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], place.radius) > settings_.accuracy) continue;
       if (splat::splat_is_hidden(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], SPLAT_MOST_DEPTH * (1 - SPLAT_SLACK)))

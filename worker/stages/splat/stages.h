@@ -13,11 +13,14 @@ BatchResult run_splat_extend_stage(const StageRun& run);
 BatchResult run_splat_gather_stage(const StageRun& run);
 BatchResult merge_splat_records(const StageTask& task);
 BatchResult judge_splat_cache(const StageTask& task);
+BatchResult run_splat_lobe_gather_stage(const StageRun& run);
 BatchResult run_splat_shade_stage(const StageRun& run);
 
 // Throws Error::bad_input for a number of samples of a pixel that is out of range.
 void check_splat_samples(const StageRun& run, std::uint32_t samples);
-// The same, and for a picture of no or too many points.
+// For an order of hemispherical harmonics that is out of range.
+void check_splat_order(const StageRun& run, std::uint32_t order);
+// As check_splat_samples(), and for a picture of no or too many points.
 void check_splat_points(const StageRun& run, std::uint32_t width, std::uint32_t height, std::uint32_t samples);
 // The points of tiles [first_tile, first_tile + tiles). The task's parameters begin with `p`.
 BatchResult find_splat_points(const StageRun& run, const kernels::SplatPointParameters& p, std::uint64_t first_tile,
