@@ -25,13 +25,17 @@ FN float cut_irradiance(global const float* rows, uint nodes, const MapPlace* p,
       vf z = cut_word(&cut, block, part, CUT_PLACE + 2u) - p->z;
       vf nearness = cut_word(&cut, block, part, CUT_NEARNESS);
       vf height = x * p->nx + y * p->ny + z * p->nz;
-      vf falloff = 1.0f - (x * x + y * y + z * z + MAP_FLATNESS * height * height) * nearness;
+      vf distance2 = x * x + y * y + z * z + MAP_FLATNESS * height * height;
+      vf falloff = 1.0f - distance2 * nearness;
       vf cosine = cut_word(&cut, block, part, CUT_NORMAL) * p->nx +
                   cut_word(&cut, block, part, CUT_NORMAL + 1u) * p->ny +
                   cut_word(&cut, block, part, CUT_NORMAL + 2u) * p->nz;
       // Over r_p^2: nodes have nearly equal power, so that dark ones are wide, and would darken what is bright beside
       // them.
       vi near = (falloff > zero_f()) & (cosine > (vf)MAP_LEAST_COSINE);
+      vi below = near & far_below(height, distance2);
+      if (any_lane(below))
+        near = near & none(below & covered(p, as_vu(cut_word(&cut, block, part, CUT_ARRIVAL)), height, distance2));
       vf weight = pick(zero_f(), falloff * cosine * nearness, near);
       weights += weight;
       r += weight * cut_word(&cut, block, part, CUT_IRRADIANCE);

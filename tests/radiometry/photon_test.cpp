@@ -12,6 +12,7 @@
 
 #include "kernels/photon_records.h"
 #include "kernels/rays.h"
+#include "scene/library/builder.h"
 #include "scene/library/library.h"
 #include "scene/model/error.h"
 #include "tests/radiometry/rendered_frame.h"
@@ -262,6 +263,55 @@ TEST(Photon, BiasFallsWithMorePhotons) {
   EXPECT_LT(std::abs(off[2]), std::abs(off[0]) / 2);
   // Discs that hang over edges, counted whole, are short of a per cent.
   EXPECT_LT(std::abs(off[2]), 0.005);
+}
+
+// A lamp in a niche of a room's wall, behind a blind: two layers, 0.3 mm apart, each of which lets a fifth of the light
+// through.
+Scene blind() {
+  constexpr double wall = -0.9, half = 0.5;
+  scene::SceneBuilder b("blind");
+  b.mesh("room");
+  const std::uint32_t grey = b.material("walls", scene::lambert(scene::grey(0.5)));
+  // Across x, from (y, z) to (y, z).
+  const auto sheet = [&](double x, double y0, double z0, double y1, double z1, std::uint32_t material) {
+    b.quad({x, y0, z0}, {x, y1, z0}, {x, y1, z1}, {x, y0, z1}, material);
+  };
+  sheet(1, -1, -1, 1, 1, grey);
+  sheet(wall, -1, -1, 1, -half, grey);
+  sheet(wall, -1, half, 1, 1, grey);
+  sheet(wall, -1, -half, -half, half, grey);
+  sheet(wall, half, -half, 1, half, grey);
+  const auto tube = [&](double x0, double x1, double to) {
+    for (const double side : {-to, to}) {
+      b.quad({x0, side, -to}, {x1, side, -to}, {x1, side, to}, {x0, side, to}, grey);
+      b.quad({x0, -to, side}, {x1, -to, side}, {x1, to, side}, {x0, to, side}, grey);
+    }
+  };
+  tube(wall, 1, 1);
+  tube(wall - 0.2, wall, half);
+  sheet(wall - 0.2, -half, -half, half, half, grey);
+  sheet(wall - 0.19, -0.4, -0.4, 0.4, 0.4, b.material("lamp", scene::emitter(scene::grey(10))));
+  scene::Material cloth = scene::lambert(scene::grey(0.8));
+  cloth.flags |= GLEANER_MATERIAL_ALPHA_BLEND;
+  cloth.alpha = 0.8f;
+  const std::uint32_t layer = b.material("cloth", cloth);
+  sheet(wall, -half, -half, half, half, layer);
+  sheet(wall - 0.0003, -half, -half, half, half, layer);
+  b.camera("camera", {-0.7, 0, 0}, {1, 0, 0}, 80, 64, 64);
+  return b.finish();
+}
+
+// Between a blind's layers it is brighter than on the side that the room sees. What the photons there say of their
+// density is not the room's.
+TEST(Photon, LightInsideABlindStaysThere) {
+  Frame path = frame_of(blind(), 24, 2048, {});
+  path.settings.method = "path";
+  const Sample truth = means_of(path, "indirect.G", 4);
+  for (const char* cut : {"0", "2000"}) {
+    const Settings set = {{"photon.count", "50000"}, {"photon.cut", cut}, {"photon.clusters", "0"}};
+    expect_mean(means_of(frame_of(blind(), 24, 64, set), "indirect.G", 6), truth.mean, std::string("a cut of ") + cut,
+                sidak(kFamily, 2), 0.05, 3 * truth.standard_error() + 0.02 * truth.mean);
+  }
 }
 
 // --- Shading clusters ---

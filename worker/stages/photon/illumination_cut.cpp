@@ -17,7 +17,7 @@ constexpr float kLeastRadius = 1e-6f;  // m
 constexpr float kFar = 1e18f;          // m: what lies farther away is no photon (kernels/photon_records.h)
 constexpr float kAlike = 0.7f;         // least cosine between normals of one surface: MAP_LEAST_COSINE of the kernels
 
-float cosine(const std::array<float, 3>& a, const std::array<float, 3>& b) {
+float dot(const std::array<float, 3>& a, const std::array<float, 3>& b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
@@ -34,6 +34,22 @@ std::array<float, 3> unpack_unit(std::uint32_t packed, unsigned width) {
   y += y >= 0 ? -fold : fold;
   const float length = std::sqrt(x * x + y * y + z * z);
   return {x / length, y / length, z / length};
+}
+
+// As unpack_length() of kernels/photon/pack.h.
+float unpack_length(std::uint32_t code) {
+  return std::bit_cast<float>(((code + ((127u - 16u) << 3)) << 20) | 1u << 19);
+}
+
+// Whether the surface at a place covers a photon: as far_below() and covered() of kernels/photon/map.h.
+bool covers(const CutPlace& place, const CutPlace& photon) {
+  std::array<float, 3> off{};
+  for (unsigned k = 0; k < 3; ++k) off[k] = photon.position[k] - place.position[k];
+  const float height = dot(off, place.normal), distance2 = dot(off, off);
+  if (!(height < 0 && height * height > PHOTON_LEAST_DEPTH * PHOTON_LEAST_DEPTH * distance2)) return false;
+  const float length = unpack_length(photon.arrival >> PHOTON_LENGTH_SHIFT);
+  const float rise = -length * dot(unpack_unit(photon.arrival, 12), place.normal);
+  return std::abs(rise + height) < -PHOTON_COVER_MARGIN * height && length * length < distance2;
 }
 
 }  // namespace
@@ -111,8 +127,10 @@ void IlluminationCut::each_photon(std::size_t node, See see) const {
   }
 }
 
-std::array<float, 3> IlluminationCut::normal(std::uint32_t block, unsigned lane) const {
-  return unpack_unit(std::bit_cast<std::uint32_t>(photon(block, lane, PHOTON_SURFACE)), 12);
+CutPlace IlluminationCut::photon_place(std::uint32_t block, unsigned lane) const {
+  return {.position = {photon(block, lane, 0), photon(block, lane, 1), photon(block, lane, 2)},
+          .normal = unpack_unit(std::bit_cast<std::uint32_t>(photon(block, lane, PHOTON_SURFACE)), 12),
+          .arrival = std::bit_cast<std::uint32_t>(photon(block, lane, PHOTON_ARRIVAL))};
 }
 
 CutPlace IlluminationCut::place(std::size_t i) const {
@@ -126,8 +144,7 @@ CutPlace IlluminationCut::place(std::size_t i) const {
     for (unsigned k = 0; k < 3; ++k) off += std::pow(double{photon(block, lane, k)} - middle[k], 2);
     if (!(off < nearest)) return;
     nearest = off;
-    best.position = {photon(block, lane, 0), photon(block, lane, 1), photon(block, lane, 2)};
-    best.normal = normal(block, lane);
+    best = photon_place(block, lane);
   });
   return best;
 }
@@ -135,9 +152,10 @@ CutPlace IlluminationCut::place(std::size_t i) const {
 std::vector<CutPlace> IlluminationCut::spread(std::size_t i, const CutPlace& place, std::uint32_t most) const {
   std::vector<CutPlace> alike;
   each_photon(cut_[i], [&](std::uint32_t block, unsigned lane) {
-    const CutPlace other = {{photon(block, lane, 0), photon(block, lane, 1), photon(block, lane, 2)},
-                            normal(block, lane)};
-    if (cosine(other.normal, place.normal) > kAlike && other.position != place.position) alike.push_back(other);
+    const CutPlace other = photon_place(block, lane);
+    if (dot(other.normal, place.normal) > kAlike && other.position != place.position && !covers(place, other) &&
+        !covers(other, place))
+      alike.push_back(other);
   });
   std::vector<CutPlace> places;
   const std::size_t wanted = std::min<std::size_t>(most, alike.size());
@@ -149,10 +167,10 @@ bool IlluminationCut::bent(std::size_t node) const {
   bool first = true, unlike = false;
   std::array<float, 3> one{};
   each_photon(node, [&](std::uint32_t block, unsigned lane) {
-    const std::array<float, 3> n = normal(block, lane);
+    const std::array<float, 3> n = photon_place(block, lane).normal;
     if (first) one = n;
     first = false;
-    unlike = unlike || cosine(n, one) < kAlike;
+    unlike = unlike || dot(n, one) < kAlike;
   });
   return unlike;
 }
@@ -228,6 +246,7 @@ std::size_t IlluminationCut::write(std::size_t node, std::size_t first, std::siz
         put(CUT_IRRADIANCE + k, irradiance[i][k]);
       }
       put(CUT_NEARNESS, 1 / (r * r));
+      put(CUT_ARRIVAL, std::bit_cast<float>(places[i].arrival));
     }
   } else {
     const auto middle = static_cast<std::size_t>(std::ranges::lower_bound(cut_, right(node)) - cut_.begin());
