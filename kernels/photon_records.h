@@ -70,8 +70,15 @@ GLEANER_SIZE(PhotonTraceParameters, 32);
 #define NODE_BLOCK 6u  // uint: of a leaf; GLEANER_NONE: an inner node
 #define NODE_SKIP 7u   // uint: the first node behind all below this one
 
-// An illumination cut: rows of PHOTON_WORDS words. Header and nodes are as a map's, but a leaf's block holds up to 16
-// of the cut's nodes, of CUT_WORDS words each, and a tree node's box is what all cut nodes below it reach.
+// An illumination cut: rows of PHOTON_WORDS words. Row 0 is a header as a map's, row 1 is empty; then the boxes of a
+// tree of 16 children a node, in groups of 16 that lie word by word; then blocks of up to 16 of the cut's nodes, of
+// CUT_WORDS words each. The box of a block is what its nodes reach. Group g of the first level holds the boxes of
+// blocks 16 g to 16 g + 15, group g of a later level those of groups 16 g to 16 g + 15 of the level before; the last
+// level is one group. Boxes that stand for nothing hold no place. MAP_NODES counts the rows between row 0 and the
+// blocks.
+#define CUT_BOX_WORDS 6u  // m: lower, upper corner
+#define CUT_BOX_ROWS (CUT_BOX_WORDS * RAY_BLOCK / PHOTON_WORDS)
+#define CUT_LEVELS 6u
 #define CUT_WORDS 11u
 #define CUT_PLACE 0u       // m
 #define CUT_NORMAL 3u      // of the surface there

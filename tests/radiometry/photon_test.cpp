@@ -496,27 +496,32 @@ TEST(Photon, CutIsRefinedWhereItIsOff) {
   std::vector<worker::CutPlace> places;
   for (std::size_t i = 0; i < cut.size(); ++i) places.push_back(cut.place(i));
   const std::vector<std::uint32_t> rows = cut.rows(places, irradiance);
-  // All are in the blocks, in the tree's order, and every tree node's box holds what those below it reach.
-  const std::size_t nodes = rows[MAP_NODES], block_words = std::size_t{CUT_WORDS} * RAY_BLOCK;
-  ASSERT_EQ(rows.size(), (1 + nodes) * PHOTON_WORDS + rows[MAP_BLOCKS] * block_words);
+  // All are in the blocks, in the tree's order, and the boxes about a block hold what its nodes reach, on all levels.
+  const std::size_t nodes = rows[MAP_NODES], blocks = rows[MAP_BLOCKS],
+                    block_words = std::size_t{CUT_WORDS} * RAY_BLOCK;
+  ASSERT_EQ(rows.size(), (1 + nodes) * PHOTON_WORDS + blocks * block_words);
   const auto real = [&](std::size_t at) { return std::bit_cast<float>(rows[at]); };
   std::size_t members = 0;
-  for (std::size_t node = 0; node < nodes; ++node) {
-    const std::size_t at = (1 + node) * PHOTON_WORDS;
-    EXPECT_GT(rows[at + NODE_SKIP], node);
-    if (rows[at + NODE_BLOCK] == GLEANER_NONE) continue;
-    const std::size_t block = (1 + nodes) * PHOTON_WORDS + rows[at + NODE_BLOCK] * block_words;
+  for (std::size_t b = 0; b < blocks; ++b)
     for (std::size_t lane = 0; lane < RAY_BLOCK; ++lane) {
+      const std::size_t block = (1 + nodes) * PHOTON_WORDS + b * block_words;
       const auto word = [&](unsigned k) { return real(block + k * RAY_BLOCK + lane); };
       if (!(word(CUT_NEARNESS) > 0)) continue;
       EXPECT_EQ(word(CUT_IRRADIANCE + 1), static_cast<float>(members++));
       const float reach = 0.999f / std::sqrt(word(CUT_NEARNESS));
-      for (unsigned k = 0; k < 3; ++k) {
-        EXPECT_LT(real(at + NODE_LOWER + k), word(CUT_PLACE + k) - reach);
-        EXPECT_GT(real(at + NODE_UPPER + k), word(CUT_PLACE + k) + reach);
-      }
+      std::size_t first = 0, count = blocks, child = b;
+      do {
+        count = (count + RAY_BLOCK - 1) / RAY_BLOCK;
+        const std::size_t at =
+            2 * PHOTON_WORDS + (first + child / RAY_BLOCK) * CUT_BOX_WORDS * RAY_BLOCK + child % RAY_BLOCK;
+        for (unsigned k = 0; k < 3; ++k) {
+          EXPECT_LT(real(at + k * RAY_BLOCK), word(CUT_PLACE + k) - reach);
+          EXPECT_GT(real(at + (3 + k) * RAY_BLOCK), word(CUT_PLACE + k) + reach);
+        }
+        first += count;
+        child /= RAY_BLOCK;
+      } while (count > 1);
     }
-  }
   EXPECT_EQ(members, cut.size());
 }
 
@@ -620,13 +625,11 @@ TEST(Photon, RefusesWhatIsOutOfRange) {
   refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, nodes), 0));
   refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, ratio), 0xbf800000u));  // -1
   refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, estimate), 1000));
-  // A cut whose header is wrong, whose walk would not end, or whose light is none.
+  // A cut whose header is wrong, whose boxes are not those of its blocks, or whose light is none.
   using Broken = std::pair<std::size_t, std::uint32_t>;
   const std::size_t cut_nodes = words_of(*made.tasks.at("photon.cluster_gather").inputs.at("cut").load())[MAP_NODES];
-  for (const auto& [word, value] :
-       {Broken{MAP_NODES, 1}, Broken{MAP_BLOCKS, 1u << 30}, Broken{PHOTON_WORDS + NODE_BLOCK, 1u << 30},
-        Broken{PHOTON_WORDS + NODE_SKIP, 0}, Broken{PHOTON_WORDS + NODE_SKIP, 1u << 30},
-        Broken{(1 + cut_nodes) * PHOTON_WORDS + CUT_IRRADIANCE * RAY_BLOCK, 0xbf800000u}})
+  for (const auto& [word, value] : {Broken{MAP_NODES, 1}, Broken{MAP_BLOCKS, 1u << 30}, Broken{MAP_BLOCKS, 0},
+                                    Broken{(1 + cut_nodes) * PHOTON_WORDS + CUT_IRRADIANCE * RAY_BLOCK, 0xbf800000u}})
     refused("photon.cluster_gather", [word = word, value = value](worker::StageTask& task) {
       scene::Bytes cut = *task.inputs.at("cut").load();
       std::memcpy(cut.data() + word * 4, &value, 4);

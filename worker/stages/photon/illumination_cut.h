@@ -51,11 +51,9 @@ class IlluminationCut {
   // Calls see(block, lane) for each photon of a node.
   template <typename See>
   void each_photon(std::size_t node, See see) const;
-  struct CutTree {
-    std::vector<std::uint32_t> nodes, blocks;  // words; a header before the nodes
-  };
-  std::size_t write(std::size_t node, std::size_t first, std::size_t end, const std::vector<CutPlace>& places,
-                    const std::vector<std::array<float, 3>>& irradiance, CutTree& tree) const;
+  // Calls see(first, end) for runs of at most 16 of the cut's nodes, each below one node of the map's tree.
+  template <typename See>
+  void each_run(std::size_t node, std::size_t first, std::size_t end, const See& see) const;
 
   std::vector<std::uint32_t> map_;
   std::uint32_t nodes_ = 0;
