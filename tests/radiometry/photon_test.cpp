@@ -18,6 +18,7 @@
 #include "tests/radiometry/rendered_frame.h"
 #include "worker/stages/photon/illumination_cut.h"
 #include "worker/stages/photon/seeding.h"
+#include "worker/stages/photon/select_place.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/splat/points.h"
 
@@ -169,6 +170,31 @@ TEST(Photon, MapHoldsEveryPhoton) {
     }
     EXPECT_EQ(found, expected);
   }
+}
+
+// The same division as std::nth_element's, of places of which many are equal along the axis.
+TEST(Photon, PlacesAreDividedAtTheMedian) {
+  std::uint32_t state = 1;
+  for (const std::size_t count : {1u, 2u, 31u, 33u, 1000u, 20'000u})
+    for (const std::uint32_t kinds : {1u, 3u, 1u << 20}) {
+      std::vector<worker::PhotonPlace> places(count);
+      for (std::uint32_t i = 0; i < count; ++i) {
+        state = state * 1664525u + 1013904223u;
+        places[i].words = {0, static_cast<float>((state >> 8) % kinds) - 1, 0, std::bit_cast<float>(i)};
+      }
+      std::vector<worker::PhotonPlace> expected = places;
+      const std::size_t middle = count / 2;
+      const auto numbers = [&](const std::vector<worker::PhotonPlace>& of) {
+        std::vector<std::uint32_t> found;
+        for (std::size_t i = 0; i < middle; ++i) found.push_back(of[i].photon());
+        std::ranges::sort(found);
+        return found;
+      };
+      std::ranges::sort(expected, {}, [](const auto& place) { return std::pair(place.at(1), place.photon()); });
+      worker::select_place(places, middle, 1);
+      EXPECT_EQ(numbers(places), numbers(expected)) << count << " places of " << kinds << " kinds";
+      EXPECT_EQ(places[middle].photon(), expected[middle].photon());
+    }
 }
 
 // --- The path tracer ---
