@@ -333,6 +333,12 @@ FN void write_reads(global float* reads, uint block, const Path* path, const Pat
 }
 #endif
 
+// Of a block without any shadow ray.
+FN void write_no_connection(global float* shadows, uint block, uint slot_count) {
+  set_row_f(shadows, SHADOW_ROWS, block, ROW_FAR, (vf)-1.0f);
+  set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_SLOT, (vu)slot_count);
+}
+
 // `reads`: of PHOTON_GATHER alone.
 kernel WIDE void path_shade(global const PathParameters* restrict parameters, SCENE_PARAMETERS, uint survivors,
                             uint fresh_base, uint fresh_count, global const float* restrict paths,
@@ -352,8 +358,7 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   find_environment(scene, slots, slot_count, &path, &filter, active & none(hit));
 #endif
   if (!any_lane(hit)) {
-    set_row_f(shadows, SHADOW_ROWS, block, ROW_FAR, (vf)-1.0f);
-    set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_SLOT, (vu)slot_count);
+    write_no_connection(shadows, block, slot_count);
 #ifdef PHOTON_GATHER
     scatter_u((global uint*)reads + READ_SLOT, ((vu)(block * LANES) + lane_index()) * READ_WORDS, (vu)slot_count);
 #endif
@@ -394,6 +399,10 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 #endif
 #ifdef PHOTON_GATHER
   write_reads(reads, block, &path, &filter, &v, slot_count, most);
+  if (!any_lane(goes_on(&filter, &v))) {
+    write_no_connection(shadows, block, slot_count);
+    return;
+  }
 #endif
 
   sample_pair(pair_key, path.sample, GLEANER_PATH_SEQUENCE, 0u, &u_choice, &u_roulette);

@@ -173,6 +173,20 @@ FN void filter_vertex(PathFilter* f, float limit, v3 origin, v3 direction, Verte
 #endif
 }
 
+#ifdef PHOTON_GATHER
+// Lanes that a light sample or a scattering may still bring light: all but those whose one layer is read.
+FN vi goes_on(const PathFilter* f, const Vertex* v) {
+  vi read = f->reads;
+#ifdef NEED_LOBE
+  read = read & (v->surface.lobe_share <= zero_f());
+#endif
+#ifdef NEED_TRANSMISSIVE
+  read = read & (v->surface.transmission <= zero_f());
+#endif
+  return v->active & none(read);
+}
+#endif
+
 // Of a rough surface the partner's bound is on the product with the lobe's gain, which a direction decides.
 FN vf share_of_rough(const PathFilter* f, float clamp_to, vf gain, vi rough) {
 #if FILTERS(PATH_CLASS_DIFFUSE) && !defined(PHOTON_GATHER)

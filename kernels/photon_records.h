@@ -11,11 +11,14 @@ namespace gleaner::kernels {
 // A photon: 32 bytes.
 #define PHOTON_WORDS 8u
 #define PHOTON_POSITION 0u
-#define PHOTON_POWER 3u      // W, RGB: what arrives, weighed for the normal for shading
-#define PHOTON_DIRECTION 6u  // uint: of the ray that arrived, octahedral, 16 + 16 bits
+#define PHOTON_POWER 3u  // W, RGB: what arrives, weighed for the normal for shading
+#define PHOTON_ARRIVAL \
+  6u  // uint: the ray that arrived: its direction, octahedral, 12 + 12 bits; from bit 24 on its
+      // length, in eighths of octaves (kernels/photon/pack.h)
 #define PHOTON_SURFACE \
   7u  // uint: the triangle's normal on the side that it came from, octahedral, 12 + 12 bits; from
       // bit 24 on its class; from bit 27 on its depth: scatterings so far, 31: or more
+#define PHOTON_LENGTH_SHIFT 24u
 #define PHOTON_CLASS_SHIFT 24u
 #define PHOTON_CLASS_MASK 7u
 #define PHOTON_DEPTH_SHIFT 27u
@@ -33,6 +36,12 @@ namespace gleaner::kernels {
 
 #define PHOTON_CLASS_BIT(c) (1u << (c))
 #define PHOTON_ALL_CLASSES 15u
+
+// Photons that lie by less than this part of their distance below a place's plane are on its surface. Of others, those
+// whose light begins at that plane, to within this part of their depth, are covered by it (kernels/photon/map.h):
+// lengths are off by 6 %.
+#define PHOTON_LEAST_DEPTH 5e-4f
+#define PHOTON_COVER_MARGIN 0.25f
 
 // Photons that a path may leave. Of a path that would leave more, this many are kept at random, each of them the more
 // powerful for it.
@@ -61,13 +70,21 @@ GLEANER_SIZE(PhotonTraceParameters, 32);
 #define NODE_BLOCK 6u  // uint: of a leaf; GLEANER_NONE: an inner node
 #define NODE_SKIP 7u   // uint: the first node behind all below this one
 
-// An illumination cut: rows of PHOTON_WORDS words. Header and nodes are as a map's, but a leaf's block holds up to 16
-// of the cut's nodes, of CUT_WORDS words each, and a tree node's box is what all cut nodes below it reach.
-#define CUT_WORDS 10u
+// An illumination cut: rows of PHOTON_WORDS words. Row 0 is a header as a map's, row 1 is empty; then the boxes of a
+// tree of 16 children a node, in groups of 16 that lie word by word; then blocks of up to 16 of the cut's nodes, of
+// CUT_WORDS words each. The box of a block is what its nodes reach. Group g of the first level holds the boxes of
+// blocks 16 g to 16 g + 15, group g of a later level those of groups 16 g to 16 g + 15 of the level before; the last
+// level is one group. Boxes that stand for nothing hold no place. MAP_NODES counts the rows between row 0 and the
+// blocks.
+#define CUT_BOX_WORDS 6u  // m: lower, upper corner
+#define CUT_BOX_ROWS (CUT_BOX_WORDS * RAY_BLOCK / PHOTON_WORDS)
+#define CUT_LEVELS 6u
+#define CUT_WORDS 11u
 #define CUT_PLACE 0u       // m
 #define CUT_NORMAL 3u      // of the surface there
 #define CUT_NEARNESS 6u    // 1/m^2: one over r_p^2 of eq. 4; 0: no node
 #define CUT_IRRADIANCE 7u  // W/m^2, RGB: E_p
+#define CUT_ARRIVAL 10u    // uint: of the photon there, as PHOTON_ARRIVAL
 // Nodes that a coarse cut may have.
 #define PHOTON_MOST_CUT (1u << 22)
 

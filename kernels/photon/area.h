@@ -7,11 +7,11 @@
 // Fewer photons tell too little of their spread.
 #define AREA_LEAST_PHOTONS 8.0f
 // Least area over the disc's; fitted to the means of the references of four scenes.
-#define AREA_LEAST_SHARE 0.5f
+#define AREA_LEAST_SHARE 0.2f
 // Squared distance of a place from the photons' mean, in their standard deviations: farther away they lie elsewhere, as
 // light does that ends beside the place, and the disc is dark for the rest. At the edge of half a disc it is 2.6, in
-// the corner of a quarter 4.4.
-#define AREA_MOST_AWAY2 3.0f
+// the corner of a quarter 4.4. Fitted as well.
+#define AREA_MOST_AWAY2 5.0f
 #define AREA_PI 3.14159265f
 
 // Moments of photons' places in the surface's plane.

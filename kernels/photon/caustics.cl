@@ -79,7 +79,7 @@ FN v3 lobe_sends(const PhotonMap* map, uint block, uint part, global const float
                  vi near) {
   v3 power = make3(photon_f(map, block, part, PHOTON_POWER), photon_f(map, block, part, PHOTON_POWER + 1u),
                    photon_f(map, block, part, PHOTON_POWER + 2u));
-  v3 from = negate3(unpack_unit(photon_u(map, block, part, PHOTON_DIRECTION), 16u));
+  v3 from = negate3(unpack_unit(photon_u(map, block, part, PHOTON_ARRIVAL), 12u));
   v3 n = uniform3(read[READ_NORMAL], read[READ_NORMAL + 1u], read[READ_NORMAL + 2u]);
   v3 view = uniform3(lobe[LOBE_VIEW], lobe[LOBE_VIEW + 1u], lobe[LOBE_VIEW + 2u]);
   v3 f0 = uniform3(lobe[LOBE_F0], lobe[LOBE_F0 + 1u], lobe[LOBE_F0 + 2u]);

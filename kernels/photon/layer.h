@@ -30,7 +30,7 @@ FN v3 layer_takes(const Scene* scene, const PhotonMap* map, uint block, uint par
 #ifdef NEED_LOBE
   uint table = ((global const uint*)read)[READ_TABLE];
   if (table != GLEANER_NONE) {
-    v3 d = unpack_unit(photon_u(map, block, part, PHOTON_DIRECTION), 16u);
+    v3 d = unpack_unit(photon_u(map, block, part, PHOTON_ARRIVAL), 12u);
     vf cosine = -(d.x * read[READ_NORMAL] + d.y * read[READ_NORMAL + 1u] + d.z * read[READ_NORMAL + 2u]);
     Surface m;
     m.table = (vu)table;

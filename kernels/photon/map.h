@@ -102,6 +102,20 @@ FN vu photon_u(const PhotonMap* map, uint block, uint part, uint word) {
   return row_u(map->photons, PHOTON_WORDS, block * MAP_PARTS + part, word);
 }
 
+// Below the place's plane: too far to be on its surface.
+FN vi far_below(vf height, vf distance2) {
+  return (height < zero_f()) & (height * height > PHOTON_LEAST_DEPTH * PHOTON_LEAST_DEPTH * distance2);
+}
+
+// Of photons far below the place's plane, those whose light comes from that plane, from nearer than the place is: the
+// back of the place's own surface sends it. Such photons are inside a thin sheet, whose other side the place is on.
+FN vi covered(const MapPlace* p, vu arrival, vf height, vf distance2) {
+  v3 d = unpack_unit(arrival, 12u);
+  vf length = unpack_length(arrival >> PHOTON_LENGTH_SHIFT);
+  vf rise = -length * (d.x * p->nx + d.y * p->ny + d.z * p->nz);
+  return (fabs(rise + height) < -PHOTON_COVER_MARGIN * height) & (length * length < distance2);
+}
+
 // The photons that count within the radius, and their distances squared.
 FN vi photons_near(const PhotonMap* map, uint block, uint part, const MapPlace* p, float radius2, vf* distance2) {
   vf x = photon_f(map, block, part, PHOTON_POSITION) - p->x;
@@ -115,6 +129,8 @@ FN vi photons_near(const PhotonMap* map, uint block, uint part, const MapPlace* 
   vu surface = photon_u(map, block, part, PHOTON_SURFACE);
   v3 n = unpack_unit(surface, 12u);
   near = near & (n.x * p->nx + n.y * p->ny + n.z * p->nz > (vf)MAP_LEAST_COSINE);
+  vi below = near & far_below(height, d2);
+  if (any_lane(below)) near = near & none(below & covered(p, photon_u(map, block, part, PHOTON_ARRIVAL), height, d2));
   if (p->most_depth < PHOTON_MOST_DEPTH) near = near & ((surface >> PHOTON_DEPTH_SHIFT) <= p->most_depth);
   if (p->caustics) near = near & (((surface >> PHOTON_CLASS_SHIFT) & PHOTON_CLASS_MASK) == PHOTON_CAUSTIC);
   return near;

@@ -31,4 +31,14 @@ FN v3 unpack_unit(vu packed, uint bits) {
   return normalize3(make3(x, y, z));
 }
 
+// Lengths of 2^-16 to 2^16 m in 8 bits, off by 6 % at most: a float's exponent and the first 3 bits of its mantissa.
+#define LENGTH_FIRST ((127u - 16u) << 3)
+
+FN vu pack_length(vf length) {
+  vu code = as_vu(max_f(length, zero_f())) >> 20;
+  return min(max(code, (vu)LENGTH_FIRST) - LENGTH_FIRST, (vu)255u);
+}
+
+FN vf unpack_length(vu code) { return as_vf(((code + LENGTH_FIRST) << 20) | (1u << 19)); }
+
 #endif

@@ -8,7 +8,7 @@
 
 kernel void photon_read(global const float* restrict reads, uint count, SCENE_PARAMETERS,
                         global const float* restrict map, uint map_nodes, global const float* restrict cut,
-                        uint cut_nodes, uint cut_depth, uint neighbours, float most_radius,
+                        uint cut_blocks, uint cut_depth, uint neighbours, float most_radius,
                         global float* restrict slots, uint slot_count) {
   uint i = (uint)get_global_id(0);
   if (i >= count) return;
@@ -17,9 +17,9 @@ kernel void photon_read(global const float* restrict reads, uint count, SCENE_PA
   uint slot = ((global const uint*)read)[READ_SLOT];
   if (slot >= slot_count) return;
   MapPlace place = map_place(read);
-  if (cut_nodes && !place.caustics && place.most_depth >= cut_depth) {
+  if (cut_blocks && !place.caustics && place.most_depth >= cut_depth) {
     float e[3];
-    if (cut_irradiance(cut, cut_nodes, &place, e) > 0.0f) {
+    if (cut_irradiance(cut, cut_blocks, &place, e) > 0.0f) {
       global float* to = slots + SLOT_WORDS * slot + SLOT_INDIRECT;
       float share = mean_layer_share(&scene_value, read);
       for (uint k = 0; k < 3u; ++k) to[k] += read[READ_FACTOR + k] * e[k] * share;

@@ -45,12 +45,13 @@ kernel WIDE void photon_emit(global const PhotonTraceParameters* restrict parame
 
 // What is left of a light path's flux where it meets a surface, and the numbers that are drawn there.
 typedef struct {
-  v3 direction, power;
+  v3 origin, direction, power;
   vu slot, key, sample, bounce, depth, arrivals, class_;
 } LightPath;
 
 FN LightPath load_light_path(global const float* paths, uint block, vu meta) {
   LightPath p;
+  p.origin = row_3(paths, PATH_ROWS, block, ROW_ORIGIN);
   p.direction = row_3(paths, PATH_ROWS, block, ROW_DIRECTION);
   p.power = row_3(paths, PATH_ROWS, block, ROW_THROUGHPUT);
   p.slot = row_u(paths, PATH_ROWS, block, ROW_SLOT);
@@ -96,7 +97,8 @@ FN void store_photon(global float* records, global uint* arrivals, uint count, L
   vf w[PHOTON_WORDS];
   put_words3(w, PHOTON_POSITION, v->hit.p);
   put_words3(w, PHOTON_POWER, scale3(p->power, weight));
-  w[PHOTON_DIRECTION] = as_vf(pack_unit(p->direction, 16u));
+  vf length = length3(sub3(v->hit.p, p->origin));
+  w[PHOTON_ARRIVAL] = as_vf(pack_unit(p->direction, 12u) | (pack_length(length) << PHOTON_LENGTH_SHIFT));
   w[PHOTON_SURFACE] = as_vf(pack_unit(geometric, 12u) | (p->class_ << PHOTON_CLASS_SHIFT) |
                             (min(p->depth, (vu)PHOTON_MOST_DEPTH) << PHOTON_DEPTH_SHIFT));
   scatter_words(records, 1u, at, w, PHOTON_WORDS);
@@ -145,8 +147,8 @@ kernel WIDE void photon_trace_step(global const PhotonTraceParameters* restrict 
   if (parameters->balance) add_balance(balance, count, p.slot, BALANCE_ESCAPED, p.power, alive & none(active));
   if (!any_lane(active)) return;
   v3 arrived = p.power;
-  LightVertex met = meet_light_surface(scene, paths, block, active, row_3(paths, PATH_ROWS, block, ROW_ORIGIN),
-                                       p.direction, p.power, p.key, p.sample, p.bounce);
+  LightVertex met =
+      meet_light_surface(scene, paths, block, active, p.origin, p.direction, p.power, p.key, p.sample, p.bounce);
   Vertex v = met.v;
   v3 geometric = met.geometric;
   vf correction = met.correction;

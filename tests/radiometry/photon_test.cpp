@@ -12,11 +12,13 @@
 
 #include "kernels/photon_records.h"
 #include "kernels/rays.h"
+#include "scene/library/builder.h"
 #include "scene/library/library.h"
 #include "scene/model/error.h"
 #include "tests/radiometry/rendered_frame.h"
 #include "worker/stages/photon/illumination_cut.h"
 #include "worker/stages/photon/seeding.h"
+#include "worker/stages/photon/select_place.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/splat/points.h"
 
@@ -170,6 +172,31 @@ TEST(Photon, MapHoldsEveryPhoton) {
   }
 }
 
+// The same division as std::nth_element's, of places of which many are equal along the axis.
+TEST(Photon, PlacesAreDividedAtTheMedian) {
+  std::uint32_t state = 1;
+  for (const std::size_t count : {1u, 2u, 31u, 33u, 1000u, 20'000u})
+    for (const std::uint32_t kinds : {1u, 3u, 1u << 20}) {
+      std::vector<worker::PhotonPlace> places(count);
+      for (std::uint32_t i = 0; i < count; ++i) {
+        state = state * 1664525u + 1013904223u;
+        places[i].words = {0, static_cast<float>((state >> 8) % kinds) - 1, 0, std::bit_cast<float>(i)};
+      }
+      std::vector<worker::PhotonPlace> expected = places;
+      const std::size_t middle = count / 2;
+      const auto numbers = [&](const std::vector<worker::PhotonPlace>& of) {
+        std::vector<std::uint32_t> found;
+        for (std::size_t i = 0; i < middle; ++i) found.push_back(of[i].photon());
+        std::ranges::sort(found);
+        return found;
+      };
+      std::ranges::sort(expected, {}, [](const auto& place) { return std::pair(place.at(1), place.photon()); });
+      worker::select_place(places, middle, 1);
+      EXPECT_EQ(numbers(places), numbers(expected)) << count << " places of " << kinds << " kinds";
+      EXPECT_EQ(places[middle].photon(), expected[middle].photon());
+    }
+}
+
 // --- The path tracer ---
 
 // Paths alone, bit by bit, where both maps are switched off.
@@ -262,6 +289,55 @@ TEST(Photon, BiasFallsWithMorePhotons) {
   EXPECT_LT(std::abs(off[2]), std::abs(off[0]) / 2);
   // Discs that hang over edges, counted whole, are short of a per cent.
   EXPECT_LT(std::abs(off[2]), 0.005);
+}
+
+// A lamp in a niche of a room's wall, behind a blind: two layers, 0.3 mm apart, each of which lets a fifth of the light
+// through.
+Scene blind() {
+  constexpr double wall = -0.9, half = 0.5;
+  scene::SceneBuilder b("blind");
+  b.mesh("room");
+  const std::uint32_t grey = b.material("walls", scene::lambert(scene::grey(0.5)));
+  // Across x, from (y, z) to (y, z).
+  const auto sheet = [&](double x, double y0, double z0, double y1, double z1, std::uint32_t material) {
+    b.quad({x, y0, z0}, {x, y1, z0}, {x, y1, z1}, {x, y0, z1}, material);
+  };
+  sheet(1, -1, -1, 1, 1, grey);
+  sheet(wall, -1, -1, 1, -half, grey);
+  sheet(wall, -1, half, 1, 1, grey);
+  sheet(wall, -1, -half, -half, half, grey);
+  sheet(wall, half, -half, 1, half, grey);
+  const auto tube = [&](double x0, double x1, double to) {
+    for (const double side : {-to, to}) {
+      b.quad({x0, side, -to}, {x1, side, -to}, {x1, side, to}, {x0, side, to}, grey);
+      b.quad({x0, -to, side}, {x1, -to, side}, {x1, to, side}, {x0, to, side}, grey);
+    }
+  };
+  tube(wall, 1, 1);
+  tube(wall - 0.2, wall, half);
+  sheet(wall - 0.2, -half, -half, half, half, grey);
+  sheet(wall - 0.19, -0.4, -0.4, 0.4, 0.4, b.material("lamp", scene::emitter(scene::grey(10))));
+  scene::Material cloth = scene::lambert(scene::grey(0.8));
+  cloth.flags |= GLEANER_MATERIAL_ALPHA_BLEND;
+  cloth.alpha = 0.8f;
+  const std::uint32_t layer = b.material("cloth", cloth);
+  sheet(wall, -half, -half, half, half, layer);
+  sheet(wall - 0.0003, -half, -half, half, half, layer);
+  b.camera("camera", {-0.7, 0, 0}, {1, 0, 0}, 80, 64, 64);
+  return b.finish();
+}
+
+// Between a blind's layers it is brighter than on the side that the room sees. What the photons there say of their
+// density is not the room's.
+TEST(Photon, LightInsideABlindStaysThere) {
+  Frame path = frame_of(blind(), 24, 2048, {});
+  path.settings.method = "path";
+  const Sample truth = means_of(path, "indirect.G", 4);
+  for (const char* cut : {"0", "2000"}) {
+    const Settings set = {{"photon.count", "50000"}, {"photon.cut", cut}, {"photon.clusters", "0"}};
+    expect_mean(means_of(frame_of(blind(), 24, 64, set), "indirect.G", 6), truth.mean, std::string("a cut of ") + cut,
+                sidak(kFamily, 2), 0.05, 3 * truth.standard_error() + 0.02 * truth.mean);
+  }
 }
 
 // --- Shading clusters ---
@@ -446,27 +522,32 @@ TEST(Photon, CutIsRefinedWhereItIsOff) {
   std::vector<worker::CutPlace> places;
   for (std::size_t i = 0; i < cut.size(); ++i) places.push_back(cut.place(i));
   const std::vector<std::uint32_t> rows = cut.rows(places, irradiance);
-  // All are in the blocks, in the tree's order, and every tree node's box holds what those below it reach.
-  const std::size_t nodes = rows[MAP_NODES], block_words = std::size_t{CUT_WORDS} * RAY_BLOCK;
-  ASSERT_EQ(rows.size(), (1 + nodes) * PHOTON_WORDS + rows[MAP_BLOCKS] * block_words);
+  // All are in the blocks, in the tree's order, and the boxes about a block hold what its nodes reach, on all levels.
+  const std::size_t nodes = rows[MAP_NODES], blocks = rows[MAP_BLOCKS],
+                    block_words = std::size_t{CUT_WORDS} * RAY_BLOCK;
+  ASSERT_EQ(rows.size(), (1 + nodes) * PHOTON_WORDS + blocks * block_words);
   const auto real = [&](std::size_t at) { return std::bit_cast<float>(rows[at]); };
   std::size_t members = 0;
-  for (std::size_t node = 0; node < nodes; ++node) {
-    const std::size_t at = (1 + node) * PHOTON_WORDS;
-    EXPECT_GT(rows[at + NODE_SKIP], node);
-    if (rows[at + NODE_BLOCK] == GLEANER_NONE) continue;
-    const std::size_t block = (1 + nodes) * PHOTON_WORDS + rows[at + NODE_BLOCK] * block_words;
+  for (std::size_t b = 0; b < blocks; ++b)
     for (std::size_t lane = 0; lane < RAY_BLOCK; ++lane) {
+      const std::size_t block = (1 + nodes) * PHOTON_WORDS + b * block_words;
       const auto word = [&](unsigned k) { return real(block + k * RAY_BLOCK + lane); };
       if (!(word(CUT_NEARNESS) > 0)) continue;
       EXPECT_EQ(word(CUT_IRRADIANCE + 1), static_cast<float>(members++));
       const float reach = 0.999f / std::sqrt(word(CUT_NEARNESS));
-      for (unsigned k = 0; k < 3; ++k) {
-        EXPECT_LT(real(at + NODE_LOWER + k), word(CUT_PLACE + k) - reach);
-        EXPECT_GT(real(at + NODE_UPPER + k), word(CUT_PLACE + k) + reach);
-      }
+      std::size_t first = 0, count = blocks, child = b;
+      do {
+        count = (count + RAY_BLOCK - 1) / RAY_BLOCK;
+        const std::size_t at =
+            2 * PHOTON_WORDS + (first + child / RAY_BLOCK) * CUT_BOX_WORDS * RAY_BLOCK + child % RAY_BLOCK;
+        for (unsigned k = 0; k < 3; ++k) {
+          EXPECT_LT(real(at + k * RAY_BLOCK), word(CUT_PLACE + k) - reach);
+          EXPECT_GT(real(at + (3 + k) * RAY_BLOCK), word(CUT_PLACE + k) + reach);
+        }
+        first += count;
+        child /= RAY_BLOCK;
+      } while (count > 1);
     }
-  }
   EXPECT_EQ(members, cut.size());
 }
 
@@ -570,13 +651,11 @@ TEST(Photon, RefusesWhatIsOutOfRange) {
   refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, nodes), 0));
   refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, ratio), 0xbf800000u));  // -1
   refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, estimate), 1000));
-  // A cut whose header is wrong, whose walk would not end, or whose light is none.
+  // A cut whose header is wrong, whose boxes are not those of its blocks, or whose light is none.
   using Broken = std::pair<std::size_t, std::uint32_t>;
   const std::size_t cut_nodes = words_of(*made.tasks.at("photon.cluster_gather").inputs.at("cut").load())[MAP_NODES];
-  for (const auto& [word, value] :
-       {Broken{MAP_NODES, 1}, Broken{MAP_BLOCKS, 1u << 30}, Broken{PHOTON_WORDS + NODE_BLOCK, 1u << 30},
-        Broken{PHOTON_WORDS + NODE_SKIP, 0}, Broken{PHOTON_WORDS + NODE_SKIP, 1u << 30},
-        Broken{(1 + cut_nodes) * PHOTON_WORDS + CUT_IRRADIANCE * RAY_BLOCK, 0xbf800000u}})
+  for (const auto& [word, value] : {Broken{MAP_NODES, 1}, Broken{MAP_BLOCKS, 1u << 30}, Broken{MAP_BLOCKS, 0},
+                                    Broken{(1 + cut_nodes) * PHOTON_WORDS + CUT_IRRADIANCE * RAY_BLOCK, 0xbf800000u}})
     refused("photon.cluster_gather", [word = word, value = value](worker::StageTask& task) {
       scene::Bytes cut = *task.inputs.at("cut").load();
       std::memcpy(cut.data() + word * 4, &value, 4);

@@ -75,7 +75,7 @@ TEST(Wanted, SelectionEndsAfterItsRound) {
     given_up = ++rounds == 2;
     return std::vector<float>(asked.size(), 1.0f);
   };
-  EXPECT_THAT(error_of([&] { select_places(settings, points, probe); }), HasSubstr(nobody_wants_it));
+  EXPECT_THAT(error_of([&] { select_places(settings, points, {}, probe); }), HasSubstr(nobody_wants_it));
   EXPECT_EQ(rounds, 2);
 }
 

@@ -74,7 +74,7 @@ class EstimateThread : public HostThread {
         read_(run.device, program, "photon_read") {
     run.scene.set_arguments(read_);
     map.set_arguments(read_, "map");
-    PhotonCutTable{.rows = slots_, .nodes = 0, .most_depth = 0, .size = 0}.set_arguments(read_);
+    PhotonCutTable{.rows = slots_, .blocks = 0, .most_depth = 0, .size = 0}.set_arguments(read_);
     read_.set("reads", reads_)
         .set("neighbours", p.estimate.neighbours)
         .set("most_radius", p.estimate.most_radius)

@@ -17,7 +17,7 @@ constexpr float kLeastRadius = 1e-6f;  // m
 constexpr float kFar = 1e18f;          // m: what lies farther away is no photon (kernels/photon_records.h)
 constexpr float kAlike = 0.7f;         // least cosine between normals of one surface: MAP_LEAST_COSINE of the kernels
 
-float cosine(const std::array<float, 3>& a, const std::array<float, 3>& b) {
+float dot(const std::array<float, 3>& a, const std::array<float, 3>& b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
@@ -34,6 +34,55 @@ std::array<float, 3> unpack_unit(std::uint32_t packed, unsigned width) {
   y += y >= 0 ? -fold : fold;
   const float length = std::sqrt(x * x + y * y + z * z);
   return {x / length, y / length, z / length};
+}
+
+// As unpack_length() of kernels/photon/pack.h.
+float unpack_length(std::uint32_t code) {
+  return std::bit_cast<float>(((code + ((127u - 16u) << 3)) << 20) | 1u << 19);
+}
+
+// Whether the surface at a place covers a photon: as far_below() and covered() of kernels/photon/map.h.
+bool covers(const CutPlace& place, const CutPlace& photon) {
+  std::array<float, 3> off{};
+  for (unsigned k = 0; k < 3; ++k) off[k] = photon.position[k] - place.position[k];
+  const float height = dot(off, place.normal), distance2 = dot(off, off);
+  if (!(height < 0 && height * height > PHOTON_LEAST_DEPTH * PHOTON_LEAST_DEPTH * distance2)) return false;
+  const float length = unpack_length(photon.arrival >> PHOTON_LENGTH_SHIFT);
+  const float rise = -length * dot(unpack_unit(photon.arrival, 12), place.normal);
+  return std::abs(rise + height) < -PHOTON_COVER_MARGIN * height && length * length < distance2;
+}
+
+// Holds no place until it is extended.
+struct ReachBox {
+  std::array<float, 3> lower, upper;
+  ReachBox() {
+    lower.fill(std::numeric_limits<float>::infinity());
+    upper.fill(-std::numeric_limits<float>::infinity());
+  }
+  void extend(unsigned k, float from, float to) {
+    lower[k] = std::min(lower[k], from);
+    upper[k] = std::max(upper[k], to);
+  }
+};
+
+// Appends the groups of 16 of these boxes to a cut's rows. Returns the boxes about the groups.
+std::vector<ReachBox> append_groups(const std::vector<ReachBox>& boxes, std::vector<std::uint32_t>& rows) {
+  std::vector<ReachBox> groups;
+  for (std::size_t first = 0; first < boxes.size(); first += RAY_BLOCK) {
+    const std::size_t words = rows.size();
+    rows.resize(words + std::size_t{CUT_BOX_WORDS} * RAY_BLOCK);
+    ReachBox about;
+    for (std::size_t lane = 0; lane < RAY_BLOCK; ++lane) {
+      const ReachBox box = first + lane < boxes.size() ? boxes[first + lane] : ReachBox();
+      for (unsigned k = 0; k < 3; ++k) {
+        rows[words + k * RAY_BLOCK + lane] = std::bit_cast<std::uint32_t>(box.lower[k]);
+        rows[words + (3 + k) * RAY_BLOCK + lane] = std::bit_cast<std::uint32_t>(box.upper[k]);
+        about.extend(k, box.lower[k], box.upper[k]);
+      }
+    }
+    groups.push_back(about);
+  }
+  return groups;
 }
 
 }  // namespace
@@ -111,8 +160,10 @@ void IlluminationCut::each_photon(std::size_t node, See see) const {
   }
 }
 
-std::array<float, 3> IlluminationCut::normal(std::uint32_t block, unsigned lane) const {
-  return unpack_unit(std::bit_cast<std::uint32_t>(photon(block, lane, PHOTON_SURFACE)), 12);
+CutPlace IlluminationCut::photon_place(std::uint32_t block, unsigned lane) const {
+  return {.position = {photon(block, lane, 0), photon(block, lane, 1), photon(block, lane, 2)},
+          .normal = unpack_unit(std::bit_cast<std::uint32_t>(photon(block, lane, PHOTON_SURFACE)), 12),
+          .arrival = std::bit_cast<std::uint32_t>(photon(block, lane, PHOTON_ARRIVAL))};
 }
 
 CutPlace IlluminationCut::place(std::size_t i) const {
@@ -126,8 +177,7 @@ CutPlace IlluminationCut::place(std::size_t i) const {
     for (unsigned k = 0; k < 3; ++k) off += std::pow(double{photon(block, lane, k)} - middle[k], 2);
     if (!(off < nearest)) return;
     nearest = off;
-    best.position = {photon(block, lane, 0), photon(block, lane, 1), photon(block, lane, 2)};
-    best.normal = normal(block, lane);
+    best = photon_place(block, lane);
   });
   return best;
 }
@@ -135,9 +185,10 @@ CutPlace IlluminationCut::place(std::size_t i) const {
 std::vector<CutPlace> IlluminationCut::spread(std::size_t i, const CutPlace& place, std::uint32_t most) const {
   std::vector<CutPlace> alike;
   each_photon(cut_[i], [&](std::uint32_t block, unsigned lane) {
-    const CutPlace other = {{photon(block, lane, 0), photon(block, lane, 1), photon(block, lane, 2)},
-                            normal(block, lane)};
-    if (cosine(other.normal, place.normal) > kAlike && other.position != place.position) alike.push_back(other);
+    const CutPlace other = photon_place(block, lane);
+    if (dot(other.normal, place.normal) > kAlike && other.position != place.position && !covers(place, other) &&
+        !covers(other, place))
+      alike.push_back(other);
   });
   std::vector<CutPlace> places;
   const std::size_t wanted = std::min<std::size_t>(most, alike.size());
@@ -149,10 +200,10 @@ bool IlluminationCut::bent(std::size_t node) const {
   bool first = true, unlike = false;
   std::array<float, 3> one{};
   each_photon(node, [&](std::uint32_t block, unsigned lane) {
-    const std::array<float, 3> n = normal(block, lane);
+    const std::array<float, 3> n = photon_place(block, lane).normal;
     if (first) one = n;
     first = false;
-    unlike = unlike || cosine(n, one) < kAlike;
+    unlike = unlike || dot(n, one) < kAlike;
   });
   return unlike;
 }
@@ -189,67 +240,45 @@ double IlluminationCut::median_radius() const {
   return double{*middle};
 }
 
-std::vector<std::uint32_t> IlluminationCut::rows(const std::vector<CutPlace>& places,
-                                                 const std::vector<std::array<float, 3>>& irradiance) const {
-  CutTree tree{.nodes = std::vector<std::uint32_t>(PHOTON_WORDS), .blocks = {}};
-  write(0, 0, cut_.size(), places, irradiance, tree);
-  tree.nodes[MAP_NODES] = static_cast<std::uint32_t>(tree.nodes.size() / PHOTON_WORDS - 1);
-  tree.nodes[MAP_BLOCKS] = static_cast<std::uint32_t>(tree.blocks.size() / (std::size_t{CUT_WORDS} * RAY_BLOCK));
-  std::vector<std::uint32_t> rows = std::move(tree.nodes);
-  rows.insert(rows.end(), tree.blocks.begin(), tree.blocks.end());
-  return rows;
+template <typename See>
+void IlluminationCut::each_run(std::size_t node, std::size_t first, std::size_t end, const See& see) const {
+  if (end - first <= RAY_BLOCK) return see(first, end);
+  const auto middle = static_cast<std::size_t>(std::ranges::lower_bound(cut_, right(node)) - cut_.begin());
+  each_run(node + 1, first, middle, see);
+  each_run(right(node), middle, end, see);
 }
 
-// Appends the tree below `node`, whose nodes of the cut are [first, end). Returns the node's row.
-std::size_t IlluminationCut::write(std::size_t node, std::size_t first, std::size_t end,
-                                   const std::vector<CutPlace>& places,
-                                   const std::vector<std::array<float, 3>>& irradiance, CutTree& tree) const {
-  const std::size_t row = tree.nodes.size() / PHOTON_WORDS;
-  tree.nodes.resize(tree.nodes.size() + PHOTON_WORDS, 0);
-  std::array<float, 3> lower{}, upper{};
-  std::uint32_t block = GLEANER_NONE;
-  const auto extend = [&](unsigned k, float from, float to, bool begins) {
-    lower[k] = begins ? from : std::min(lower[k], from);
-    upper[k] = begins ? to : std::max(upper[k], to);
-  };
-  if (end - first <= RAY_BLOCK) {
-    const std::size_t words = tree.blocks.size();
-    block = static_cast<std::uint32_t>(words / (std::size_t{CUT_WORDS} * RAY_BLOCK));
-    tree.blocks.resize(words + std::size_t{CUT_WORDS} * RAY_BLOCK, 0);
+std::vector<std::uint32_t> IlluminationCut::rows(const std::vector<CutPlace>& places,
+                                                 const std::vector<std::array<float, 3>>& irradiance) const {
+  std::vector<std::uint32_t> blocks;
+  std::vector<ReachBox> boxes;
+  each_run(0, 0, cut_.size(), [&](std::size_t first, std::size_t end) {
+    const std::size_t words = blocks.size();
+    blocks.resize(words + std::size_t{CUT_WORDS} * RAY_BLOCK, 0);
+    ReachBox box;
     for (std::size_t i = first; i < end; ++i) {
       const auto put = [&](unsigned word, float value) {
-        tree.blocks[words + std::size_t{word} * RAY_BLOCK + (i - first)] = std::bit_cast<std::uint32_t>(value);
+        blocks[words + std::size_t{word} * RAY_BLOCK + (i - first)] = std::bit_cast<std::uint32_t>(value);
       };
       const float r = radius(cut_[i]);
       for (unsigned k = 0; k < 3; ++k) {
-        extend(k, places[i].position[k] - r, places[i].position[k] + r, i == first);
+        box.extend(k, places[i].position[k] - r, places[i].position[k] + r);
         put(CUT_PLACE + k, places[i].position[k]);
         put(CUT_NORMAL + k, places[i].normal[k]);
         put(CUT_IRRADIANCE + k, irradiance[i][k]);
       }
       put(CUT_NEARNESS, 1 / (r * r));
+      put(CUT_ARRIVAL, std::bit_cast<float>(places[i].arrival));
     }
-  } else {
-    const auto middle = static_cast<std::size_t>(std::ranges::lower_bound(cut_, right(node)) - cut_.begin());
-    const std::size_t children[2] = {write(node + 1, first, middle, places, irradiance, tree),
-                                     write(right(node), middle, end, places, irradiance, tree)};
-    for (const std::size_t child : children)
-      for (unsigned k = 0; k < 3; ++k) {
-        const auto of = [&](unsigned word) {
-          return std::bit_cast<float>(tree.nodes[child * PHOTON_WORDS + word + k]);
-        };
-        extend(k, of(NODE_LOWER), of(NODE_UPPER), child == children[0]);
-      }
-  }
-  std::uint32_t* words = &tree.nodes[row * PHOTON_WORDS];
-  for (unsigned k = 0; k < 3; ++k) {
-    words[NODE_LOWER + k] = std::bit_cast<std::uint32_t>(lower[k]);
-    words[NODE_UPPER + k] = std::bit_cast<std::uint32_t>(upper[k]);
-  }
-  words[NODE_BLOCK] = block;
-  // Nodes count from 0 behind the header.
-  words[NODE_SKIP] = static_cast<std::uint32_t>(tree.nodes.size() / PHOTON_WORDS - 1);
-  return row;
+    boxes.push_back(box);
+  });
+  std::vector<std::uint32_t> rows(2 * PHOTON_WORDS);
+  rows[MAP_BLOCKS] = static_cast<std::uint32_t>(boxes.size());
+  do boxes = append_groups(boxes, rows);
+  while (boxes.size() > 1);
+  rows[MAP_NODES] = static_cast<std::uint32_t>(rows.size() / PHOTON_WORDS - 1);
+  rows.insert(rows.end(), blocks.begin(), blocks.end());
+  return rows;
 }
 
 }  // namespace gleaner::worker

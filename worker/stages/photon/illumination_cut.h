@@ -7,10 +7,11 @@
 
 namespace gleaner::worker {
 
-// Where a node's irradiance is estimated: the place of the photon that is nearest to the middle of its box, and the
-// normal of that photon's surface.
+// Where a node's irradiance is estimated: the place of the photon that is nearest to the middle of its box, the normal
+// of that photon's surface, and how it came there (PHOTON_ARRIVAL).
 struct CutPlace {
   std::array<float, 3> position, normal;
+  std::uint32_t arrival = 0;
 };
 
 class IlluminationCut {
@@ -46,15 +47,13 @@ class IlluminationCut {
   float radius(std::size_t node) const;  // r_p of eq. 3 and 4: the longest side of its box
   double irradiance(std::size_t node) const;
   bool bent(std::size_t node) const;  // whether its photons' normals are unlike
-  std::array<float, 3> normal(std::uint32_t block, unsigned lane) const;
+  CutPlace photon_place(std::uint32_t block, unsigned lane) const;
   // Calls see(block, lane) for each photon of a node.
   template <typename See>
   void each_photon(std::size_t node, See see) const;
-  struct CutTree {
-    std::vector<std::uint32_t> nodes, blocks;  // words; a header before the nodes
-  };
-  std::size_t write(std::size_t node, std::size_t first, std::size_t end, const std::vector<CutPlace>& places,
-                    const std::vector<std::array<float, 3>>& irradiance, CutTree& tree) const;
+  // Calls see(first, end) for runs of at most 16 of the cut's nodes, each below one node of the map's tree.
+  template <typename See>
+  void each_run(std::size_t node, std::size_t first, std::size_t end, const See& see) const;
 
   std::vector<std::uint32_t> map_;
   std::uint32_t nodes_ = 0;

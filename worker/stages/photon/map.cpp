@@ -11,6 +11,7 @@
 #include "kernels/rays.h"
 #include "scene/model/error.h"
 #include "scene/model/limits.h"
+#include "worker/stages/photon/select_place.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/vpl/rows.h"
 #include "worker/wavefront/host_threads.h"
@@ -30,12 +31,6 @@ struct Photon {
   std::array<std::uint32_t, PHOTON_WORDS> words;
 };
 static_assert(sizeof(Photon) == PHOTON_WORDS * 4);
-
-// What sorting moves about.
-struct Place {
-  std::array<float, 3> at;
-  std::uint32_t photon;
-};
 
 float as_float(std::uint32_t word) {
   float value;
@@ -58,18 +53,19 @@ class MapBuilder {
       : photons_(std::move(photons)), neighbours_(std::max(neighbours, 1u)) {
     places_.reserve(photons_.size());
     for (const Photon& photon : photons_)
-      places_.push_back({{as_float(photon.words[0]), as_float(photon.words[1]), as_float(photon.words[2])},
-                         static_cast<std::uint32_t>(places_.size())});
+      places_.push_back({{as_float(photon.words[0]), as_float(photon.words[1]), as_float(photon.words[2]),
+                          as_float(static_cast<std::uint32_t>(places_.size()))}});
     const std::size_t blocks = std::max<std::size_t>(1, blocks_of(places_.size()));
     nodes_.resize(2 * blocks - 1);
-    rows_.resize(1 + nodes_.size() + blocks * RAY_BLOCK);
+    rows_.resize((1 + nodes_.size() + blocks * RAY_BLOCK) * sizeof(Photon));
     add_node(0, 0, places_.size(), true, threads);
     for (const Node& node : nodes_)
       if (node.disc >= 0) radii_.push_back(node.disc);
     write(blocks, threads);
   }
 
-  const std::vector<Photon>& rows() const { return rows_; }
+  // Rows of the map, once.
+  scene::Bytes take_rows() { return std::move(rows_); }
   PhotonMapFacts facts() {
     PhotonMapFacts facts;
     facts.photons = photons_.size();
@@ -98,11 +94,7 @@ class MapBuilder {
   // halves are made side by side.
   void add_node(std::size_t index, std::size_t first, std::size_t last, bool looks, unsigned threads) {
     Node& node = nodes_[index];
-    for (std::size_t i = first; i < last; ++i)
-      for (unsigned k = 0; k < 3; ++k) {
-        node.lower[k] = std::min(node.lower[k], places_[i].at[k]);
-        node.upper[k] = std::max(node.upper[k], places_[i].at[k]);
-      }
+    bound(std::span(places_).subspan(first, last - first), node);
     if (first == last) node.upper = node.lower;  // of a map without photons: far away
     const std::size_t blocks = blocks_of(last - first);
     if (looks && last > first && last - first <= std::max<std::size_t>(2 * neighbours_, RAY_BLOCK)) {
@@ -136,12 +128,19 @@ class MapBuilder {
     unsigned axis = 0;
     for (unsigned k = 1; k < 3; ++k)
       if (node.upper[k] - node.lower[k] > node.upper[axis] - node.lower[axis]) axis = k;
-    const auto begin = places_.begin();
-    // Equal places keep the photons' order: the same tree everywhere.
-    std::nth_element(begin + static_cast<std::ptrdiff_t>(first), begin + static_cast<std::ptrdiff_t>(middle),
-                     begin + static_cast<std::ptrdiff_t>(last), [axis](const Place& a, const Place& b) {
-                       return a.at[axis] != b.at[axis] ? a.at[axis] < b.at[axis] : a.photon < b.photon;
-                     });
+    select_place(std::span(places_).subspan(first, last - first), middle - first, axis);
+  }
+
+  // The fourth word, of four that are compared at once, tells nothing.
+  static void bound(std::span<const PhotonPlace> places, Node& node) {
+    std::array<float, 4> lower{kFar, kFar, kFar, kFar}, upper{-kFar, -kFar, -kFar, -kFar};
+    for (const PhotonPlace& place : places)
+      for (unsigned k = 0; k < 4; ++k) {
+        lower[k] = place.words[k] < lower[k] ? place.words[k] : lower[k];
+        upper[k] = place.words[k] > upper[k] ? place.words[k] : upper[k];
+      }
+    std::copy_n(lower.begin(), 3, node.lower.begin());
+    std::copy_n(upper.begin(), 3, node.upper.begin());
   }
 
   // A surface's piece in a box is about as large as the box's largest face.
@@ -154,12 +153,12 @@ class MapBuilder {
   }
 
   void write(std::size_t blocks, unsigned threads) {
-    rows_[0].words = {};
-    rows_[0].words[MAP_NODES] = static_cast<std::uint32_t>(nodes_.size());
-    rows_[0].words[MAP_BLOCKS] = static_cast<std::uint32_t>(blocks);
-    rows_[0].words[MAP_PHOTONS] = static_cast<std::uint32_t>(photons_.size());
+    std::uint32_t* words = row(0);
+    words[MAP_NODES] = static_cast<std::uint32_t>(nodes_.size());
+    words[MAP_BLOCKS] = static_cast<std::uint32_t>(blocks);
+    words[MAP_PHOTONS] = static_cast<std::uint32_t>(photons_.size());
     for (std::size_t i = 0; i < nodes_.size(); ++i) {
-      auto& words = rows_[1 + i].words;
+      words = row(1 + i);
       for (unsigned k = 0; k < 3; ++k) {
         words[NODE_LOWER + k] = as_word(nodes_[i].lower[k]);
         words[NODE_UPPER + k] = as_word(nodes_[i].upper[k]);
@@ -170,20 +169,23 @@ class MapBuilder {
     run_threads(threads, [&](unsigned k) { write_blocks(blocks * k / threads, blocks * (k + 1) / threads); });
   }
 
+  std::uint32_t* row(std::size_t i) { return reinterpret_cast<std::uint32_t*>(rows_.data() + i * sizeof(Photon)); }
+
   void write_blocks(std::size_t begin, std::size_t end) {
-    auto* to = reinterpret_cast<std::uint32_t*>(&rows_[1 + nodes_.size()]);
+    std::uint32_t* to = row(1 + nodes_.size());
     for (std::size_t i = begin * RAY_BLOCK; i < end * RAY_BLOCK; ++i) {
       Photon photon{};
       for (unsigned k = 0; k < 3; ++k) photon.words[PHOTON_POSITION + k] = as_word(kFar);
-      if (i < places_.size()) photon = photons_[places_[i].photon];
+      if (i < places_.size()) photon = photons_[places_[i].photon()];
       for (unsigned word = 0; word < PHOTON_WORDS; ++word)
         to[(i / RAY_BLOCK * PHOTON_WORDS + word) * RAY_BLOCK + i % RAY_BLOCK] = photon.words[word];
     }
   }
 
-  std::vector<Photon> photons_, rows_;
+  std::vector<Photon> photons_;
+  scene::Bytes rows_;
   std::size_t neighbours_;
-  std::vector<Place> places_;
+  std::vector<PhotonPlace> places_;
   std::vector<Node> nodes_;
   std::vector<double> radii_;
 };
@@ -220,9 +222,8 @@ BatchResult run_photon_map_stage(const StageRun& run) {
   const auto p = host_parameters<PhotonMapParameters>(run.task);
   MapBuilder builder(read_photons(run.task, p.classes), p.neighbours, host_threads(run.device));
   BatchResult result;
-  result.records.resize(builder.rows().size() * sizeof(Photon));
-  std::memcpy(result.records.data(), builder.rows().data(), result.records.size());
-  result.counts = {static_cast<std::uint32_t>(builder.rows().size())};
+  result.records = builder.take_rows();
+  result.counts = {static_cast<std::uint32_t>(result.records.size() / sizeof(Photon))};
   set_facts(result, builder.facts());
   result.counters.seconds = seconds_now() - start;
   return result;

@@ -48,6 +48,18 @@ void check_nodes(const InputRows& rows, const Shape& shape) {
   });
 }
 
+// There is a box for each of a cut's blocks, and for each group of boxes one of the level above.
+void check_groups(const InputRows& rows, const Shape& shape) {
+  std::uint64_t groups = 0, of_level = shape.blocks;
+  for (unsigned level = 0; level < CUT_LEVELS && (level == 0 || of_level > 1); ++level) {
+    of_level = (of_level + RAY_BLOCK - 1) / RAY_BLOCK;
+    groups += of_level;
+  }
+  if (of_level != 1 || shape.nodes != 1 + groups * CUT_BOX_ROWS)
+    rows.fail(0, "nodes", "1 to 16^6 blocks and " + std::to_string(groups) + " groups of boxes over them",
+              std::to_string(shape.blocks) + " and " + std::to_string(shape.nodes));
+}
+
 // Of a block's members, whose words are `words`, `count` from `first` on are finite and not negative.
 void check_blocks(const InputRows& rows, const Shape& shape, unsigned words, unsigned first, unsigned count,
                   const char* name) {
@@ -96,11 +108,11 @@ namespace {
 PhotonCutTable make_cut(const StageRun& run) {
   const InputRows rows(run.task, "cut", kRowBytes);
   const Shape shape = read_header(rows, CUT_WORDS);
-  check_nodes(rows, shape);
+  check_groups(rows, shape);
   check_blocks(rows, shape, CUT_WORDS, CUT_NEARNESS, 4, "nearness and irradiance");
   cl::CommandQueue queue = run.device.make_queue();
   return {.rows = rows.to_device(run.device, queue, {}),
-          .nodes = static_cast<std::uint32_t>(shape.nodes),
+          .blocks = static_cast<std::uint32_t>(shape.blocks),
           .most_depth = 0,
           .size = rows.rows() * kRowBytes};
 }
@@ -108,14 +120,14 @@ PhotonCutTable make_cut(const StageRun& run) {
 }  // namespace
 
 void PhotonCutTable::set_arguments(Kernel& kernel) const {
-  kernel.set("cut", rows).set("cut_nodes", nodes).set("cut_depth", most_depth);
+  kernel.set("cut", rows).set("cut_blocks", blocks).set("cut_depth", most_depth);
 }
 
 PhotonCutTable photon_cut_table(const StageRun& run, std::uint32_t most_depth) {
   const auto found = run.task.inputs.find("cut");
   // Not touched where there is no cut.
   if (found == run.task.inputs.end())
-    return {.rows = run.workspace.take("cut.none", 64), .nodes = 0, .most_depth = 0, .size = 0};
+    return {.rows = run.workspace.take("cut.none", 64), .blocks = 0, .most_depth = 0, .size = 0};
   StageTask key;
   key.kind = "photon cut";
   key.scene = run.task.scene;

@@ -22,13 +22,13 @@ struct PhotonMapTable {
 // it. Throws Error::bad_input.
 std::shared_ptr<const PhotonMapTable> photon_map_table(const StageRun& run, const std::string& input);
 
-// An illumination cut on a device; without nodes: there is none.
+// An illumination cut on a device; without blocks: there is none.
 struct PhotonCutTable {
   cl::Buffer rows;
-  std::uint32_t nodes = 0, most_depth = 0;
+  std::uint32_t blocks = 0, most_depth = 0;
   std::size_t size = 0;
   std::size_t bytes() const { return size; }
-  // The parameters `cut`, `cut_nodes` and `cut_depth` of a kernel.
+  // The parameters `cut`, `cut_blocks` and `cut_depth` of a kernel.
   void set_arguments(Kernel& kernel) const;
 };
 
