@@ -1,5 +1,5 @@
 // Splatting incoming radiance to points with rough lobes (Gautron et al. 2005, eq. 9). Stage kind "splat_shade" with an
-// order above 0, which SPLAT_ORDER is.
+// order above 0, which SPLAT_ORDER is: the largest one unless the program's options say another.
 //
 //   for each point, for each record whose sphere meets the box about its tile's points
 //     w <- eq. 2; where w >= 1 / a: sum of (w - 1 / a) L' and of the weights; L' is the product of the lobe's
@@ -10,15 +10,12 @@
 // normals are the same that is exact, and nothing is looked up twice.
 #include "kernels/sampling.h"
 #include "kernels/splat/level.h"
-#include "kernels/splat/weight.h"
-#include "kernels/splat_records.h"
-#include "kernels/wide.h"
+#include "kernels/splat/read.h"
 
+#ifndef SPLAT_ORDER
+#define SPLAT_ORDER SPLAT_MOST_ORDER
+#endif
 #define PAIRS HARMONIC_PAIRS(SPLAT_ORDER)
-
-FN v3 vector_at(global const float* record, uint word) {
-  return uniform3(record[word], record[word + 1u], record[word + 2u]);
-}
 
 // A lobe's coefficients (worker/stages/splat/lobe_table.h).
 typedef struct {
@@ -84,10 +81,10 @@ kernel WIDE void splat_accumulate_lobes(global const float* restrict points, glo
   uint first_lane = block * LANES;
   if (first_lane >= count) return;
   uint tile = first_lane / tile_points;
-  vu lane = (vu)first_lane + lane_index(), read = min(lane, (vu)(count - 1u));
+  vu lane = (vu)first_lane + lane_index(), row = min(lane, (vu)(count - 1u));
   vf point[16], own[16];
-  load_words(points, read * SPLAT_POINT_WORDS, point);
-  load_words(lobes, read * LOBE_WORDS, own);
+  load_words(points, row * SPLAT_POINT_WORDS, point);
+  load_words(lobes, row * LOBE_WORDS, own);
   vi there = (point[SPLAT_FOOTPRINT] > zero_f()) & (lane < count);
   v3 sum = splat3(zero_f());
   vf weights = zero_f();
@@ -102,27 +99,21 @@ kernel WIDE void splat_accumulate_lobes(global const float* restrict points, glo
     uint end = offsets[tile + 1u];
     for (uint i = offsets[tile]; i < end; ++i) {
       global const float* record = cache + (ulong)RADIANCE_WORDS(SPLAT_ORDER) * list[i];
-      float accuracy = record[CACHE_ACCURACY];
-      v3 d = sub3(p, vector_at(record, CACHE_POSITION)), m = vector_at(record, CACHE_NORMAL);
-      vf error = splat_error(d.x, d.y, d.z, n.x, n.y, n.z, m.x, m.y, m.z, (vf)record[CACHE_RADIUS]);
-      vi counts = there & (level == ((global const uint*)record)[CACHE_LEVEL]) &
-                  (error <= (vf)(accuracy * (1.0f + SPLAT_SLACK))) &
-                  none(splat_is_hidden(d.x, d.y, d.z, n.x, n.y, n.z, m.x, m.y, m.z, SPLAT_MOST_DEPTH));
-      if (!any_lane(counts)) continue;
-      vf least = (vf)(1.0f / accuracy);
-      vf weight = pick(zero_f(), max_f(one_f() / error - least, SPLAT_SLACK * least), counts);
+      RecordRead read = read_record(record, p, n, level, there);
+      if (!any_lane(read.counts)) continue;
+      v3 d = read.from, m = read.normal;
       vf toward_record = dot3(mirrored, m);
       v3 seen = sub3(scale3(m, 2.0f * toward_record), mirrored);
       v3 by_f0, by_f90;
-      if (any_lane(counts & (fabs(dot3(n, m) - one_f()) > (vf)1e-5f))) {
+      if (any_lane(read.counts & (fabs(dot3(n, m) - one_f()) > (vf)1e-5f))) {
         load_lobe(table, alpha, toward_record, &turned_lobe);
         apply_lobe(record, &turned_lobe, d, seen, &by_f0, &by_f90);
       } else {
         apply_lobe(record, &own_lobe, d, seen, &by_f0, &by_f90);
       }
       v3 light = mad3(by_f90, own[LOBE_F90], mul3(by_f0, f0));
-      sum = mad3(make3(max_f(light.x, zero_f()), max_f(light.y, zero_f()), max_f(light.z, zero_f())), weight, sum);
-      weights += weight;
+      sum = mad3(make3(max_f(light.x, zero_f()), max_f(light.y, zero_f()), max_f(light.z, zero_f())), read.weight, sum);
+      weights += read.weight;
     }
   }
   vi lit = there & (weights > zero_f());

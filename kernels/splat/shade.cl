@@ -7,13 +7,7 @@
 // jumps from 1 / a to nothing where a record ends, which shows as an edge; what exceeds 1 / a does not.
 #include "kernels/sampling.h"
 #include "kernels/splat/level.h"
-#include "kernels/splat/weight.h"
-#include "kernels/splat_records.h"
-#include "kernels/wide.h"
-
-FN v3 vector_at(global const float* record, uint word) {
-  return uniform3(record[word], record[word + 1u], record[word + 2u]);
-}
+#include "kernels/splat/read.h"
 
 // `offsets`: where the list of each tile begins in `list`, and one more at the end. Radiance is RGB of each point and
 // the sum of its weights.
@@ -36,15 +30,9 @@ kernel WIDE void splat_accumulate(global const float* restrict points, global co
     uint end = offsets[tile + 1u];
     for (uint i = offsets[tile]; i < end; ++i) {
       global const float* record = cache + (ulong)CACHE_WORDS * list[i];
-      float accuracy = record[CACHE_ACCURACY];
-      v3 d = sub3(p, vector_at(record, CACHE_POSITION)), m = vector_at(record, CACHE_NORMAL);
-      vf error = splat_error(d.x, d.y, d.z, n.x, n.y, n.z, m.x, m.y, m.z, (vf)record[CACHE_RADIUS]);
-      vi counts = there & (level == ((global const uint*)record)[CACHE_LEVEL]) &
-                  (error <= (vf)(accuracy * (1.0f + SPLAT_SLACK))) &
-                  none(splat_is_hidden(d.x, d.y, d.z, n.x, n.y, n.z, m.x, m.y, m.z, SPLAT_MOST_DEPTH));
-      if (!any_lane(counts)) continue;
-      vf least = (vf)(1.0f / accuracy);
-      vf weight = pick(zero_f(), max_f(one_f() / error - least, SPLAT_SLACK * least), counts);
+      RecordRead read = read_record(record, p, n, level, there);
+      if (!any_lane(read.counts)) continue;
+      v3 d = read.from, m = read.normal;
       v3 turn = cross3(m, n);
       v3 e = vector_at(record, CACHE_IRRADIANCE);
       vf r = e.x + dot3(turn, vector_at(record, CACHE_ROTATION)) + dot3(d, vector_at(record, CACHE_TRANSLATION));
@@ -52,8 +40,8 @@ kernel WIDE void splat_accumulate(global const float* restrict points, global co
           e.y + dot3(turn, vector_at(record, CACHE_ROTATION + 3u)) + dot3(d, vector_at(record, CACHE_TRANSLATION + 3u));
       vf b =
           e.z + dot3(turn, vector_at(record, CACHE_ROTATION + 6u)) + dot3(d, vector_at(record, CACHE_TRANSLATION + 6u));
-      sum = mad3(make3(max_f(r, zero_f()), max_f(g, zero_f()), max_f(b, zero_f())), weight, sum);
-      weights += weight;
+      sum = mad3(make3(max_f(r, zero_f()), max_f(g, zero_f()), max_f(b, zero_f())), read.weight, sum);
+      weights += read.weight;
     }
   }
   vi lit = there & (weights > zero_f());

@@ -1,0 +1,37 @@
+// How points read a record of the cache (Gautron et al. 2005, algorithm 1), whatever its light is made of.
+#ifndef GLEANER_KERNELS_SPLAT_READ_H
+#define GLEANER_KERNELS_SPLAT_READ_H
+
+#include "kernels/splat/weight.h"
+#include "kernels/splat_records.h"
+#include "kernels/wide.h"
+
+FN v3 vector_at(global const float* record, uint word) {
+  return uniform3(record[word], record[word + 1u], record[word + 2u]);
+}
+
+// A record as the lanes' points see it.
+typedef struct {
+  v3 from;    // it to the point, m
+  v3 normal;  // its own
+  vf weight;  // what eq. 2 gives beyond 1 / a; 0 where it does not count
+  vi counts;
+} RecordRead;
+
+// `there`: lanes that have a point.
+FN RecordRead read_record(global const float* record, v3 p, v3 n, vu level, vi there) {
+  RecordRead read;
+  float accuracy = record[CACHE_ACCURACY];
+  v3 d = sub3(p, vector_at(record, CACHE_POSITION)), m = vector_at(record, CACHE_NORMAL);
+  vf error = splat_error(d.x, d.y, d.z, n.x, n.y, n.z, m.x, m.y, m.z, (vf)record[CACHE_RADIUS]);
+  read.counts = there & (level == ((global const uint*)record)[CACHE_LEVEL]) &
+                (error <= (vf)(accuracy * (1.0f + SPLAT_SLACK))) &
+                none(splat_is_hidden(d.x, d.y, d.z, n.x, n.y, n.z, m.x, m.y, m.z, SPLAT_MOST_DEPTH));
+  vf least = (vf)(1.0f / accuracy);
+  read.weight = pick(zero_f(), max_f(one_f() / error - least, SPLAT_SLACK * least), read.counts);
+  read.from = d;
+  read.normal = m;
+  return read;
+}
+
+#endif
