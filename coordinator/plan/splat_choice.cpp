@@ -21,9 +21,10 @@ constexpr double kLeastAccuracy = 0.08, kMostAccuracy = 0.6;
 // Squared error of interpolation in the picture, over the variance of what the records of a point say.
 constexpr double kErrorOfSpread = 1.0;
 
-// Of the picture's squared error: the paths', noise of records, and what interpolation does wrong. Such that a ray for
-// a record is worth about as much as one for a pixel.
-constexpr double kPathShare = 0.45, kNoiseShare = 0.35, kInterpolationShare = 0.2;
+// Of the picture's squared error, at most: the paths', noise of records, and what interpolation does wrong. A ray for a
+// record would be worth as much as one for a pixel at 0.35; but its noise shows as blotches, which people see sooner
+// than grain.
+constexpr double kPathShare = 0.45, kNoiseShare = 0.2, kInterpolationShare = 0.2;
 // Beyond these another cache is made.
 constexpr double kMostNoiseShare = 0.45, kMostInterpolationShare = 0.3, kMostStep = 16;
 

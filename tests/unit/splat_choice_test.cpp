@@ -50,7 +50,7 @@ TEST(SplatChoice, ALookThatFindsTooMuchAsksForMore) {
   facts.noise = 0.7 * wanted;
   const auto more_rays = better_splat_counts(counts, facts, wanted, {});
   ASSERT_TRUE(more_rays);
-  EXPECT_NEAR(more_rays->rays, 512, 1);
+  EXPECT_NEAR(more_rays->rays, 896, 1);
   EXPECT_EQ(more_rays->accuracy, counts.accuracy);
   facts.noise = 0;
   facts.spread = 16 * 0.2 * wanted;
