@@ -57,7 +57,8 @@ stand_in tools/sudo <<<'[[ $1 == -v ]] || exec "$@"'
 stand_in build/bin/gleaner <<'E2'
 case $1 in
   submit) echo "$*" >>"$SUBMITTED"; echo job-1 ;;
-  fetch)
+  fetch) # as the real one, which writes over nothing
+    [[ ! -e $4/frame_0001.exr || $* == *--force* ]] || exit 1
     mkdir -p "$4"
     touch "$4/frame_0001.exr" "$4/frame_0001.png"
     printf '{\n  "rays": {\n    "camera": 1,\n    "total": 3000000\n  },\n  "seconds": 1.5\n}\n' >"$4/frame_0001.json"
