@@ -51,6 +51,16 @@ TEST(Wanted, ThreadsInheritIt) {
   EXPECT_EQ(stopped, 3);
 }
 
+TEST(Wanted, QueuesGiveNothingOutAfterwards) {
+  std::atomic<bool> given_up = false;
+  const WantedScope wanted(&given_up);
+  WorkQueue work(1000, 2);
+  EXPECT_TRUE(work.claim(16));
+  given_up = true;
+  EXPECT_FALSE(work.claim(16));
+  EXPECT_TRUE(work.stopped());
+}
+
 // A picture of one tile of points in a plane, a metre apart.
 std::vector<SplatPoint> plane() {
   std::vector<SplatPoint> points(SPLAT_TILE * SPLAT_TILE);

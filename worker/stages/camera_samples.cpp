@@ -218,7 +218,7 @@ BatchResult run_samples(const StageRun& run, const PathParameters& p, const Prog
     part.items = run.workspace.take("path.items", list ? (part.item_count + RAY_BLOCK) * sizeof(PathItem) : 4);
     if (list) upload_list(*list, queue, part.items, done, part.item_count, pixels);
 
-    WorkQueue work(part.paths, host_threads(run.device), kLeastPaths, run.task.given_up.get());
+    WorkQueue work(part.paths, host_threads(run.device), kLeastPaths);
     run_host_threads(work, result, [&](unsigned index) { return make(part, work, index); });
     // The stage's last item may have fewer samples: the paths that pad it sent no ray.
     if (part.first_item + part.item_count == total)

@@ -14,7 +14,7 @@ void run_split(const StageRun& run, std::string_view file, BatchResult& result, 
   cl::CommandQueue queue = run.device.make_queue();
   const cl::Buffer parameters = run.parameter_buffer(queue);
   const Program program = run.build(file);
-  WorkQueue work(run.count, host_threads(run.device), 0, run.task.given_up.get());
+  WorkQueue work(run.count, host_threads(run.device));
   run_host_threads(work, result, [&](unsigned index) { return make(program, parameters, work, index); });
 }
 

@@ -105,7 +105,7 @@ void run_host_threads(WorkQueue& work, BatchResult& result, Make make) {
     }
     all[k]->counters.all = seconds_now() - start;
   });
-  if (work.given_up()) throw Error::failed(nobody_wants_it);
+  check_wanted();
   for (const auto& thread : all) thread->counters.add_to(result.counters, work.threads());
 }
 

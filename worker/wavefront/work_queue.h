@@ -5,6 +5,8 @@
 #include <atomic>
 #include <cstdint>
 
+#include "worker/wavefront/wanted.h"
+
 namespace gleaner::worker {
 
 // Threads claim blocks that begin at multiples of kAlignment, smaller ones near the end, so that they end together.
@@ -18,13 +20,10 @@ class WorkQueue {
     explicit operator bool() const { return count != 0; }
   };
 
-  // `least`: a smaller block costs more in launches than it saves in waiting. 0: a share of the items. `given_up`: as
-  // StageTask's.
-  WorkQueue(std::uint64_t total, unsigned threads, std::uint64_t least = 0, const std::atomic<bool>* given_up = nullptr)
-      : total_(total),
-        threads_(threads),
-        given_up_(given_up),
-        least_(aligned(least ? least : total / (6 * threads) + 1)) {}
+  // `least`: a smaller block costs more in launches than it saves in waiting. 0: a share of the items. No block is
+  // given out any more once nobody wants what the thread that makes the queue works on (WantedScope).
+  WorkQueue(std::uint64_t total, unsigned threads, std::uint64_t least = 0)
+      : total_(total), threads_(threads), least_(aligned(least ? least : total / (6 * threads) + 1)) {}
 
   // At most `room` items; empty where none is left, or the batch was given up.
   Block claim(std::uint64_t room) {
@@ -41,8 +40,9 @@ class WorkQueue {
 
   // After a thread has failed, the others get no more.
   void stop() { stopped_ = true; }
-  bool stopped() const { return stopped_.load(std::memory_order_relaxed) || given_up(); }
-  bool given_up() const { return given_up_ && given_up_->load(std::memory_order_relaxed); }
+  bool stopped() const {
+    return stopped_.load(std::memory_order_relaxed) || (given_up_ && given_up_->load(std::memory_order_relaxed));
+  }
   unsigned threads() const { return threads_; }
 
  private:
@@ -50,7 +50,7 @@ class WorkQueue {
 
   std::uint64_t total_;
   unsigned threads_;
-  const std::atomic<bool>* given_up_;
+  const std::atomic<bool>* const given_up_ = given_up_flag();
   std::uint64_t least_;
   std::atomic<std::uint64_t> next_{0};
   std::atomic<bool> stopped_{false};

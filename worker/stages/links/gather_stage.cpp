@@ -147,7 +147,7 @@ void put_parameters(const StageRun& run, cl::CommandQueue& queue, const LinksGat
 // One bounce of the batch's elements, into the result's records.
 void gather(const StageRun& run, cl::CommandQueue& queue, const GatherBatch& batch, BatchResult& result) {
   const Program program = run.build_plain("gather.cl");
-  WorkQueue work(run.count, host_threads(run.device), 0, run.task.given_up.get());
+  WorkQueue work(run.count, host_threads(run.device));
   run_host_threads(work, result,
                    [&](unsigned index) { return std::make_unique<GatherThread>(run, batch, program, work, index); });
   cl_uint faults = 0;

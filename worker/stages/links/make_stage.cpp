@@ -81,7 +81,7 @@ BatchResult run_links_make_stage(const StageRun& run) {
   result.counts.resize(run.count);
   cl::CommandQueue queue = run.device.make_queue();
   batch.parameters = run.parameter_buffer(queue);
-  WorkQueue work(run.count, host_threads(run.device), 0, run.task.given_up.get());
+  WorkQueue work(run.count, host_threads(run.device));
   JoinedRecords records;
   run_host_threads(work, result,
                    [&](unsigned index) { return std::make_unique<MakeThread>(batch, work, records, index); });

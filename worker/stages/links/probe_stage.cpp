@@ -53,7 +53,7 @@ BatchResult run_links_probe_stage(const StageRun& run) {
   result.records.resize(run.count * PROBE_WORDS * 4);
   cl::CommandQueue queue = run.device.make_queue();
   batch.parameters = run.parameter_buffer(queue);
-  WorkQueue work(run.count, host_threads(run.device), 0, run.task.given_up.get());
+  WorkQueue work(run.count, host_threads(run.device));
   run_host_threads(work, result, [&](unsigned index) { return std::make_unique<ProbeThread>(batch, work, index); });
   result.counters.seconds = seconds_now() - start;
   return result;

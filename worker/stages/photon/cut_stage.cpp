@@ -129,7 +129,7 @@ class Estimates {
   // W/m^2, RGB, of each place.
   Irradiance at(std::span<const CutPlace> places, BatchResult& result) const {
     Irradiance irradiance(places.size());
-    WorkQueue work(places.size(), host_threads(run_.device), 0, run_.task.given_up.get());
+    WorkQueue work(places.size(), host_threads(run_.device));
     run_host_threads(work, result, [&](unsigned index) {
       return std::make_unique<EstimateThread>(run_, p_, map_, program_, places, irradiance, work, index);
     });

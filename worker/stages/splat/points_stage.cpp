@@ -115,7 +115,7 @@ BatchResult find_splat_points(const StageRun& run, const SplatPointParameters& p
   cl::CommandQueue queue = run.device.make_queue();
   const cl::Buffer parameters = run.parameter_buffer(queue);
   const Program program = run.build("points.cl");
-  WorkQueue work(tiles, host_threads(run.device), 0, run.task.given_up.get());
+  WorkQueue work(tiles, host_threads(run.device));
   run_host_threads(work, result, [&](unsigned index) {
     return std::make_unique<PixelThread>(run, program, p, parameters, first_tile, work, index);
   });

@@ -112,7 +112,7 @@ BatchResult gather_records(const StageRun& run, const SplatGatherParameters& p, 
     part.item_count = static_cast<std::uint32_t>(std::min(part_items, run.count - done));
     part.paths = part.item_count * grid.strata();
     part.slots = run.workspace.take("path.slots", (std::size_t{part.slot_count()} + 1) * kSlotBytes);
-    WorkQueue work(part.paths, host_threads(run.device), 1024, run.task.given_up.get());
+    WorkQueue work(part.paths, host_threads(run.device), 1024);
     run_host_threads(work, result, [&](unsigned index) { return make_thread(places, part, work, index); });
     make_records(run, part, std::span(rows).subspan(done, part.item_count), grid, maker,
                  result.records.data() + done * maker.bytes, result, queue);

@@ -93,7 +93,7 @@ class Probe {
     const std::size_t before = radii_.size();
     radii_.resize(before + places.size());
     const std::span<float> made = std::span(radii_).subspan(before);
-    WorkQueue work(places.size(), host_threads(run_.device), 0, run_.task.given_up.get());
+    WorkQueue work(places.size(), host_threads(run_.device));
     if (!places.empty())
       run_host_threads(work, result_, [&](unsigned index) {
         return std::make_unique<ProbeThread>(run_, program_, rays_, places, made, work, index);

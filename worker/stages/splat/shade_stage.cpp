@@ -225,7 +225,7 @@ BatchResult run_splat_shade_stage(const StageRun& run) {
   const InputRows points(run.task, "points", SPLAT_TILE_PIXELS * p.samples * sizeof(SplatPoint));
   BatchResult result;
   result.records.resize(run.count * kTileBytes);
-  WorkQueue work(run.count, host_threads(run.device), 0, run.task.given_up.get());
+  WorkQueue work(run.count, host_threads(run.device));
   const auto shade = [&](const Program& program, const Lobes* lobes) {
     run_host_threads(work, result, [&](unsigned index) {
       return std::make_unique<SplatThread>(run, program, p, *cache, points, lobes, work, index);

@@ -76,7 +76,7 @@ BatchResult run_vpl_points_stage(const StageRun& run) {
   result.records.resize(run.count * POINT_WORDS * 4);
   cl::CommandQueue queue = run.device.make_queue();
   const cl::Buffer parameters = run.parameter_buffer(queue);
-  WorkQueue work(run.count, host_threads(run.device), 0, run.task.given_up.get());
+  WorkQueue work(run.count, host_threads(run.device));
   run_host_threads(work, result,
                    [&](unsigned index) { return std::make_unique<PointThread>(run, parameters, work, index, true); });
   result.counters.seconds = seconds_now() - start;

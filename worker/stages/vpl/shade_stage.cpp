@@ -191,7 +191,7 @@ BatchResult run_vpl_shade_stage(const StageRun& run) {
   ShadeBatch batch{run, p, run.tables.get<ShadeTables>(run.task, [&] { return make_shade_tables(run, p); })};
   cl::CommandQueue queue = run.device.make_queue();
   batch.parameters = run.parameter_buffer(queue);
-  WorkQueue work(run.count, host_threads(run.device), 0, run.task.given_up.get());
+  WorkQueue work(run.count, host_threads(run.device));
   run_host_threads(work, result, [&](unsigned index) { return std::make_unique<ShadeThread>(batch, work, index); });
   result.counters.seconds = seconds_now() - start;
   return result;

@@ -113,7 +113,7 @@ BatchResult run_vpl_visibility_stage(const StageRun& run) {
   BatchResult result;
   result.records.resize(run.count * (p.clusters / 32 + VISIBILITY_COUNTS) * 4);
   const auto tables = run.tables.get<VisibilityTables>(run.task, [&] { return make_tables(run, p); });
-  WorkQueue work(run.count, host_threads(run.device), 0, run.task.given_up.get());
+  WorkQueue work(run.count, host_threads(run.device));
   run_host_threads(work, result,
                    [&](unsigned index) { return std::make_unique<VisibilityThread>(run, *tables, p, work, index); });
   result.counters.seconds = seconds_now() - start;
