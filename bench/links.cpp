@@ -54,7 +54,10 @@ std::map<std::string, StageTime> run(worker::Executor& on, const std::string& id
   settings.method = "links";
   settings.width = settings.height = 64;
   settings.spp = 1;
-  settings.set = {{"links.vertices", std::to_string(vertices)}, {"links.bounces", "3"}};
+  settings.set = {{"links.vertices", std::to_string(vertices)},
+                  {"links.directions", "256"},
+                  {"links.light_samples", "16"},
+                  {"links.bounces", "3"}};
   if (!compress) settings.set["links.compress"] = "0";
   settings.camera = scene.cameras.at(0).camera;
   settings.camera.half_width = settings.camera.half_height;

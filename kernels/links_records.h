@@ -55,14 +55,11 @@ namespace gleaner::kernels {
 // With the inputs "coarse", a mesh, and "probe", what links_probe found of it: triangles are divided on where
 // irradiance bends, that is where it is not what a triangle interpolates.
 typedef struct {
-  // Wanted: triangles are divided until there are about so many; 0: none is; GLEANER_NONE: LINKS_USUAL_VERTICES, or
-  // twice as many as triangles where that is more.
+  // Wanted: triangles are divided until there are about so many; 0: none is.
   gl_uint vertices;
   gl_uint reserved[3];
 } LinksMeshParameters;
 GLEANER_SIZE(LinksMeshParameters, 16);
-#define LINKS_USUAL_VERTICES 4000u
-#define LINKS_USUAL_HALF 0xfffffffeu  // half of what GLEANER_NONE stands for
 
 // Stage kind "links_probe" (input "mesh"): an element's irradiance by PROBE_LIGHTS test lights that know nothing of the
 // scene's: every surface shines by a smooth random function of the place. Twice, by the even rays and by the odd ones:
@@ -181,6 +178,18 @@ GLEANER_SIZE(LinksSmoothParameters, 16);
 
 // Stage kind "links_shade" (inputs "mesh", "irradiance": rows of RADIOSITY_WORDS): VplPointParameters; an item is a
 // pixel, its record the mean radiance of its samples, RGB.
+
+// Stage kind "links_audit" (inputs "mesh", "probe", "irradiance": rows of RADIOSITY_WORDS, and "points": rows of
+// POINT_WORDS, kernels/vpl_records.h): LinksParameters, whose elements are the points; an item is a point. Its record
+// is what the pixel shows of the light between vertices, RGB; twice what it would show of the mean over as many rays
+// from the point itself as a vertex has, with direct light from where they end; and twice the same with what the
+// elements send in place of this. The first two are independent of each other and of what is shown, but for bounces
+// before the last: the product of both differences is the squared error, without bias. The last two differ by a vertex'
+// noise.
+#define AUDIT_WORDS 15u
+#define AUDIT_SHOWN 0u
+#define AUDIT_HALVES 3u
+#define AUDIT_BY_ELEMENTS 9u
 
 #ifndef __OPENCL_VERSION__
 }  // namespace gleaner::kernels

@@ -70,7 +70,7 @@ typedef struct {
   gl_uint seed_low, seed_high;
   gl_uint items_low, items_high;
   gl_uint depth;           // most scatterings on a light path; 0 = unlimited
-  gl_uint stride;          // vpl_points: item i is pixel i * stride, sample i % samples
+  gl_uint stride;          // vpl_points: item i is pixel i / points * stride, sample i % samples
   gl_uint clusters;        // vpl_shade: rows of the input "lights", a multiple of 32 * samples; sample j of a pixel
                            // sees one slice of clusters / samples rows. Behind them lie the members of those that
                            // are clusters
@@ -81,8 +81,10 @@ typedef struct {
   // A point queries a light that would contribute more than this share of its light, and lesser ones at random
   // (kernels/vpl/residual.cl); 0: none, and points near no cluster query every light.
   gl_float residual_threshold;
+  gl_uint points;  // vpl_points: of each stride-th pixel, 1 or `samples`; 0: 1
+  gl_uint reserved[3];
 } VplPointParameters;
-GLEANER_SIZE(VplPointParameters, 128);
+GLEANER_SIZE(VplPointParameters, 144);
 
 // Stage kind "vpl_visibility" (inputs "lights", "points"). An item is a point cluster; its record is a bit a light, 32
 // to a word, then how many were not queried because they face away, and how many because they contribute next to

@@ -9,7 +9,9 @@
 #include <span>
 
 #include "coordinator/plan/graph.h"
+#include "coordinator/plan/links_choice.h"
 #include "coordinator/plan/path_sampler.h"
+#include "coordinator/plan/spread_points.h"
 #include "kernels/links_records.h"
 #include "kernels/vpl_records.h"
 #include "scene/model/error.h"
@@ -36,34 +38,44 @@ constexpr std::uint32_t kProbeDirections = 64;
 // Rays that tell which vertices lie inside of something.
 constexpr std::uint32_t kInsideDirections = 16;
 constexpr float kWavesOfScene = 6.0f;
+// Samples of a pixel that links of a session's pictures are good for: these keep them, however many samples each has.
+constexpr std::uint32_t kSessionSamples = 40;
+// Pixels that an audit looks at, and links that are made for a target error, at most.
+constexpr std::uint64_t kAuditedPixels = 1024;
+constexpr std::uint32_t kAuditedPoints = 4;  // of each
+constexpr unsigned kMostLinks = 2;
 
-struct LinksSettings {
-  std::uint32_t vertices, directions, light_samples, bounces;
+struct LinksSettings : LinksCounts {
+  GivenLinksCounts given;
+  std::uint32_t bounces;
   double smooth_angle;  // degrees
   double least_share;   // single precision, as stages are told
   bool refine, compress, exact, solo_exchange, sample_lights;
 };
 
-LinksSettings read_settings(const FrameSettings& settings) {
-  const auto whole = [&](const char* name, std::uint32_t usual) {
-    return whole_setting(settings, name).value_or(usual);
-  };
-  return {
-      .vertices = whole("links.vertices", GLEANER_NONE),
-      .directions = whole("links.directions", 256),
-      .light_samples = whole("links.light_samples", 16),
-      .bounces = whole("links.bounces", 0),
-      .smooth_angle = real_setting(settings, "links.smooth_angle").value_or(0),
-      .least_share = double{static_cast<float>(real_setting(settings, "links.least_share").value_or(kUsualLeastShare))},
-      .refine = flag_setting(settings, "links.refine").value_or(true),
-      .compress = flag_setting(settings, "links.compress").value_or(true),
-      .exact = flag_setting(settings, "links.exact_weights").value_or(false),
-      .solo_exchange = flag_setting(settings, "links.solo_exchange").value_or(false),
-      .sample_lights = flag_setting(settings, "links.sample_lights").value_or(false)};
+// `triangles`: of the scene.
+LinksSettings read_settings(const FrameSettings& settings, double triangles) {
+  LinksSettings links{};
+  links.given = {.vertices = whole_setting(settings, "links.vertices"),
+                 .directions = whole_setting(settings, "links.directions"),
+                 .light_samples = whole_setting(settings, "links.light_samples")};
+  const std::uint32_t spp = settings.looks.empty() ? settings.spp : kSessionSamples;
+  static_cast<LinksCounts&>(links) = choose_links_counts(triangles, std::uint64_t{settings.width} * settings.height,
+                                                         spp, settings.target_error, links.given);
+  links.bounces = whole_setting(settings, "links.bounces").value_or(0);
+  links.smooth_angle = real_setting(settings, "links.smooth_angle").value_or(0);
+  links.least_share =
+      double{static_cast<float>(real_setting(settings, "links.least_share").value_or(kUsualLeastShare))};
+  links.refine = flag_setting(settings, "links.refine").value_or(true);
+  links.compress = flag_setting(settings, "links.compress").value_or(true);
+  links.exact = flag_setting(settings, "links.exact_weights").value_or(false);
+  links.solo_exchange = flag_setting(settings, "links.solo_exchange").value_or(false);
+  links.sample_lights = flag_setting(settings, "links.sample_lights").value_or(false);
+  return links;
 }
 
 void check(const FrameSettings& settings) {
-  const LinksSettings links = read_settings(settings);
+  const LinksSettings links = read_settings(settings, 0);
   const auto side = static_cast<std::uint32_t>(std::lround(std::sqrt(links.directions)));
   if (side * side != links.directions || side % 4 != 0)
     throw Error::usage(
@@ -72,10 +84,6 @@ void check(const FrameSettings& settings) {
   if (links.light_samples % 16 != 0)
     throw Error::usage("--set links.light_samples: expected a multiple of 16, found " +
                        std::to_string(links.light_samples));
-}
-
-std::uint32_t half_of(std::uint32_t vertices) {
-  return vertices == GLEANER_NONE ? LINKS_USUAL_HALF : std::max(1u, vertices / 2);
 }
 
 StageOutput retained(std::size_t record_bytes) {
@@ -104,7 +112,7 @@ class LinksPlan final : public GraphPlan {
   LinksPlan(const FrameSettings& settings, const SceneSummary& scene)
       : GraphPlan(settings, scene),
         settings_(settings),
-        links_(read_settings(settings)),
+        links_(read_settings(settings, static_cast<double>(scene.triangles))),
         paths_(graph_, film_, settings) {
     if (scene.needs.instances)
       throw Error::usage(
@@ -128,7 +136,8 @@ class LinksPlan final : public GraphPlan {
   double predicted_work() const override {
     return paths_.predicted_work() + work_to_come(own_work(), paths_.asked_work());
   }
-  std::vector<std::string> warnings() const override { return paths_.warnings(); }
+  double shared_squared_error() const override { return found_ ? found_->upper() : 0; }
+  std::vector<std::string> warnings() const override;
   std::string parameters_json() const override;
   std::vector<std::string> outline() const override;
 
@@ -139,13 +148,25 @@ class LinksPlan final : public GraphPlan {
   double own_work() const;
 
   void begin() override;
+  void make_links();
   Artifact ask_mesh(const std::string& name, std::uint32_t vertices, std::vector<Graph::Input> inputs);
   void probe(const Artifact& coarse);
   Artifact ask_probe(const std::string& name, const Artifact& mesh, std::uint32_t directions);
   void link(const LinksMeshFacts& facts);
   void gather(std::uint32_t bounce);
   void exchange();
-  void shade(const Artifact& gathered);
+  void smooth(const Artifact& gathered);
+  void audit(const Artifact& irradiance);
+  void take_audit(const Artifact& audited, const Artifact& irradiance);
+  double wanted_squared_error() const;  // by the samples so far
+  std::optional<LinksCounts> better_counts() const;
+  void shade(const Artifact& irradiance);
+  VplPointParameters point_parameters() const;
+  // Whether the links are looked at before paths go on, or so that a denoiser knows what it cannot see.
+  bool audits() const { return settings_.target_error > 0 || settings_.denoise != Denoise::off; }
+  std::string of_these_links(const std::string& stage) const {
+    return (links_made_ > 1 ? "links.finer_" : "links.") + stage;
+  }
   LinksParameters element_parameters() const;
   StageSpec elements(const std::string& name, const char* kind, unsigned scene_parts, const StageOutput& output,
                      double work) const;
@@ -160,6 +181,10 @@ class LinksPlan final : public GraphPlan {
   float wave_ = 0;        // 1/m
   LinksMeshFacts mesh_facts_{};
   Artifact mesh_, probe_, albedo_, made_, light_, sent_;
+  unsigned links_made_ = 0;
+  std::optional<LinksError> found_;  // of the last links
+  Artifact errors_known_;            // an event, where a target error is given: paths may go on
+  double wanted_squared_error_ = 0;  // of the whole picture, where one is given
   LinksBounces bounces_;
 };
 
@@ -168,15 +193,26 @@ void LinksPlan::begin() {
     paths_.begin({});
     return;
   }
+  // Samples for a target error are as many as the links leave to them.
+  if (settings_.target_error > 0) errors_known_ = graph_.event();
   paths_.begin({.classes = links_.sample_lights ? PATH_CLASS_SAMPLED_RADIOSITY : PATH_CLASS_RADIOSITY,
-                .limit = std::numeric_limits<float>::infinity()});
+                .limit = std::numeric_limits<float>::infinity(),
+                .known = errors_known_});
+  make_links();
+}
+
+void LinksPlan::make_links() {
+  ++links_made_;
+  bounces_ = {};
+  linked_ = false;
+  mesh_ = probe_ = albedo_ = made_ = light_ = sent_ = {};
   if (!links_.refine || links_.vertices == 0) {
-    mesh_ = ask_mesh("links.mesh", links_.vertices, {});
+    mesh_ = ask_mesh(of_these_links("mesh"), links_.vertices, {});
     graph_.when({mesh_}, [this] { link(checked_facts(mesh_)); });
     return;
   }
   // Half of the vertices lie evenly, and show where the others are needed.
-  const Artifact coarse = ask_mesh("links.coarse_mesh", half_of(links_.vertices), {});
+  const Artifact coarse = ask_mesh(of_these_links("coarse_mesh"), std::max(1u, links_.vertices / 2), {});
   graph_.when({coarse}, [this, coarse] { probe(coarse); });
 }
 
@@ -184,8 +220,7 @@ void LinksPlan::begin() {
 // as closed surfaces of the scene's triangles.
 double LinksPlan::own_work() const {
   if (!indirect()) return 0;
-  const double wanted =
-      links_.vertices == GLEANER_NONE ? std::max<double>(LINKS_USUAL_VERTICES, 2 * triangles_) : links_.vertices;
+  const double wanted = links_.vertices;
   const double elements = linked_ ? elements_ : 2 * std::max(wanted, triangles_ / 2);
   const double bounces = std::min(most_bounces_, kUsualBounces);
   const double probes = kInsideDirections + (links_.refine ? kProbeDirections / 2.0 : 0);
@@ -212,8 +247,8 @@ void LinksPlan::probe(const Artifact& coarse) {
     return;
   }
   elements_ = 2 * facts.vertices;
-  const Artifact probed = ask_probe("links.coarse_probe", coarse, kProbeDirections);
-  mesh_ = ask_mesh("links.mesh", links_.vertices, {{"coarse", coarse}, {"probe", probed}});
+  const Artifact probed = ask_probe(of_these_links("coarse_probe"), coarse, kProbeDirections);
+  mesh_ = ask_mesh(of_these_links("mesh"), links_.vertices, {{"coarse", coarse}, {"probe", probed}});
   graph_.when({mesh_}, [this] { link(checked_facts(mesh_)); });
 }
 
@@ -254,26 +289,27 @@ void LinksPlan::link(const LinksMeshFacts& facts) {
   elements_ = 2 * facts.vertices;
   if (elements_ == 0) {
     skips_.push_back({"links", "the scene has no surface", 1});
+    if (errors_known_) graph_.announce(errors_known_);
     film_.add_pass({});
     return;
   }
-  probe_ = ask_probe("links.probe", mesh_, kInsideDirections);
+  probe_ = ask_probe(of_these_links("probe"), mesh_, kInsideDirections);
   LinksParameters p = element_parameters();
   p.samples = kAlbedoSamples;
-  albedo_ =
-      graph_.add(elements("links.albedo", "links_albedo", kShapes | kColors, reusable(retained(ALBEDO_WORDS * 4)), 1),
-                 p, {{"mesh", mesh_}});
+  albedo_ = graph_.add(
+      elements(of_these_links("albedo"), "links_albedo", kShapes | kColors, reusable(retained(ALBEDO_WORDS * 4)), 1), p,
+      {{"mesh", mesh_}});
   p = element_parameters();
   p.directions = links_.directions;
   p.compress = links_.compress;
   p.exact = links_.exact;
-  made_ = graph_.add(elements("links.make", "links_make", kShapes,
+  made_ = graph_.add(elements(of_these_links("make"), "links_make", kShapes,
                               reusable(retained_words(std::uint64_t{6} * links_.directions)), links_.directions),
                      p, {{"mesh", mesh_}, {"probe", probe_}});
   p = element_parameters();
   p.samples = links_.light_samples;
-  light_ = graph_.add(elements("links.light", "links_light", kWholeScene, reusable(retained(RADIOSITY_WORDS * 4)),
-                               links_.light_samples),
+  light_ = graph_.add(elements(of_these_links("light"), "links_light", kWholeScene,
+                               reusable(retained(RADIOSITY_WORDS * 4)), links_.light_samples),
                       p, {{"mesh", mesh_}, {"albedo", albedo_}});
   sent_ = light_;
   graph_.when({made_}, [this, made = made_] { link_words_ = made.record_count(); });
@@ -285,8 +321,8 @@ void LinksPlan::link(const LinksMeshFacts& facts) {
 
 // All bounces on one worker, which fetches the links that others made.
 void LinksPlan::exchange() {
-  StageSpec all = elements("links.exchange", "links_exchange", kNoScene, reusable(retained(RADIOSITY_WORDS * 4)),
-                           std::min(most_bounces_, kUsualBounces));
+  StageSpec all = elements(of_these_links("exchange"), "links_exchange", kNoScene,
+                           reusable(retained(RADIOSITY_WORDS * 4)), std::min(most_bounces_, kUsualBounces));
   all.solo = true;
   const LinksExchangeParameters p{elements_, links_.exact ? 1u : 0u, most_bounces_,
                                   links_.bounces ? 0.0f : static_cast<float>(links_.least_share)};
@@ -296,29 +332,29 @@ void LinksPlan::exchange() {
     const auto facts = exchanged.facts<LinksExchangeFacts>();
     bounces_.done = facts.bounces;
     bounces_.left = facts.left;
-    shade(exchanged);
+    smooth(exchanged);
   });
 }
 
 void LinksPlan::gather(std::uint32_t bounce) {
   const Artifact before = sent_;
-  sent_ = graph_.add(
-      elements(numbered("links.gather", bounce), "links_gather", kNoScene, reusable(retained(RADIOSITY_WORDS * 4)), 1),
-      LinksGatherParameters{elements_, links_.exact ? 1u : 0u, {}},
-      {{"links", made_, kOwnItems},
-       {"light", light_, kOwnItems},
-       {"albedo", albedo_, kOwnItems},
-       {"radiosity", before}});
+  sent_ = graph_.add(elements(numbered(of_these_links("gather"), bounce), "links_gather", kNoScene,
+                              reusable(retained(RADIOSITY_WORDS * 4)), 1),
+                     LinksGatherParameters{elements_, links_.exact ? 1u : 0u, {}},
+                     {{"links", made_, kOwnItems},
+                      {"light", light_, kOwnItems},
+                      {"albedo", albedo_, kOwnItems},
+                      {"radiosity", before}});
   if (links_.bounces && bounce < most_bounces_) {
     gather(bounce + 1);
     return;
   }
   if (bounce == most_bounces_) {
     bounces_.done = bounce;
-    shade(sent_);
+    smooth(sent_);
     return;
   }
-  StageSpec flux{.name = numbered("links.flux", bounce),
+  StageSpec flux{.name = numbered(of_these_links("flux"), bounce),
                  .kind = "links_flux",
                  .items = 1,
                  .solo = true,
@@ -329,22 +365,30 @@ void LinksPlan::gather(std::uint32_t bounce) {
                                        {{"mesh", mesh_}, {"radiosity", sent_}, {"before", before}});
   graph_.when({measured}, [this, bounce, measured] {
     if (bounces_.is_enough(measured.facts<LinksFluxFacts>(), links_.least_share))
-      shade(sent_);
+      smooth(sent_);
     else
       gather(bounce + 1);
   });
 }
 
 // What pixels see is smoothed; what flows over the links is not.
-void LinksPlan::shade(const Artifact& gathered) {
+void LinksPlan::smooth(const Artifact& gathered) {
   const bool smooths = links_.smooth_angle > 0;
   LinksSmoothParameters smooth{};
   smooth.elements = elements_;
   smooth.least_cosine = smooths ? static_cast<float>(std::cos(links_.smooth_angle * std::numbers::pi / 180)) : 2.0f;
-  StageSpec smoothing = elements("links.smooth", "links_smooth", kNoScene, reusable(retained(RADIOSITY_WORDS * 4)), 0);
+  StageSpec smoothing =
+      elements(of_these_links("smooth"), "links_smooth", kNoScene, reusable(retained(RADIOSITY_WORDS * 4)), 0);
   smoothing.solo = true;
   const Artifact irradiance =
       graph_.add(std::move(smoothing), smooth, {{"mesh", mesh_}, {"probe", probe_}, {"irradiance", gathered}});
+  if (audits())
+    audit(irradiance);
+  else
+    shade(irradiance);
+}
+
+VplPointParameters LinksPlan::point_parameters() const {
   VplPointParameters p{};
   p.camera = settings_.camera;
   p.width = settings_.width;
@@ -356,6 +400,79 @@ void LinksPlan::shade(const Artifact& gathered) {
   p.depth = settings_.depth;
   p.stride = 1;
   p.clamp = std::numeric_limits<float>::infinity();
+  return p;
+}
+
+// Points of a few pixels are lit by the vertices about it, and by rays of its own.
+void LinksPlan::audit(const Artifact& irradiance) {
+  VplPointParameters points = point_parameters();
+  points.points = points.samples = kAuditedPoints;
+  spread_points(points, kAuditedPixels);
+  const Artifact shown = graph_.add({.name = of_these_links("audit_points"),
+                                     .kind = "vpl_points",
+                                     .items = points.items_low,
+                                     .tile = 16,
+                                     .scene_parts = kSurfaces,
+                                     .priority = kFirst,
+                                     .output = retained(POINT_WORDS * 4)},
+                                    points);
+  LinksParameters p = element_parameters();
+  p.elements = points.items_low;
+  p.directions = audit_directions(links_.directions);
+  // Rays of its own, whatever the vertices' are.
+  p.seed_high ^= 0x80000000u;
+  const Artifact audited =
+      graph_.add({.name = of_these_links("audit"),
+                  .kind = "links_audit",
+                  .items = points.items_low,
+                  .priority = kFirst,
+                  .work = 2.0 * points.items_low * p.directions,
+                  .output = {.record_bytes = AUDIT_WORDS * 4, .floats = true}},
+                 p, {{"mesh", mesh_}, {"probe", probe_}, {"irradiance", irradiance}, {"points", shown}});
+  // How much error that is, the picture's mean says, of which the first samples know the rest.
+  graph_.when({audited, paths_.first_samples()}, [this, audited, irradiance] { take_audit(audited, irradiance); });
+}
+
+void LinksPlan::take_audit(const Artifact& audited, const Artifact& irradiance) {
+  const Bytes& records = audited.records();
+  std::vector<float> values(records.size() / sizeof(float));
+  std::memcpy(values.data(), records.data(), values.size() * sizeof(float));
+  found_ = links_error(values, kAuditedPoints, links_);
+  if (const std::optional<LinksCounts> better = better_counts()) {
+    static_cast<LinksCounts&>(links_) = *better;
+    make_links();
+    return;
+  }
+  if (errors_known_) {
+    paths_.tell(found_->mean, found_->upper());
+    graph_.announce(errors_known_);
+    wanted_squared_error_ = wanted_squared_error();
+  }
+  shade(irradiance);
+}
+
+double LinksPlan::wanted_squared_error() const {
+  return std::pow(settings_.target_error * (film_.mean_radiance() + found_->mean), 2);
+}
+
+std::optional<LinksCounts> LinksPlan::better_counts() const {
+  if (!(settings_.target_error > 0) || links_made_ == kMostLinks) return std::nullopt;
+  // More than there are, should the scene's own be more than was asked for.
+  LinksCounts counts = links_;
+  counts.vertices = std::max(counts.vertices, mesh_facts_.vertices);
+  return better_links_counts(counts, *found_, wanted_squared_error(), links_.given);
+}
+
+std::vector<std::string> LinksPlan::warnings() const {
+  std::vector<std::string> warnings = paths_.warnings();
+  if (found_ && settings_.target_error > 0 && found_->upper() > wanted_squared_error_)
+    warnings.push_back("the light between vertices alone is predicted to be off by more than the target error of " +
+                       std::to_string(settings_.target_error));
+  return warnings;
+}
+
+void LinksPlan::shade(const Artifact& irradiance) {
+  const VplPointParameters p = point_parameters();
   StageSpec spec{.name = "links.shade",
                  .kind = "links_shade",
                  .items = pixels(),
@@ -379,15 +496,26 @@ std::string LinksPlan::parameters_json() const {
                    {"left_after_bounces", bounces_.left},
                    {"rays", std::uint64_t{elements_} * links_.directions},
                    {"bytes", link_words_ * 4}};
+  if (found_) {
+    nlohmann::json& links = json["links"];
+    links["made"] = links_made_;
+    links["mean"] = found_->mean;
+    links["audited_mean"] = found_->truth;
+    if (found_->mean > 0) {
+      links["error"] = std::sqrt(std::max(0.0, found_->square)) / found_->mean;
+      links["error_upper"] = std::sqrt(found_->upper()) / found_->mean;
+      links["error_of_directions"] = std::sqrt(found_->noise) / found_->mean;
+      links["error_of_interpolation"] = std::sqrt(found_->interpolation()) / found_->mean;
+    }
+  }
   return json.dump();
 }
 
 std::vector<std::string> LinksPlan::outline() const {
   std::vector<std::string> lines;
   if (indirect()) {
-    const std::string wanted = links_.vertices == GLEANER_NONE ? std::string("enough")
-                               : links_.vertices               ? "about " + std::to_string(links_.vertices)
-                                                               : std::string("the triangles' own");
+    const std::string wanted =
+        links_.vertices ? "about " + std::to_string(links_.vertices) : std::string("the triangles' own");
     if (links_.refine && links_.vertices)
       lines.push_back("links.coarse_mesh and links.coarse_probe: where irradiance bends, solo and split");
     lines.push_back("links.mesh: " + wanted + " vertices, solo");
@@ -404,6 +532,9 @@ std::vector<std::string> LinksPlan::outline() const {
                     (links_.smooth_angle > 0 ? "within edges of " + std::to_string(links_.smooth_angle) + " degrees"
                                              : std::string("vertices that hang on edges")) +
                     ", solo");
+    if (audits())
+      lines.push_back("links.audit_points, links.audit: how far the light between vertices is off, by rays of " +
+                      std::to_string(std::min(pixels(), kAuditedPixels)) + " pixels or a few more, split");
     lines.push_back("links.shade: " + std::to_string(pixels()) + " pixels, split");
   }
   for (const std::string& line : paths_.outline()) lines.push_back(line);
@@ -418,21 +549,22 @@ Method links_method() {
       .name = "links",
       .help =
           "Radiance links between vertices, explained in docs/explanation/links.md: links are made once, and light "
-          "flows through them, bounce by bounce.",
+          "flows through them, bounce by bounce. * What is not set is chosen for the scene's triangles, and --spp or "
+          "--target-error.",
       .make = make_plan_of<LinksPlan>,
       // Beside the paths: the pass, its square, the preview and the records, all RGB.
       .bytes_a_pixel = kPathBytesAPixel + 4 * 3 * sizeof(float),
       .check = check,
       .takes_instances = false,
       .settings = {
-          {"links.vertices", whole, 0, 1u << 24, "4000, or twice the triangles where that is more",
+          {"links.vertices", whole, 0, 1u << 24, "*",
            "triangles are divided until there are about so many vertices; 0: the scene's own vertices"},
           {"links.refine", flag, 0, 1, "1", "0: triangles are divided evenly, not where the light bends most"},
           {"links.smooth_angle", real, 0, 180, "0",
            "irradiance is smoothed over neighbours whose normals differ by less than so many degrees; 0: it is not"},
-          {"links.directions", whole, 16, LINKS_MOST_DIRECTIONS, "256",
+          {"links.directions", whole, 16, LINKS_MOST_DIRECTIONS, "*",
            "rays of each side of a vertex: the square of a multiple of 4"},
-          {"links.light_samples", whole, 16, LINKS_MOST_SAMPLES, "16",
+          {"links.light_samples", whole, 16, LINKS_MOST_SAMPLES, "*",
            "shadow rays of each side of a vertex, a multiple of 16"},
           {"links.bounces", whole, 0, 1024, "0",
            "bounces of indirect light; 0: until what is left would add less than links.least_share"},

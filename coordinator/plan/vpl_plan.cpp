@@ -10,6 +10,7 @@
 
 #include "coordinator/plan/graph.h"
 #include "coordinator/plan/path_sampler.h"
+#include "coordinator/plan/spread_points.h"
 #include "coordinator/plan/trajectory.h"
 #include "coordinator/plan/vpl_pilot.h"
 #include "coordinator/plan/vpl_settings.h"
@@ -426,13 +427,7 @@ VplPointParameters VplPlan::points_parameters() const {
   VplPointParameters p = point_parameters();
   // A pilot needs some even where every point queries all lights.
   const std::uint64_t wanted = vpl_.piloted && !vpl_.point_clusters ? Shape::mean_points : points_of_a_camera();
-  p.stride = static_cast<std::uint32_t>(std::max<std::uint64_t>(1, pixels() / wanted));
-  // Neither even nor a divisor of the width: points in columns would leave the rest of the picture unseen.
-  if (p.stride > 1) {
-    p.stride |= 1;
-    while (settings_.width % p.stride == 0) p.stride += 2;
-  }
-  p.items_low = static_cast<std::uint32_t>((pixels() + p.stride - 1) / p.stride);
+  spread_points(p, wanted);
   return p;
 }
 

@@ -24,17 +24,8 @@ kernel WIDE void links_albedo_samples(global const LinksParameters* restrict par
   vu key = element_key(parameters->seed_low, parameters->seed_high, element, 0x41u);
   RingPoint at = random_ring_point(&m, element, 1.0f, key, sample);
   Vertex v = element_surface(scene, &at, element, active);
-  v3 albedo = layer_albedo(&v.surface);
+  v3 albedo = own_albedo(&v);
   vf opacity = one_f();
-#ifdef NEED_LOBE
-  albedo = scale3(albedo, pick(zero_f(), one_f() / v.surface.left_view, v.surface.left_view > zero_f()));
-#endif
-#ifdef NEED_TRANSMISSIVE
-  albedo = scale3(albedo, one_f() - v.surface.transmission);
-#endif
-#ifdef NEED_UNLIT
-  albedo = pick3(albedo, splat3(zero_f()), (as_vu(v.hit.words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_UNLIT) != 0u);
-#endif
 #ifdef NEED_ALPHA
   opacity = v.surface.opacity;
 #endif

@@ -8,9 +8,7 @@
 //
 // The points are spread over the one-ring as the paper's 1:4 oversampling has them: divided once, the small triangle at
 // the vertex holds half of the samples, its neighbours the rest.
-#include "kernels/lights.h"
-#include "kernels/links/mesh.h"
-#include "kernels/transport/shadow_rays.h"
+#include "kernels/links/light_sample.h"
 #include "kernels/wide.h"
 
 // Sample s of element first + e is number e * samples + s of `count`, which is its slot.
@@ -27,15 +25,7 @@ kernel WIDE void links_light_rays(global const LinksParameters* restrict paramet
   uint element = first + first_lane / samples;
   vu slot = (vu)first_lane + lane_index();
   for (uint k = 0; k < SLOT_WORDS; ++k) store_f(slots + (ulong)SLOT_WORDS * first_lane + k * LANES, 0, zero_f());
-  Connection c;
-  c.origin = c.direction = c.contribution = splat3(zero_f());
-  c.far = (vf)-1.0f;
-  c.total = one_f();
-  c.bits = (vu)0u;
-  c.connected = no_lanes();
-#ifdef NEED_MEDIA
-  c.media = media_of(0u, 0u);
-#endif
+  Connection c = no_connection();
   Vertex v;
   v.primitive = (vu)GLEANER_NONE;
 #ifdef NEED_INSTANCES
@@ -49,26 +39,7 @@ kernel WIDE void links_light_rays(global const LinksParameters* restrict paramet
     vu key = element_key(parameters->seed_low, parameters->seed_high, element, 0x4cu);
     RingPoint at = random_ring_point(&m, element, 1.0f, key, sample);
     v = element_surface(scene, &at, element, active);
-    vf u_choice, u_spare, l0, l1;
-    sample_pair(key, sample, LINKS_MOST_SAMPLES, 0u, &u_choice, &u_spare);
-    sample_pair(key, sample, LINKS_MOST_SAMPLES, 1u, &l0, &l1);
-    LightSample light = sample_light(scene, v.hit.p, u_choice, l0, l1);
-    vf cosine = dot3(v.frame.normal, light.direction);
-    vf share = cosine * left_above(scene, &v.surface, clamp_f(cosine, (vf)1e-6f, one_f()));
-#ifdef NEED_BENT_NORMALS
-    share *= geometric_share(&v.frame, light.direction, cosine);
-#endif
-    c.contribution = scale3(light.radiance, share / light.pdf);
-    c.connected = active & (cosine > (vf)1e-6f) & (light.pdf > zero_f()) & (max_component(c.contribution) > zero_f());
-    c.origin = offset_ray_origin(v.hit.p, v.hit.error, v.hit.geometric, light.direction);
-    c.direction = pick3(sub3(light.target, c.origin), light.direction, light.infinite);
-    c.far = pick((vf)-1.0f, pick((vf)SHADOW_FAR, (vf)INFINITY, light.infinite), c.connected);
-#ifdef TRANSPARENT_SHADOWS
-    c.bits = pick_u((vu)0u, (vu)SHADOW_INFINITE, light.infinite);
-#endif
-    uint asked;
-    rank_lanes(c.connected, &asked);
-    if (asked) atomic_add(counters + COUNTER_SHADOW, asked);
+    c = light_connection(scene, &v, key, sample, active, counters);
   }
 #endif
   write_connection(shadows, block, &c, &v, slot, slot_count);

@@ -27,28 +27,11 @@ kernel WIDE void links_hits(SCENE_PARAMETERS, global const uint* restrict mesh, 
     scatter3(weights, to, splat3(zero_f()));
     return;
   }
-  v3 direction = row_3(rays, LINK_ROWS, block, ROW_DIRECTION);
   Mesh m = load_mesh(mesh);
-  Vertex v = meet_surface(scene, rays, LINK_ROWS, block, hit);
-#ifdef NEED_MEDIA
-  v.media = media_of(0u, 0u);
-#endif
-  prepare_scattering(scene, &v, direction);
-  weight *= left_above(scene, &v.surface, max_f(v.frame.view.z, (vf)1e-6f));
-#ifdef NEED_ALPHA
-  weight *= v.surface.opacity;
-#endif
-  weight = pick(zero_f(), weight, v.active);
-  Corners c = corners_at(&m, v.primitive, v.hit.b1, v.hit.b2);
-  vu side = pick_u((vu)0u, (vu)1u, v.frame.from_back);
-  vf outside[3];
-  for (uint k = 0; k < 3u; ++k)
-    outside[k] = pick(zero_f(), one_f(),
-                      gather_f(probe + PROBE_BACKS, (c.vertex[k] * 2u + side) * PROBE_WORDS) <= (vf)PROBE_MOST_BACKS);
-  weigh_outside(&c, outside);
+  SeenElements seen = seen_elements(scene, &m, probe, rays, block, hit);
   for (uint k = 0; k < 3u; ++k) {
-    scatter_u(ends + k, to, c.vertex[k] * 2u + side);
-    scatter_f(weights + k, to, weight * c.weight[k]);
+    scatter_u(ends + k, to, seen.element[k]);
+    scatter_f(weights + k, to, seen.weight[k]);
   }
 }
 

@@ -134,6 +134,21 @@ FN vf left_above(const Scene* scene, const Surface* m, vf cosine) {
 #endif
 }
 
+// What the diffuse layer reflects, less what the layers above it take, which depends on the angle.
+FN v3 own_albedo(const Vertex* v) {
+  v3 albedo = layer_albedo(&v->surface);
+#ifdef NEED_LOBE
+  albedo = scale3(albedo, pick(zero_f(), one_f() / v->surface.left_view, v->surface.left_view > zero_f()));
+#endif
+#ifdef NEED_TRANSMISSIVE
+  albedo = scale3(albedo, one_f() - v->surface.transmission);
+#endif
+#ifdef NEED_UNLIT
+  albedo = pick3(albedo, splat3(zero_f()), (as_vu(v->hit.words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_UNLIT) != 0u);
+#endif
+  return albedo;
+}
+
 // Random numbers of an element: key, and its sample's.
 FN vu element_key(uint seed_low, uint seed_high, uint element, uint purpose) {
   return hash_combine(hash_combine(hash_combine((vu)seed_low, (vu)seed_high), (vu)(element >> 1)), (vu)purpose);

@@ -11,8 +11,8 @@
 #include "kernels/wide.h"
 
 // Camera rays of `count` paths from item `first` on. Sixteen pixels in a row, then their next samples: what a work-item
-// handles at once are neighbours that look at one slice of the lights. by_point: an item is one path, of every
-// stride-th pixel.
+// handles at once are neighbours that look at one slice of the lights. by_point: an item is one path, of which
+// every stride-th pixel has one or some.
 kernel WIDE void vpl_camera_rays(global const VplPointParameters* restrict parameters, uint first_low, uint first_high,
                                  uint count, uint by_point, global float* restrict paths, global float* restrict points,
                                  uint media_high, uint media_low) {
@@ -34,7 +34,7 @@ kernel WIDE void vpl_camera_rays(global const VplPointParameters* restrict param
   }
   NextRay ray;
   ray.alive = (lane < count) & (item < (vu)(uint)total);
-  if (by_point) item *= parameters->stride;
+  if (by_point) item = item / max(parameters->points, 1u) * parameters->stride;
   vu pixel = min(item, (vu)(parameters->width * parameters->height - 1u));
   vu key = hash_combine(hash_combine(hash_combine((vu)parameters->seed_low, (vu)parameters->seed_high), pixel),
                         (vu)(parameters->pass ^ 0x53505400u));

@@ -5,6 +5,7 @@
 #include <cstdio>
 
 #include "kernels/links_records.h"
+#include "kernels/vpl_records.h"
 #include "scene/library/library.h"
 #include "scene/model/error.h"
 #include "tests/radiometry/rendered_frame.h"
@@ -41,8 +42,9 @@ TEST(Links, FurnaceOfSoManyBounces) {
 TEST(Links, WeightsOfAVertexSumToOneAtMost) {
   for (const char* exact : {"0", "1"})
     for (const char* scene : {"furnace", "cornell-glossy"}) {
-      const Rendered made = render(frame_of(scene::make_scene(scene, {}), "", 16, 1,
-                                            {{"links.vertices", "500"}, {"links.exact_weights", exact}}));
+      const Rendered made =
+          render(frame_of(scene::make_scene(scene, {}), "", 16, 1,
+                          {{"links.vertices", "500"}, {"links.directions", "256"}, {"links.exact_weights", exact}}));
       const worker::BatchResult& links = made.results.at("links.make");
       std::uint64_t at = 0, whole = 0;
       for (const std::uint32_t words : links.counts) {
@@ -147,7 +149,7 @@ double largest_difference(const Film& a, const Film& b) {
 
 TEST(Links, CompressionChangesNothing) {
   Frame frame = frame_of(scene::make_scene("cornell-box", {}), "", 24, 4,
-                         {{"links.vertices", "600"}, {"links.exact_weights", "1"}});
+                         {{"links.vertices", "600"}, {"links.directions", "256"}, {"links.exact_weights", "1"}});
   const Rendered on = render(frame);
   frame.settings.set["links.compress"] = "0";
   const Rendered off = render(frame);
@@ -156,7 +158,7 @@ TEST(Links, CompressionChangesNothing) {
   std::printf("  compression %.2f\n", ratio);
   EXPECT_GT(ratio, 2.5);
   // 16 bits: a running sum is right to half a unit, so that the error stays far below a thousandth.
-  frame.settings.set = {{"links.vertices", "600"}};
+  frame.settings.set = {{"links.vertices", "600"}, {"links.directions", "256"}};
   const double rounded = largest_difference(on.film, render(frame).film);
   std::printf("  16-bit weights: %.6f of the mean at most\n", rounded);
   EXPECT_LT(rounded, 1e-3);
@@ -205,6 +207,85 @@ TEST(Links, ErrorFallsWithDirectionsAndVertices) {
                                  error_of(with("4000", "1024"), finest)});
   EXPECT_GT(vertices, 0.25);
   EXPECT_LT(vertices, 1.1);
+}
+
+// --- What an audit says, and a target error ---
+
+// The error that the audit tells is that of the vertices' light: against the finest links.
+TEST(Links, AuditsMeetTheTruth) {
+  for (const char* scene : {"cornell-box", "cornell-textured"}) {
+    Frame frame = frame_of(scene::make_scene(scene, {}), "", 48, 16,
+                           {{"links.vertices", "30000"}, {"links.directions", "576"}, {"links.light_samples", "64"}});
+    const Rendered finest = render(frame);
+    frame.settings.target_error = 0.5;  // what the links are off by is known where one is given
+    for (const auto& [vertices, directions] : {std::pair{"500", "64"}, {"1000", "256"}, {"4000", "64"}}) {
+      frame.settings.set["links.vertices"] = vertices;
+      frame.settings.set["links.directions"] = directions;
+      const Rendered made = render(frame);
+      const nlohmann::json& links = made.parameters["links"];
+      const double truth = error_of(made, finest), told = links["error"], upper = links["error_upper"];
+      std::printf("  %s, %s vertices, %s directions: off by %.4f, told %.4f, at most %.4f\n", scene, vertices,
+                  directions, truth, told, upper);
+      // A pixel in 3 is audited, and most of the error lies in a few.
+      EXPECT_GT(told, 0.75 * truth);
+      EXPECT_LT(told, 1.3 * truth);
+      EXPECT_GT(upper, 0.95 * truth);
+    }
+  }
+}
+
+double error_against(const Film& film, const Film& reference) {
+  double squares = 0, sum = 0, count = 0;
+  for (const char* channel : {"R", "G", "B"}) {
+    const auto& x = film.find(channel)->values;
+    const auto& y = reference.find(channel)->values;
+    for (std::size_t i = 0; i < x.size(); ++i) {
+      squares += std::pow(double{x[i]} - y[i], 2);
+      sum += y[i];
+    }
+    count += static_cast<double>(x.size());
+  }
+  return std::sqrt(squares / count) / (sum / count);
+}
+
+// The picture is no farther from the path tracer's than was asked for, whoever chose the counts. Coarse links leave
+// less of the error to the paths.
+TEST(Links, TargetErrorsHold) {
+  struct Case {
+    const char* scene;
+    double target;
+    Settings coarse;
+    double more;  // samples that coarse links take, over those of finer ones
+  };
+  const Case cases[] = {{"cornell-box", 0.035, {{"links.vertices", "500"}, {"links.directions", "64"}}, 1},
+                        {"cornell-textured", 0.04, {{"links.vertices", "100"}, {"links.directions", "16"}}, 1.4}};
+  for (const auto& [scene, target, counts, more] : cases) {
+    Frame path = frame_of(scene::make_scene(scene, {}), "", 32, 4096, {});
+    path.settings.method = "path";
+    const Rendered reference = render(path);
+    std::uint64_t samples[2];
+    for (const bool coarse : {false, true}) {
+      Frame frame = path;
+      frame.settings.method = "links";
+      frame.settings.spp = 64;
+      frame.settings.target_error = target;
+      if (coarse) frame.settings.set = counts;
+      const Rendered made = render(frame);
+      samples[coarse] = made.parameters["samples"];
+      const nlohmann::json& links = made.parameters["links"];
+      const double error = error_against(made.film, reference.film);
+      std::printf("  %s: %.4f wanted, %.4f found; %u vertices, %u directions, %.1f samples a pixel\n", scene, target,
+                  error, links["vertices"].get<unsigned>(), links["directions"].get<unsigned>(),
+                  static_cast<double>(samples[coarse]) / (32 * 32));
+      EXPECT_LE(error, target) << scene;
+      // Of the picture, not of the vertices' light alone.
+      const double mean = (mean_of(made.film, "R") + mean_of(made.film, "G") + mean_of(made.film, "B")) / 3;
+      if (!coarse) {
+        EXPECT_LT(links["error_upper"].get<double>() * links["mean"].get<double>() / mean, 0.8 * target);
+      }
+    }
+    EXPECT_GE(static_cast<double>(samples[1]), more * static_cast<double>(samples[0])) << scene;
+  }
 }
 
 // --- Smoothing, and edges ---
@@ -293,12 +374,13 @@ TEST(Links, EdgesHaveNoCracks) {
 // --- The house ---
 
 TEST(Links, RecordsDoNotDependOnBatches) {
-  const Frame frame = frame_of(scene::make_scene("cornell-textured", {}), "", 16, 4, {{"links.vertices", "400"}});
+  Frame frame = frame_of(scene::make_scene("cornell-textured", {}), "", 16, 4, {{"links.vertices", "400"}});
+  frame.settings.target_error = 0.5;
   const Rendered made = render(frame);
   worker::Executor two({.device = -1, .threads = 2, .trace = worker::TraceKind::automatic});
   two.load_scene("two", frame.scene, nullptr);
   for (const char* name :
-       {"links.probe", "links.albedo", "links.make", "links.light", "links.gather.2", "links.shade"}) {
+       {"links.probe", "links.albedo", "links.make", "links.light", "links.gather.2", "links.audit", "links.shade"}) {
     const coordinator::StageSpec& spec = made.specs.at(name);
     const worker::BatchResult& whole = made.results.at(name);
     worker::StageTask task = made.tasks.at(name);
@@ -355,7 +437,8 @@ TEST(Links, LinksKnowNoLightAndNoCamera) {
 }
 
 TEST(Links, RefusesWhatIsOutOfRange) {
-  const Frame frame = frame_of(scene::make_scene("cornell-box", {}), "", 16, 1, {{"links.vertices", "100"}});
+  Frame frame = frame_of(scene::make_scene("cornell-box", {}), "", 16, 1, {{"links.vertices", "100"}});
+  frame.settings.target_error = 0.5;
   const Rendered made = render(frame);
   worker::Executor& on = executor(frame.trace);
   // One word of a parameter or input, changed.
@@ -387,6 +470,9 @@ TEST(Links, RefusesWhatIsOutOfRange) {
   refused("links.make", "mesh", corners + CORNER_TRIANGLE, word(mesh, MESH_TRIANGLES));
   refused("links.make", "mesh", corners + CORNER_PLACE, CORNER_KINDS << 24);
   refused("links.gather.1", "links", 0, elements);
+  refused("links.audit", nullptr, 1, 100);
+  refused("links.audit", "points", POINT_TRIANGLE, word(mesh, MESH_TRIANGLES));
+  refused("links.audit_points", nullptr, offsetof(kernels::VplPointParameters, points) / 4, 3);
   refused("links.smooth", "mesh", MESH_HANGING, 0x7fffffffu);
 }
 

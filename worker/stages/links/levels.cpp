@@ -45,11 +45,6 @@ std::uint32_t level_for(double edge, double spacing) {
 // A vertex for each two small triangles.
 double vertices_of(std::uint32_t level) { return 0.5 * std::pow(4.0, level); }
 
-std::uint64_t wanted_vertices(std::uint32_t wanted, std::uint64_t triangles) {
-  const std::uint64_t usual = std::max<std::uint64_t>(LINKS_USUAL_VERTICES, 2 * triangles);
-  return wanted == GLEANER_NONE ? usual : wanted == LINKS_USUAL_HALF ? usual / 2 : wanted;
-}
-
 // The mean squared second difference of the probe along the grid lines of a triangle, each product of two independent
 // estimates. None where it is not divided.
 double bend_of(const HostMesh& mesh, std::uint64_t triangle, const std::vector<float>& probe) {
@@ -86,7 +81,7 @@ double bend_of(const HostMesh& mesh, std::uint64_t triangle, const std::vector<f
 }  // namespace
 
 std::vector<std::uint32_t> even_levels(const TriangleRows& triangles, std::uint32_t wanted) {
-  const auto most = static_cast<double>(wanted_vertices(wanted, triangles.count));
+  const auto most = static_cast<double>(wanted);
   std::vector<std::uint32_t> levels(triangles.count, 0);
   if (wanted == 0 || triangles.count == 0) return levels;
   std::vector<double> edges(triangles.count);
@@ -124,7 +119,7 @@ std::vector<std::uint32_t> refined_levels(const TriangleRows& triangles, std::ui
     const double vertices = vertices_of(levels[t] + 1) - vertices_of(levels[t]);
     if (error[t] > 0 && levels[t] < MESH_MOST_LEVEL) queue.push({error[t] / vertices, t});
   };
-  double left = static_cast<double>(wanted_vertices(wanted, triangles.count));
+  double left = static_cast<double>(wanted);
   for (std::uint64_t t = 0; t < triangles.count; ++t) {
     check_wanted();
     levels[t] = coarse.words[MESH_HEADER + MESH_TRIANGLE_WORDS * t + 1];

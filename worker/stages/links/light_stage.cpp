@@ -1,48 +1,37 @@
 // Stage kind "links_light": direct light of elements (kernels/links/light.cl).
 
-#include "kernels/path_layout.h"
+#include "worker/stages/links/connecting_thread.h"
 #include "worker/stages/links/mesh.h"
 #include "worker/stages/links/stages.h"
 #include "worker/stages/links/waves.h"
 #include "worker/stages/split_stage.h"
-#include "worker/wavefront/path_wave.h"
 
 namespace gleaner::worker {
 namespace {
 
-class LightThread : public HostThread {
+class LightThread : public ConnectingThread {
  public:
   LightThread(const StageRun& run, const MeshTables& tables, const kernels::LinksParameters& p,
               const cl::Buffer& parameters, const Program& program, WorkQueue& work, unsigned index)
-      : HostThread(run.device, run.workspace, run.scene.tracer(), work, index),
+      : ConnectingThread(run, program, elements_of_wave(run.device, p.samples) * p.samples, work, index),
         first_item_(run.first),
         samples_(p.samples),
         capacity_(elements_of_wave(run.device, p.samples)),
-        shadow_rows_(run.scene.shadow_rows()),
-        transparent_(run.scene.transparent_shadows()),
         albedo_(tables.rows),
-        shadows_(take("shadows", PathWave::bytes(rays(), shadow_rows_))),
-        slots_(take("links.slots", std::size_t{rays() + RAY_BLOCK} * PLAIN_SLOT_WORDS * 4)),
         own_albedo_(take("links.albedo", std::size_t{capacity_} * ALBEDO_WORDS * 4)),
         records_(take("links.records", std::size_t{capacity_} * RADIOSITY_WORDS * 4)),
         report_(take("report", FiniteReport::kWords * 4)),
         make_rays_(run.device, program, "links_light_rays"),
-        connect_(run.device, program, transparent_ ? "shadow_pass" : "shadow_connect"),
         sum_(run.device, program, "links_light_sum") {
     run.scene.set_arguments(make_rays_);
     make_rays_.set("parameters", parameters)
         .set("mesh", tables.mesh)
-        .set("shadows", shadows_)
-        .set("slots", slots_)
+        .set("shadows", shadows())
+        .set("slots", slots())
         .set("slot_count", rays())
         .set("counters", device_counters());
-    connect_.set("shadows", shadows_).set("slots", slots_).set("slot_count", rays());
-    if (transparent_) {
-      run.scene.set_arguments(connect_);
-      connect_.set("counters", device_counters());
-    }
     sum_.set("parameters", parameters)
-        .set("slots", slots_)
+        .set("slots", slots())
         .set("albedo", own_albedo_)
         .set("records", records_)
         .set("report", report_.buffer());
@@ -55,9 +44,7 @@ class LightThread : public HostThread {
       clear_device_counters();
       make_rays_.set("first", static_cast<cl_uint>(first_item_ + block.first)).set("count", count * samples_);
       launch(make_rays_, count * samples_, rays());
-      const cl_uint asked = read_device_counters()[COUNTER_SHADOW];
-      counters.shadow += asked;
-      if (asked) connect(count * samples_);
+      connect(count * samples_);
       queue_.enqueueCopyBuffer(albedo_, own_albedo_, (first_item_ + block.first) * albedo_stride, 0,
                                count * albedo_stride);
       report_.clear(queue_);
@@ -71,31 +58,11 @@ class LightThread : public HostThread {
  private:
   std::uint32_t rays() const { return capacity_ * samples_; }
 
-  // Shadow rays through what light passes straight take turns, one surface each, as those of camera paths.
-  void connect(std::uint32_t count) {
-    connect_.set("count", count);
-    if (!transparent_) {
-      rays_.any(shadows_, single_rays(shadow_rows_, count));
-      launch(connect_, count, rays());
-      return;
-    }
-    cl_uint left = count;
-    for (unsigned turn = 0; left && turn <= META_BOUNCE_MASK; ++turn) {
-      rays_.closest(shadows_, single_rays(shadow_rows_, count));
-      clear_device_counters();
-      launch(connect_, count, rays());
-      left = read_device_counters()[COUNTER_SHADOW];
-      counters.shadow += left;
-    }
-  }
-
   std::uint64_t first_item_;
   std::uint32_t samples_, capacity_;
-  unsigned shadow_rows_;
-  bool transparent_;
-  cl::Buffer albedo_, shadows_, slots_, own_albedo_, records_;
+  cl::Buffer albedo_, own_albedo_, records_;
   FiniteReport report_;
-  Kernel make_rays_, connect_, sum_;
+  Kernel make_rays_, sum_;
 };
 
 }  // namespace

@@ -14,6 +14,7 @@ BatchResult run_links_light_stage(const StageRun& run);
 BatchResult run_links_gather_stage(const StageRun& run);
 BatchResult run_links_exchange_stage(const StageRun& run);
 BatchResult run_links_shade_stage(const StageRun& run);
+BatchResult run_links_audit_stage(const StageRun& run);
 
 // On the worker's host.
 BatchResult measure_links_flux(const StageTask& task);

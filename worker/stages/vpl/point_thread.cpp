@@ -1,5 +1,6 @@
 #include "worker/stages/vpl/point_thread.h"
 
+#include <algorithm>
 #include <bit>
 
 #include "kernels/path_layout.h"
@@ -17,7 +18,9 @@ VplPointParameters read_point_parameters(const StageRun& run) {
   run.check_film(p.camera, p.width, p.height);
   if (!std::has_single_bit(p.samples) || p.samples > 64)
     throw Error::bad_input(run.where(), "samples", "a power of two up to 64", std::to_string(p.samples));
-  if (p.items_high || p.items_low > std::uint64_t{p.width} * p.height)
+  if (p.points > 1 && p.points != p.samples)
+    throw Error::bad_input(run.where(), "points", "1 or " + std::to_string(p.samples), std::to_string(p.points));
+  if (p.items_high || p.items_low > std::uint64_t{p.width} * p.height * std::max(1u, p.points))
     throw Error::bad_input(run.where(), "items", "at most a pixel each", std::to_string(p.items_low));
   if (!(p.clamp > 0)) throw Error::bad_input(run.where(), "clamp", "a number above 0", std::to_string(p.clamp));
   run.check_range(p.items_low);
@@ -69,7 +72,7 @@ void PointThread::find_points(std::uint64_t first, std::uint32_t count) {
 // Stage kind "vpl_points".
 BatchResult run_vpl_points_stage(const StageRun& run) {
   const VplPointParameters p = read_point_parameters(run);
-  if (p.stride == 0 || (std::uint64_t{p.items_low} - 1) * p.stride >= std::uint64_t{p.width} * p.height)
+  if (p.stride == 0 || (std::uint64_t{p.items_low} - 1) / std::max(1u, p.points) * p.stride >= std::uint64_t{p.width} * p.height)
     throw Error::bad_input(run.where(), "stride", "pixels within the picture", std::to_string(p.stride));
   const double start = seconds_now();
   BatchResult result;

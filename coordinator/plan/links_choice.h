@@ -1,0 +1,50 @@
+#pragma once
+// How many vertices, directions and light samples method `links` takes where they are not set: such that the light
+// between vertices is off by a part of what the paths beside it are. Pure.
+
+#include <cstdint>
+#include <optional>
+#include <span>
+
+#include "kernels/links_records.h"
+
+namespace gleaner::coordinator {
+
+struct LinksCounts {
+  std::uint32_t vertices = 0;       // 0: the scene's own
+  std::uint32_t directions = 0;     // of an element: the square of a multiple of 4
+  std::uint32_t light_samples = 0;  // of an element: a multiple of 16
+};
+
+// What was set, and stays.
+struct GivenLinksCounts {
+  std::optional<std::uint32_t> vertices{}, directions{}, light_samples{};
+};
+
+// `triangles`: of the scene. `spp`: samples of a pixel; or `error` > 0: RMSE over the mean radiance of the picture.
+LinksCounts choose_links_counts(double triangles, std::uint64_t pixels, std::uint32_t spp, double error,
+                                const GivenLinksCounts& given);
+
+// What an audit found: means over pixels and channels.
+struct LinksError {
+  double mean = 0;       // radiance
+  double truth = 0;      // the same by the audit's own rays
+  double square = 0;     // the squared error
+  double deviation = 0;  // standard error of `square`
+  double noise = 0;      // the part of it that directions make
+  std::uint64_t pixels = 0;
+
+  double upper() const;          // of the squared error
+  double interpolation() const;  // the part of it that is no noise
+};
+// Rays of each half of an audit: fewer than a vertex has, for more points. Errors are large at few places.
+std::uint32_t audit_directions(std::uint32_t directions);
+// `records`: rows of AUDIT_WORDS, `points` of each pixel; `counts`: of the links.
+LinksError links_error(std::span<const float> records, std::size_t points, const LinksCounts& counts);
+
+// What links of these counts were found to be is known: counts that leave enough of `squared_error`, the whole
+// picture's, to the paths. None: these do, or nothing may be changed.
+std::optional<LinksCounts> better_links_counts(const LinksCounts& counts, const LinksError& found, double squared_error,
+                                               const GivenLinksCounts& given);
+
+}  // namespace gleaner::coordinator

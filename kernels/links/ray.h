@@ -1,0 +1,87 @@
+// One ray of an element, or of a point between its vertices: where it goes, what it weighs, and to which elements its
+// hit links it.
+#ifndef GLEANER_KERNELS_LINKS_RAY_H
+#define GLEANER_KERNELS_LINKS_RAY_H
+
+#include "kernels/links/mesh.h"
+#include "kernels/wide.h"
+
+// Rows of a block of 16 rays: the ray and its hit, then what the element's side of the link weighs.
+#define ROW_WEIGHT RAY_HIT_ROWS
+#define LINK_ROWS (RAY_HIT_ROWS + 1u)
+// Square to disc (Shirley & Chiu 1997), then to the hemisphere above it: cosine-weighted, and neighbours stay so.
+FN v3 concentric_direction(vf u, vf v) {
+  vf a = fma(u, (vf)2.0f, (vf)-1.0f), b = fma(v, (vf)2.0f, (vf)-1.0f);
+  vi wide = fabs(a) > fabs(b);
+  vf r = pick(b, a, wide);
+  vf ratio = pick(zero_f(), pick(a, b, wide) / r, r != zero_f());
+  vf turn = pick((vf)0.25f - 0.125f * ratio, 0.125f * ratio, wide);  // in turns, from -1/8 to 3/8
+  vf s, c;
+  sincos_2pi(turn - floor(turn), &s, &c);
+  return make3(r * c, r * s, safe_sqrt(one_f() - r * r));
+}
+
+// Direction `ray` of side x side, above the surface. Blocks of 4 x 4 neighbours in a square, turned for each vertex:
+// its own place on a torus.
+FN v3 grid_direction(vu ray, uint side, vu key) {
+  vu tile = ray >> 4, within = ray & 15u;
+  uint tiles = side / 4u;
+  vu x = (tile % tiles) * 4u + (within & 3u), y = (tile / tiles) * 4u + (within >> 2);
+  vf u = (to_f(x) + unit_float(hash_combine(key, (vu)1u)) * (float)side) / (float)side;
+  vf v = (to_f(y) + unit_float(hash_combine(key, (vu)2u)) * (float)side) / (float)side;
+  return concentric_direction(u - floor(u), v - floor(v));
+}
+
+FN void send_ray(const Scene* scene, const Vertex* from, v3 above, vi active, global float* rays, uint block) {
+  v3 direction = from_frame(&from->frame, above);
+  vf weight = left_above(scene, &from->surface, clamp_f(above.z, (vf)1e-6f, one_f()));
+#ifdef NEED_BENT_NORMALS
+  weight *= geometric_share(&from->frame, direction, above.z);
+#endif
+  v3 origin = offset_ray_origin(from->hit.p, from->hit.error, from->hit.geometric, direction);
+  active = active & (weight > zero_f()) & (above.z > (vf)1e-6f) & finite3(origin) & finite3(direction);
+  set_ray(rays, LINK_ROWS, block, origin, direction, pick((vf)-1.0f, (vf)INFINITY, active), from->primitive,
+          hit_instance(&from->hit));
+  set_row_u(rays, LINK_ROWS, block, ROW_GEOMETRY, (vu)GLEANER_NONE);
+  set_row_f(rays, LINK_ROWS, block, ROW_WEIGHT, pick(zero_f(), weight, active));
+}
+
+// What a hit sees: the vertices about it, on the side that the ray met, with what each of them weighs.
+typedef struct {
+  vu element[3];
+  vf weight[3];  // 0: nothing is seen
+  Vertex hit;    // as scattering has it
+} SeenElements;
+
+// Of lanes whose ray met something. `probe`: rows of PROBE_WORDS.
+FN SeenElements seen_elements(const Scene* scene, const Mesh* mesh, global const float* probe, global const float* rays,
+                              uint block, vi hit) {
+  vf weight = row_f(rays, LINK_ROWS, block, ROW_WEIGHT);
+  v3 direction = row_3(rays, LINK_ROWS, block, ROW_DIRECTION);
+  Vertex v = meet_surface(scene, rays, LINK_ROWS, block, hit);
+#ifdef NEED_MEDIA
+  v.media = media_of(0u, 0u);
+#endif
+  prepare_scattering(scene, &v, direction);
+  weight *= left_above(scene, &v.surface, max_f(v.frame.view.z, (vf)1e-6f));
+#ifdef NEED_ALPHA
+  weight *= v.surface.opacity;
+#endif
+  weight = pick(zero_f(), weight, v.active);
+  Corners c = corners_at(mesh, v.primitive, v.hit.b1, v.hit.b2);
+  vu side = pick_u((vu)0u, (vu)1u, v.frame.from_back);
+  vf outside[3];
+  for (uint k = 0; k < 3u; ++k)
+    outside[k] = pick(zero_f(), one_f(),
+                      gather_f(probe + PROBE_BACKS, (c.vertex[k] * 2u + side) * PROBE_WORDS) <= (vf)PROBE_MOST_BACKS);
+  weigh_outside(&c, outside);
+  SeenElements seen;
+  seen.hit = v;
+  for (uint k = 0; k < 3u; ++k) {
+    seen.element[k] = c.vertex[k] * 2u + side;
+    seen.weight[k] = weight * c.weight[k];
+  }
+  return seen;
+}
+
+#endif

@@ -1,0 +1,108 @@
+// How method `links` chooses vertices, directions and light samples that are not set.
+
+#include "coordinator/plan/links_choice.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <random>
+#include <vector>
+
+namespace gleaner::coordinator {
+namespace {
+
+constexpr std::uint64_t kPixels = 512 * 512;
+
+TEST(LinksChoice, WhatIsSetStays) {
+  const GivenLinksCounts given = {.vertices = 0, .directions = 16, .light_samples = 64};
+  const LinksCounts counts = choose_links_counts(30, kPixels, 64, 0.01, given);
+  EXPECT_EQ(counts.vertices, 0u) << "the scene's own";
+  EXPECT_EQ(counts.directions, 16u);
+  EXPECT_EQ(counts.light_samples, 64u);
+  const LinksError bad{.mean = 1, .square = 100, .noise = 50, .pixels = 9};
+  EXPECT_FALSE(better_links_counts(counts, bad, 0.01, given));
+}
+
+TEST(LinksChoice, MoreSamplesTakeMoreOfAll) {
+  LinksCounts last = choose_links_counts(30, kPixels, 1, 0, {});
+  for (const std::uint32_t spp : {4u, 16u, 64u, 256u, 4096u}) {
+    const LinksCounts next = choose_links_counts(30, kPixels, spp, 0, {});
+    EXPECT_GE(next.vertices, last.vertices) << spp;
+    EXPECT_GE(next.directions, last.directions) << spp;
+    EXPECT_GE(next.light_samples, last.light_samples) << spp;
+    const auto side = static_cast<std::uint32_t>(std::lround(std::sqrt(next.directions)));
+    EXPECT_EQ(side * side, next.directions);
+    EXPECT_EQ(side % 4, 0u);
+    EXPECT_EQ(next.light_samples % 16, 0u);
+    last = next;
+  }
+  EXPECT_EQ(last.directions, 1024u);
+  // Links have a bound, which leaves no room for more vertices.
+  EXPECT_NEAR(2.0 * last.vertices * last.directions, 1.5e8, 1e6);
+  EXPECT_GT(choose_links_counts(20'000, kPixels, 64, 0, {}).vertices,
+            5 * choose_links_counts(30, kPixels, 64, 0, {}).vertices);
+}
+
+// A small picture's links cost no more than a few times its paths; a promise is kept at any size.
+TEST(LinksChoice, SmallPicturesTakeFewer) {
+  const LinksCounts large = choose_links_counts(30, kPixels, 64, 0, {}),
+                    small = choose_links_counts(30, 48 * 48, 64, 0, {});
+  EXPECT_LT(small.vertices, large.vertices);
+  EXPECT_LT(2.0 * small.vertices * small.directions, 12.0 * 48 * 48 * 64);
+  const LinksCounts promised = choose_links_counts(30, 48 * 48, 1, 0.02, {});
+  EXPECT_EQ(promised.vertices, choose_links_counts(30, kPixels, 4096, 0.02, {}).vertices);
+  EXPECT_GT(promised.vertices, 4 * choose_links_counts(30, kPixels, 1, 0.06, {}).vertices);
+}
+
+constexpr std::size_t kPoints = 4;
+
+// Of pixels that show 1 and something, `off` from what all rays say, whose halves are noisy.
+std::vector<float> audit(double off, double noise, std::size_t pixels) {
+  std::mt19937 random(3);
+  std::normal_distribution<double> number(0, 1);
+  std::vector<float> records;
+  for (std::size_t k = 0; k < pixels * kPoints; ++k) {
+    // The points of a pixel are off together.
+    const double shown = 1 + (k / kPoints % 2 ? off : -off);
+    for (int c = 0; c < 3; ++c) records.push_back(static_cast<float>(shown));
+    for (int c = 0; c < 12; ++c) records.push_back(static_cast<float>(1 + noise * number(random)));
+  }
+  return records;
+}
+
+TEST(LinksChoice, AnAuditTellsNoiseFromError) {
+  const LinksCounts counts{.vertices = 1000, .directions = 256, .light_samples = 16};
+  for (const double off : {0.0, 0.03, 0.1})
+    for (const double noise : {0.0, 0.05, 0.2}) {
+      const LinksError found = links_error(audit(off, noise, 4000), kPoints, counts);
+      EXPECT_EQ(found.pixels, 4000u);
+      EXPECT_NEAR(found.mean, 1, 1e-6);
+      EXPECT_NEAR(found.truth, 1, 0.01);
+      EXPECT_NEAR(found.square, off * off, 4 * found.deviation + 1e-8) << off << " " << noise;
+      EXPECT_LE(found.deviation, 0.001);
+      EXPECT_GE(found.upper(), off * off - 1e-8);
+      // The audit's rays are a quarter of a vertex'; between vertices half of the noise is left.
+      EXPECT_NEAR(found.noise, 0.5 * noise * noise * std::pow(0.25, 1.25), 0.02 * noise * noise + 1e-12);
+    }
+}
+
+TEST(LinksChoice, AnAuditThatFindsTooMuchAsksForMore) {
+  const LinksCounts counts{.vertices = 1000, .directions = 144, .light_samples = 16};
+  const double wanted = 0.01;
+  EXPECT_FALSE(better_links_counts(counts, {.mean = 1, .square = 0.4 * wanted, .noise = 0.2 * wanted}, wanted, {}));
+  const auto more_rays = better_links_counts(counts, {.mean = 1, .square = wanted, .noise = 0.9 * wanted}, wanted, {});
+  ASSERT_TRUE(more_rays);
+  EXPECT_GE(more_rays->directions, 4 * counts.directions);
+  EXPECT_EQ(more_rays->vertices, counts.vertices);
+  const auto finer = better_links_counts(counts, {.mean = 1, .square = wanted, .noise = 0}, wanted, {});
+  ASSERT_TRUE(finer);
+  EXPECT_EQ(finer->directions, counts.directions);
+  EXPECT_NEAR(finer->vertices, 1000 * std::pow(4, 1 / 0.86), 1);
+  // What is set stays; a dark picture has no error to reach; a step has an end.
+  EXPECT_FALSE(better_links_counts(counts, {.mean = 1, .square = wanted}, wanted, {.vertices = 1000}));
+  EXPECT_FALSE(better_links_counts(counts, {.mean = 1, .square = 1}, 0, {}));
+  EXPECT_EQ(better_links_counts(counts, {.mean = 1, .square = 1e6}, wanted, {})->vertices, 16'000u);
+}
+
+}  // namespace
+}  // namespace gleaner::coordinator
