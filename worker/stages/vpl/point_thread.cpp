@@ -72,7 +72,8 @@ void PointThread::find_points(std::uint64_t first, std::uint32_t count) {
 // Stage kind "vpl_points".
 BatchResult run_vpl_points_stage(const StageRun& run) {
   const VplPointParameters p = read_point_parameters(run);
-  if (p.stride == 0 || (std::uint64_t{p.items_low} - 1) / std::max(1u, p.points) * p.stride >= std::uint64_t{p.width} * p.height)
+  if (p.stride == 0 ||
+      (std::uint64_t{p.items_low} - 1) / std::max(1u, p.points) * p.stride >= std::uint64_t{p.width} * p.height)
     throw Error::bad_input(run.where(), "stride", "pixels within the picture", std::to_string(p.stride));
   const double start = seconds_now();
   BatchResult result;
