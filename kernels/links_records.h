@@ -106,13 +106,15 @@ GLEANER_SIZE(LinksParameters, 32);
 // own items; "radiosity": whole): rows of RADIOSITY_WORDS.
 #define RADIOSITY_WORDS 8u
 #define RADIOSITY_IRRADIANCE 0u  // RGB: of the direct light (links_light), or of all light from other elements
+#define RADIOSITY_NOISE 3u       // links_gather: standard deviation of the irradiance, of its noisiest channel
 #define RADIOSITY_OUTSIDE 3u     // links_smooth: 1 where the element lies in the open, else 0
 #define RADIOSITY_SENT 4u        // RGB: what the element sends: albedo times all irradiance, W/m^2
 
 typedef struct {
   gl_uint elements;
-  gl_uint exact;  // as of links_make
-  gl_uint reserved[2];
+  gl_uint exact;       // as of links_make
+  gl_uint directions;  // as of links_make; 0: noise is not told
+  gl_uint reserved;
 } LinksGatherParameters;
 GLEANER_SIZE(LinksGatherParameters, 16);
 
@@ -157,8 +159,10 @@ typedef struct {
   gl_uint exact;         // as of links_make
   gl_uint most_bounces;  // 1 or more
   gl_float least_share;  // bounces end where those to come would add less (LinksBounces); 0: at most_bounces alone
+  gl_uint directions;    // as of links_gather
+  gl_uint reserved[3];
 } LinksExchangeParameters;
-GLEANER_SIZE(LinksExchangeParameters, 16);
+GLEANER_SIZE(LinksExchangeParameters, 32);
 
 #ifndef __OPENCL_VERSION__
 struct LinksExchangeFacts {
@@ -168,7 +172,8 @@ struct LinksExchangeFacts {
 #endif
 
 // Stage kind "links_smooth" (inputs "mesh", "probe", "irradiance"); solo, an item an element: rows of RADIOSITY_WORDS.
-// Irradiance is smoothed over the one-ring within feature edges (eq. 5-6), and what hangs on an edge is put on it.
+// Irradiance is smoothed over the one-ring within feature edges (eq. 5-6), by no more in any channel than the
+// RADIOSITY_NOISE of these elements (root mean square), and what hangs on an edge is put on it.
 typedef struct {
   gl_uint elements;
   gl_float least_cosine;  // between the normals of neighbours that are smoothed; above 1: none is

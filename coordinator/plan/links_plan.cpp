@@ -164,6 +164,8 @@ class LinksPlan final : public GraphPlan {
   VplPointParameters point_parameters() const;
   // Whether the links are looked at before paths go on, or so that a denoiser knows what it cannot see.
   bool audits() const { return settings_.target_error > 0 || settings_.denoise != Denoise::off; }
+  // Noise bounds what is smoothed, and is not told for nothing.
+  std::uint32_t told_directions() const { return links_.smooth_angle > 0 ? links_.directions : 0; }
   std::string of_these_links(const std::string& stage) const {
     return (links_made_ > 1 ? "links.finer_" : "links.") + stage;
   }
@@ -324,8 +326,9 @@ void LinksPlan::exchange() {
   StageSpec all = elements(of_these_links("exchange"), "links_exchange", kNoScene,
                            reusable(retained(RADIOSITY_WORDS * 4)), std::min(most_bounces_, kUsualBounces));
   all.solo = true;
-  const LinksExchangeParameters p{elements_, links_.exact ? 1u : 0u, most_bounces_,
-                                  links_.bounces ? 0.0f : static_cast<float>(links_.least_share)};
+  const LinksExchangeParameters p{elements_,         links_.exact ? 1u : 0u,
+                                  most_bounces_,     links_.bounces ? 0.0f : static_cast<float>(links_.least_share),
+                                  told_directions(), {}};
   const Artifact exchanged =
       graph_.add(std::move(all), p, {{"mesh", mesh_}, {"links", made_}, {"light", light_}, {"albedo", albedo_}});
   graph_.when({exchanged}, [this, exchanged] {
@@ -340,7 +343,7 @@ void LinksPlan::gather(std::uint32_t bounce) {
   const Artifact before = sent_;
   sent_ = graph_.add(elements(numbered(of_these_links("gather"), bounce), "links_gather", kNoScene,
                               reusable(retained(RADIOSITY_WORDS * 4)), 1),
-                     LinksGatherParameters{elements_, links_.exact ? 1u : 0u, {}},
+                     LinksGatherParameters{elements_, links_.exact ? 1u : 0u, told_directions(), 0},
                      {{"links", made_, kOwnItems},
                       {"light", light_, kOwnItems},
                       {"albedo", albedo_, kOwnItems},
@@ -561,7 +564,9 @@ Method links_method() {
            "triangles are divided until there are about so many vertices; 0: the scene's own vertices"},
           {"links.refine", flag, 0, 1, "1", "0: triangles are divided evenly, not where the light bends most"},
           {"links.smooth_angle", real, 0, 180, "0",
-           "irradiance is smoothed over neighbours whose normals differ by less than so many degrees; 0: it is not"},
+           "irradiance is smoothed, as far as its noise allows, over neighbours whose normals differ by less than so "
+           "many "
+           "degrees; 0: it is not"},
           {"links.directions", whole, 16, LINKS_MOST_DIRECTIONS, "*",
            "rays of each side of a vertex: the square of a multiple of 4"},
           {"links.light_samples", whole, 16, LINKS_MOST_SAMPLES, "*",

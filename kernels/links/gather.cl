@@ -3,6 +3,7 @@
 //   for each element
 //     irradiance = sum over its links of weight * what the link's end sends               (eq. 3)
 //     sends      = albedo * (direct light + irradiance)                                   (eq. 4)
+//     noise of the irradiance, where it is asked for
 //
 // After k such stages, each of which reads the last one's whole vector, light of k bounces is there.
 #include "kernels/lanes.h"
@@ -40,6 +41,26 @@ FN float4 gather_packed(global const float4* sent, global const uint* ends, uint
   return ((sum[0] + sum[1]) + (sum[2] + sum[3])) * (1.0f / 65535.0f);
 }
 
+FN float weight_of(global const uint* weights, uint k, uint exact) {
+  if (exact) return as_float(weights[k]);
+  uint pair = weights[k >> 1];
+  return (float)(k & 1u ? pair >> 16 : pair & 0xffffu) * (1.0f / 65535.0f);
+}
+
+// Standard deviation of an element's irradiance, of its noisiest channel, were its rays independent. They are not, but
+// spread evenly, which is less noisy. A link's light counts as if a whole ray saw its end: convexity has that no less
+// than what three ends together show.
+FN float noise_of(global const float4* sent, global const uint* ends, uint links, uint last, uint exact,
+                  uint directions, float4 mean) {
+  float4 squares = (float4)(0.0f);
+  for (uint k = 0; k < links; ++k) {
+    float4 light = sent[min(ends[k], last)];
+    squares += weight_of(ends + links, k, exact) * light * light;
+  }
+  float4 variance = squares - mean * mean;
+  return sqrt(fmax(fmax(fmax(variance.x, variance.y), variance.z), 0.0f) / (float)directions);
+}
+
 // Elements base to count - 1 of a batch. `words`: their links, those of element e from starts[e] on. `sent`: of all
 // elements. Elements with an end that is none count in `faults`.
 kernel void links_gather(global const LinksGatherParameters* restrict parameters, uint base, uint count,
@@ -51,9 +72,12 @@ kernel void links_gather(global const LinksGatherParameters* restrict parameters
   if (element >= count) return;
   uint first = starts[element], total = starts[element + 1u] - first, last = parameters->elements - 1u;
   uint beyond = 0u;
-  float4 sum = parameters->exact ? gather_exact(sent, words + first, total / 2u, last, &beyond)
-                                 : gather_packed(sent, words + first, 2u * total / 3u, last, &beyond);
-  records[2u * element] = sum;
+  uint links = parameters->exact ? total / 2u : 2u * total / 3u;
+  float4 sum = parameters->exact ? gather_exact(sent, words + first, links, last, &beyond)
+                                 : gather_packed(sent, words + first, links, last, &beyond);
   records[2u * element + 1u] = albedo[element] * (light[2u * element] + sum);
+  if (parameters->directions)
+    sum.w = noise_of(sent, words + first, links, last, parameters->exact, parameters->directions, sum);
+  records[2u * element] = sum;
   if (beyond) atomic_inc(faults);
 }

@@ -304,16 +304,19 @@ struct MadeUp {
   float normal(std::uint32_t vertex, unsigned axis) const {
     return std::bit_cast<float>(word(made.results.at("links.mesh"), places_at + PLACE_WORDS * vertex + axis));
   }
-  // Irradiance `value(vertex)` on both sides, smoothed.
+  // Irradiance `value(vertex)` on both sides, so noisy, smoothed.
   template <typename Value>
-  std::vector<float> smoothed(double degrees, Value value) {
+  std::vector<float> smoothed(double degrees, Value value, float noise = 1e30f) {
     kernels::LinksSmoothParameters p{};
     p.elements = 2 * vertices;
     p.least_cosine = degrees > 0 ? static_cast<float>(std::cos(degrees * 3.14159265 / 180)) : 2.0f;
     std::memcpy(task.parameters.data(), &p, sizeof p);
     auto bytes = std::make_shared<scene::Bytes>(std::size_t{2} * vertices * RADIOSITY_WORDS * 4);
     auto* rows = reinterpret_cast<float*>(bytes->data());
-    for (std::uint32_t e = 0; e < 2 * vertices; ++e) rows[e * RADIOSITY_WORDS] = value(e / 2);
+    for (std::uint32_t e = 0; e < 2 * vertices; ++e) {
+      rows[e * RADIOSITY_WORDS] = value(e / 2);
+      rows[e * RADIOSITY_WORDS + RADIOSITY_NOISE] = noise;
+    }
     task.inputs["irradiance"] = worker::TaskInput(std::move(bytes));
     const worker::BatchResult result = executor(worker::TraceKind::automatic).run(task, 0, std::uint64_t{2} * vertices);
     std::vector<float> out(2 * vertices);
@@ -346,6 +349,64 @@ TEST(Links, SmoothingKeepsFeatureEdges) {
   }
   EXPECT_GT(across, 20u);
   EXPECT_GT(changed, mesh.vertices);
+}
+
+// No vertex moves by more than its noise; one without noise stays.
+TEST(Links, SmoothingIsBoundByNoise) {
+  MadeUp mesh(frame_of(scene::make_scene("cornell-box", {}), "", 16, 1,
+                       {{"links.vertices", "800"}, {"links.refine", "0"}, {"links.smooth_angle", "30"}}));
+  ASSERT_EQ(mesh.hanging, 0u) << "what hangs moves for another reason";
+  const auto waves = [&](std::uint32_t v) { return static_cast<float>(v % 7); };
+  const std::vector<float> free = mesh.smoothed(30, waves);
+  for (const float noise : {0.0f, 0.1f, 1.0f}) {
+    const std::vector<float> bound = mesh.smoothed(30, waves, noise);
+    std::uint32_t cut = 0, whole = 0;
+    for (std::uint32_t e = 0; e < 2 * mesh.vertices; ++e) {
+      const float wanted = free[e] - waves(e / 2), moved = bound[e] - waves(e / 2);
+      EXPECT_LE(std::abs(moved), noise + 1e-6f) << e;
+      EXPECT_NEAR(moved, std::clamp(wanted, -noise, noise), 1e-5f) << e;
+      cut += std::abs(wanted) > noise + 1e-4f;
+      whole += std::abs(wanted) < noise - 1e-4f;
+    }
+    EXPECT_GT(cut, 20u) << noise;
+    if (noise > 0) {
+      EXPECT_GT(whole, 20u) << noise;
+    }
+    if (noise == 0) {
+      EXPECT_EQ(bound, mesh.smoothed(0, waves)) << "nothing moves";
+    }
+  }
+}
+
+// What gathering tells of an element's noise is no less than the difference of other rays' says, in the mean, and not
+// many times it: rays are spread evenly, which the noise of independent ones does not know.
+TEST(Links, NoiseIsToldOfEachElement) {
+  for (const char* directions : {"16", "64", "256"})
+    for (const char* exact : {"0", "1"}) {
+      Frame frame = frame_of(scene::make_scene("cornell-box", {}), "", 16, 1,
+                             {{"links.vertices", "600"},
+                              {"links.refine", "0"},
+                              {"links.bounces", "1"},
+                              {"links.light_samples", "256"},
+                              {"links.directions", directions},
+                              {"links.exact_weights", exact},
+                              {"links.smooth_angle", "30"}});
+      const std::vector<float> one = render(frame).floats("links.gather.1");
+      frame.settings.seed = 9;
+      const std::vector<float> other = render(frame).floats("links.gather.1");
+      ASSERT_EQ(one.size(), other.size());
+      double told = 0, found = 0;
+      for (std::size_t row = 0; row < one.size(); row += RADIOSITY_WORDS) {
+        told += std::pow(one[row + RADIOSITY_NOISE], 2);
+        double most = 0;
+        for (unsigned c = 0; c < 3; ++c) most = std::max(most, std::pow(one[row + c] - other[row + c], 2.0) / 2);
+        found += most;
+      }
+      const double ratio = std::sqrt(told / found);
+      std::printf("  %s directions: told over found %.2f\n", directions, ratio);
+      EXPECT_GT(ratio, 1);
+      EXPECT_LT(ratio, 8);
+    }
 }
 
 // Where a triangle is divided more than its neighbour, the vertices on their edge show what the neighbour interpolates.

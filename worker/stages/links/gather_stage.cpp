@@ -213,7 +213,7 @@ BatchResult run_links_exchange_stage(const StageRun& run) {
   const double start = seconds_now();
   cl::CommandQueue queue = run.device.make_queue();
   GatherBatch batch;
-  put_parameters(run, queue, LinksGatherParameters{p.elements, p.exact, {}}, batch);
+  put_parameters(run, queue, LinksGatherParameters{p.elements, p.exact, p.directions, 0}, batch);
   const std::shared_ptr<const LinkTables> links = kept_links(run, queue, p.elements);
   batch.words = links->words;
   batch.starts = links->starts;

@@ -1,4 +1,5 @@
-// Stage kind "links_smooth": irradiance smoothed over one-rings within feature edges (eq. 5-6), and put on the edges
+// Stage kind "links_smooth": irradiance smoothed over one-rings within feature edges (eq. 5-6) as far as its noise
+// allows, and put on the edges
 // that it hangs on, so that the triangles on both sides interpolate the same.
 
 #include <algorithm>
@@ -18,13 +19,15 @@ class Smoothing {
  public:
   Smoothing(const HostMesh& mesh, const std::vector<float>& rows) : mesh_(mesh), l_(mesh.layout), rows_(rows) {}
 
-  // eq. 5, over those neighbours whose normals agree (eq. 6).
-  std::vector<float> smooth(float least_cosine) {
+  // eq. 5, over those neighbours whose normals agree (eq. 6). No channel moves by more than their noise (root mean
+  // square): an element's own is told low where its irradiance is, and would let it rise less than others sink.
+  std::vector<float> smooth(float least_cosine, const std::vector<float>& noise) {
     list_neighbours();
     std::vector<float> out = rows_;
     for (std::uint32_t v = 0; v < l_.vertices; ++v)
       for (unsigned side = 0; side < 2; ++side) {
         std::array<double, 3> sum{};
+        double variance = 0;
         std::uint32_t count = 0;
         const std::uint32_t place = first_at(v);
         for (std::uint32_t k = starts_[place]; k < starts_[place + 1]; ++k) {
@@ -32,9 +35,17 @@ class Smoothing {
           // Vertices whose normals face away from each other see other sides of a wall.
           if (w != v && (cosine(v, w) < least_cosine || !outside(w, side))) continue;
           for (unsigned c = 0; c < 3; ++c) sum[c] += irradiance(rows_, w, side)[c];
+          variance += double{noise[std::size_t{2} * w + side]} * noise[std::size_t{2} * w + side];
           ++count;
         }
-        for (unsigned c = 0; c < 3; ++c) irradiance(out, v, side)[c] = static_cast<float>(sum[c] / std::max(1u, count));
+        if (count == 0) continue;
+        double most = 0;
+        for (unsigned c = 0; c < 3; ++c) {
+          sum[c] = sum[c] / count - irradiance(rows_, v, side)[c];
+          most = std::max(most, std::abs(sum[c]));
+        }
+        const double allowed = std::sqrt(variance / count), part = most > allowed ? allowed / most : 1;
+        for (unsigned c = 0; c < 3; ++c) irradiance(out, v, side)[c] += static_cast<float>(part * sum[c]);
       }
     return out;
   }
@@ -123,11 +134,17 @@ BatchResult smooth_links(const StageTask& task) {
   if (probe.size() != std::size_t{p.elements} * PROBE_WORDS)
     throw Error::bad_input("stage links_smooth", "input probe", std::to_string(p.elements) + " rows",
                            std::to_string(probe.size() / PROBE_WORDS));
-  for (std::size_t e = 0; e < p.elements; ++e)
+  std::vector<float> noise(p.elements);
+  for (std::size_t e = 0; e < p.elements; ++e) {
+    noise[e] = rows[e * RADIOSITY_WORDS + RADIOSITY_NOISE];
+    if (!(noise[e] >= 0))
+      throw Error::bad_input("stage links_smooth", "input irradiance[" + std::to_string(e) + "].noise", "0 or more",
+                             std::to_string(noise[e]));
     rows[e * RADIOSITY_WORDS + RADIOSITY_OUTSIDE] =
         probe[e * PROBE_WORDS + PROBE_BACKS] <= PROBE_MOST_BACKS ? 1.0f : 0.0f;
+  }
   Smoothing smoothing(mesh, rows);
-  std::vector<float> out = p.least_cosine <= 1 ? smoothing.smooth(p.least_cosine) : rows;
+  std::vector<float> out = p.least_cosine <= 1 ? smoothing.smooth(p.least_cosine, noise) : rows;
   smoothing.put_on_edges(out);
   BatchResult result;
   result.records.resize(out.size() * 4);
