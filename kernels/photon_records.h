@@ -161,33 +161,52 @@ struct PhotonMapParameters {
 };
 static_assert(sizeof(PhotonMapParameters) == 16);
 
-// Stage kind "photon_cluster" (input "points"); solo. One item: the places of the clusters' sample points, 0 or more.
+// Stage kind "photon_cluster" (inputs "points" and, where there are sample points already, "given": their places);
+// solo. One item: the places of the clusters' sample points, 0 or more, those given first.
 struct PhotonClusterParameters {
   std::uint32_t width = 0, height = 0, samples = 0;  // as SplatPointParameters
   std::uint32_t clusters = 0;                        // from as many as there are points on each is its own cluster
   std::uint32_t iterations = 0;                      // of k-means
   std::uint32_t seed_low = 0, seed_high = 0;
-  std::uint32_t reserved = 0;
+  float kept_footprint = 0;  // a sample that was given stands for points whose footprint is its own over this, or more
 };
 static_assert(sizeof(PhotonClusterParameters) == 32);
+
+// Stage kind "photon_extend" (input "given", or none); solo: the same for what a camera sees, whose points are made on
+// the way and not kept. Width, height and samples of both parts are the same.
+struct PhotonExtendParameters {
+  SplatPointParameters points;
+  PhotonClusterParameters clusters;
+};
+static_assert(sizeof(PhotonExtendParameters) == 128);
 
 struct PhotonClusterFacts {
   std::uint64_t points = 0;  // that pixels show
   std::uint64_t places = 0;  // sample points in all
+  std::uint64_t given = 0;   // of these: those that were given
   std::uint64_t strays = 0;  // of these: of points that are too unlike the rest of their cluster
   double reach = 0;          // m: the median
 };
 
-// Stage kind "photon_cluster_refine" (inputs "points" and "records", of stage kind "photon_cluster_gather"); solo. One
-// item: places of more sample points, 0 or more, where records that points read differ much.
+// Stage kind "photon_cluster_refine" (inputs "points", "records.0", "records.1", ..., of stage kind
+// "photon_cluster_gather", and, where there are such places already, "given"); solo. One item: places of more sample
+// points, 0 or more, where records that points read differ much, those given first.
 struct PhotonClusterRefineParameters {
   std::uint32_t width = 0, height = 0, samples = 0;  // as SplatPointParameters
-  std::uint32_t most = 0;                            // places
+  std::uint32_t most = 0;                            // places for what these points show
 };
 static_assert(sizeof(PhotonClusterRefineParameters) == 16);
 
-// Stage kind "photon_cluster_smooth" (input "records", of stage kind "photon_cluster_gather", and more of them in
-// "more"); solo. One item: as many rows of the cache as there are records.
+// Stage kind "photon_extend_refine" (inputs as "photon_cluster_refine", but no points); solo: the same for what a
+// camera sees, as "photon_extend".
+struct PhotonExtendRefineParameters {
+  SplatPointParameters points;
+  PhotonClusterRefineParameters refine;
+};
+static_assert(sizeof(PhotonExtendRefineParameters) == 112);
+
+// Stage kind "photon_cluster_smooth" (inputs "records.0", "records.1", ..., of stage kind "photon_cluster_gather");
+// solo. One item: as many rows of the cache as there are records.
 struct PhotonClusterSmoothParameters {
   std::uint32_t reserved[4] = {};
 };

@@ -35,6 +35,8 @@ constexpr std::uint32_t kRefined = 4;
 // Photons of the estimates at a cut's nodes, rounds of its refinement, and the ratio of section 3.3.
 constexpr std::uint32_t kCutNeighbours = 24, kCutRounds = 4;
 constexpr float kCutRatio = 1.2f;
+// A cluster of a camera before stands for what is seen from no nearer by than half as far as that camera saw it.
+constexpr float kKeptFootprint = 2;
 // Noise of a sample's record of one ray, over its light, as pixels share it.
 constexpr double kRecordNoise = 0.5;
 // Maps wait for each other, paths that read none for nothing: these fill what the others leave free.
@@ -52,9 +54,13 @@ PhotonSettings read_settings(const FrameSettings& settings) {
                                    .clusters = whole_setting(settings, "photon.clusters"),
                                    .rays = whole_setting(settings, "photon.gather_rays"),
                                    .cut = whole_setting(settings, "photon.cut")};
-  PhotonSettings p{choose_photon_counts(std::uint64_t{settings.width} * settings.height, settings.spp,
-                                        settings.target_error, PixelCache::holds(settings), given),
-                   1, real_setting(settings, "photon.radius").value_or(0)};
+  const auto chosen = [&](std::uint32_t spp) {
+    return choose_photon_counts(std::uint64_t{settings.width} * settings.height, spp, settings.target_error,
+                                PixelCache::holds(settings), given);
+  };
+  PhotonSettings p{chosen(PixelCache::samples_of_records(settings)), 1,
+                   real_setting(settings, "photon.radius").value_or(0)};
+  p.passes = chosen(settings.spp).passes;  // which nothing is shared of
   // As many places of caustics in a pixel as samples, but a few of each pass.
   p.samples = std::bit_floor(std::clamp<std::uint32_t>(settings.spp / std::max(1u, p.passes), 1, 16));
   return p;
@@ -143,10 +149,32 @@ class PhotonPlan final : public GraphPlan {
   std::uint32_t cut_depth() const;
   std::vector<Graph::Input> light_of(const Artifact& map) const;
   void gather(const Artifact& map);
-  void ask_clusters(const Artifact& map);
-  Artifact ask_records(const std::string& name, const Artifact& map, const Artifact& places, std::uint64_t count);
-  void gather_clusters(const Artifact& map, const Artifact& points, const Artifact& places);
-  void shade_clusters(const Artifact& points, std::vector<Graph::Input> records);
+  // A chain of sample points: each stage's are those of the one before and new ones, where records are gathered.
+  struct Places {
+    Artifact places, gathered;  // gathered: none where no place is new
+    std::uint64_t count = 0;    // of places
+  };
+  // What a camera needs beside the cameras before it.
+  struct CameraPlaces {
+    Places clusters, refined;
+  };
+
+  void ask_clusters();
+  PhotonClusterParameters cluster_parameters(std::uint32_t width, std::uint32_t height, std::uint32_t samples) const;
+  PhotonClusterRefineParameters refine_parameters(std::uint32_t width, std::uint32_t height,
+                                                  std::uint32_t samples) const;
+  PhotonClusterFacts checked_places(const Artifact& places, std::uint64_t given) const;
+  void gather_new(Places& places, std::uint64_t count, std::uint64_t given, const std::string& name, bool shared);
+  std::vector<Artifact> places_and_light(std::size_t cameras) const;
+  StageSpec shared_choice(const std::string& name, const char* kind) const;
+  void extend(std::size_t camera);
+  void refine_camera(std::size_t camera);
+  void gather_own(const Artifact& points);
+  void refine_own(const Artifact& points);
+  // Those of the places that are new, as input "records.N".
+  static void add_records(const Places& places, std::vector<Graph::Input>& inputs);
+  std::uint64_t refined() const;
+  void shade_clusters(const Artifact& points);
   void show_clusters(std::vector<float> picture);
   void ask_caustics(std::uint32_t pass);
   void shade_caustics(std::uint32_t pass);
@@ -161,11 +189,14 @@ class PhotonPlan final : public GraphPlan {
   PhotonCutFacts cut_facts_;
   PixelCache cache_;
   Strata strata_;
+  std::vector<scene::Camera> cameras_;  // whose sample points the picture begins with
+  std::vector<CameraPlaces> before_;    // of each of these
+  Artifact map_;                        // that samples' rays read
+  Places own_, own_refined_;
   PhotonClusterFacts clusters_;
-  std::uint64_t refined_ = 0;       // places that were added
   std::shared_ptr<Beside> beside_;  // the passes: the clusters' light
   Artifact first_caustics_;         // an event, where a target error waits for the first pass
-  OwnLight own_;
+  OwnLight own_light_;
   bool clusters_asked_ = false, caustics_asked_ = false;
   Artifact guide_;
   std::vector<Pass> passes_;
@@ -179,7 +210,10 @@ PhotonPlan::PhotonPlan(const FrameSettings& settings, const SceneSummary& scene)
       most_radius_(photon_.radius > 0 ? photon_.radius : kMostRadius * diagonal_of(scene.bounds)),
       paths_(graph_, film_, settings),
       cache_(settings, settings.spp),
-      strata_(strata_of(std::max(1u, photon_.rays))) {
+      strata_(strata_of(std::max(1u, photon_.rays))),
+      // As many clusters as points are no clusters.
+      cameras_(has_clusters() && photon_.clusters < pixels() ? PixelCache::begins_with(settings)
+                                                             : std::vector<scene::Camera>()) {
   skips_ = path_skips(scene.needs);
   if (has_caustics()) {
     passes_.resize(photon_.passes);
@@ -226,7 +260,10 @@ void PhotonPlan::begin() {
       if (cut_) cut_facts_ = cut_.facts<PhotonCutFacts>();
       gather(map);
     });
-    if (has_clusters()) ask_clusters(map);
+    if (has_clusters()) {
+      map_ = map;
+      ask_clusters();
+    }
   } else {
     paths_.begin({.classes = classes(), .limit = std::numeric_limits<float>::infinity()});
   }
@@ -315,71 +352,177 @@ void PhotonPlan::gather(const Artifact& map) {
     std::uint32_t cut_depth, reserved;
   } program{.estimate = estimate(kGatherNeighbours), .cut_depth = cut_depth(), .reserved = 0};
   static_assert(sizeof(PathParameters) + sizeof program == sizeof(PhotonGatherParameters));
-  paths_.begin({.classes = classes(), .limit = limit(), .mean = own_.mean, .squared_error = own_.squared_error},
-               {.kind = "photon_gather", .method_parameters = bytes_of(program), .inputs = light_of(map)});
+  paths_.begin(
+      {.classes = classes(), .limit = limit(), .mean = own_light_.mean, .squared_error = own_light_.squared_error},
+      {.kind = "photon_gather", .method_parameters = bytes_of(program), .inputs = light_of(map)});
 }
 
 // --- Shading clusters ---
 
 // Which points are gathered at depends on geometry alone: they are chosen while photons are traced.
-void PhotonPlan::ask_clusters(const Artifact& map) {
+void PhotonPlan::ask_clusters() {
   const Artifact points = cache_.ask_points(graph_, "photon.points", kFirst);
+  before_.resize(cameras_.size());
+  for (std::size_t camera = 0; camera < cameras_.size(); ++camera) extend(camera);
+  PhotonClusterParameters p = cluster_parameters(settings_.width, settings_.height, cache_.samples());
+  std::vector<Graph::Input> inputs = {{"points", points}};
+  if (!before_.empty()) {
+    inputs.push_back({"given", before_.back().clusters.places});
+    // Cameras' pictures have fewer pixels than this one.
+    const auto camera = cache_.camera_point_parameters(cameras_.back(), 0, SPLAT_LEVEL);
+    p.kept_footprint *= static_cast<float>(settings_.width) / static_cast<float>(camera.width);
+  }
+  own_.places = graph_.add(shared_choice("photon.clusters", "photon_cluster"), p, std::move(inputs));
+  std::vector<Artifact> until = places_and_light(before_.size());
+  until.push_back(own_.places);
+  graph_.when(std::move(until), [this, points] { gather_own(points); });
+}
+
+PhotonClusterParameters PhotonPlan::cluster_parameters(std::uint32_t width, std::uint32_t height,
+                                                       std::uint32_t samples) const {
   PhotonClusterParameters p{};
-  p.width = settings_.width;
-  p.height = settings_.height;
-  p.samples = cache_.samples();
+  p.width = width;
+  p.height = height;
+  p.samples = samples;
   p.clusters = photon_.clusters;
   p.iterations = kIterations;
   p.seed_low = low(settings_.seed);
   p.seed_high = high(settings_.seed);
-  const Artifact places =
-      graph_.add(cache_.choosing("photon.clusters", "photon_cluster", kFirst), p, {{"points", points}});
-  graph_.when({places, cut_ ? cut_ : map}, [this, map, points, places] {
-    gathered_ = checked_facts(map);
-    clusters_ = places.facts<PhotonClusterFacts>();
-    places.check_facts(
-        clusters_.places == places.record_count(),
-        std::to_string(clusters_.places) + " places, and " + std::to_string(places.record_count()) + " records");
-    if (clusters_.places > 0)
-      gather_clusters(map, points, places);
-    else
-      show_clusters({});
-  });
+  p.kept_footprint = kKeptFootprint;
+  return p;
 }
 
-// Stage `name`: records of so many places.
-Artifact PhotonPlan::ask_records(const std::string& name, const Artifact& map, const Artifact& places,
-                                 std::uint64_t count) {
+PhotonClusterRefineParameters PhotonPlan::refine_parameters(std::uint32_t width, std::uint32_t height,
+                                                            std::uint32_t samples) const {
+  return {.width = width, .height = height, .samples = samples, .most = std::max(1u, photon_.clusters / kRefined)};
+}
+
+PhotonClusterFacts PhotonPlan::checked_places(const Artifact& places, std::uint64_t given) const {
+  const auto facts = places.facts<PhotonClusterFacts>();
+  places.check_facts(facts.places == places.record_count() && facts.given == given && facts.places >= given,
+                     std::to_string(facts.places) + " places, " + std::to_string(facts.given) + " of them given, and " +
+                         std::to_string(places.record_count()) + " records");
+  return facts;
+}
+
+// Stage `name`: records of those of the `count` places that are new. `shared`: other frames read them as well.
+void PhotonPlan::gather_new(Places& places, std::uint64_t count, std::uint64_t given, const std::string& name,
+                            bool shared) {
+  places.places.check_facts(count >= given, std::to_string(count) + " places of " + std::to_string(given) + " given");
+  places.count = count;
+  if (count == given) return;
   PhotonClusterGatherParameters p{};
-  p.records = cache_.gather_parameters(count, strata_);
+  p.records = cache_.gather_parameters(count - given, strata_);
+  p.records.first_place = low(given);
   p.records.samples.filter = PATH_CLASS_DIFFUSE | PATH_CLASS_CAUSTIC | PATH_CLASS_MIXED;
   p.records.samples.clamp = limit();
   p.estimate = estimate(kGatherNeighbours);
   p.cut_depth = cut_depth();
-  std::vector<Graph::Input> inputs = light_of(map);
-  inputs.push_back({"places", places});
-  return graph_.add(PixelCache::gathering(name, "photon_cluster_gather", kFirst, count, strata_), p, std::move(inputs));
+  std::vector<Graph::Input> inputs = light_of(map_);
+  inputs.push_back({"places", places.places});
+  StageSpec spec = PixelCache::gathering(name, "photon_cluster_gather", kFirst, count - given, strata_);
+  spec.output.reusable = shared;
+  places.gathered = graph_.add(std::move(spec), p, std::move(inputs));
 }
 
-// Where records that a point reads differ much, there are more.
-void PhotonPlan::gather_clusters(const Artifact& map, const Artifact& points, const Artifact& places) {
-  const Artifact records = ask_records("photon.cluster_gather", map, places, clusters_.places);
-  PhotonClusterRefineParameters p{};
-  p.width = settings_.width;
-  p.height = settings_.height;
-  p.samples = cache_.samples();
-  p.most = std::max(1u, photon_.clusters / kRefined);
-  const Artifact more = graph_.add(cache_.choosing("photon.cluster_refine", "photon_cluster_refine", kFirst), p,
-                                   {{"points", points}, {"records", records}});
-  graph_.when({more}, [this, map, points, records, more] {
-    refined_ = more.record_count();
-    std::vector<Graph::Input> inputs = {{"records", records}};
-    if (refined_ > 0) inputs.push_back({"more", ask_records("photon.cluster_gather.1", map, more, refined_)});
-    shade_clusters(points, std::move(inputs));
+// The sample points that this camera needs beside those of the cameras before it, and the light that arrives at them.
+// They know nothing of the frame that asks.
+void PhotonPlan::extend(std::size_t camera) {
+  PhotonExtendParameters p{};
+  p.points = cache_.camera_point_parameters(cameras_[camera], camera, SPLAT_LEVEL);
+  p.clusters = cluster_parameters(p.points.width, p.points.height, p.points.samples);
+  std::vector<Graph::Input> inputs;
+  if (camera > 0) inputs.push_back({"given", before_[camera - 1].clusters.places});
+  before_[camera].clusters.places =
+      graph_.add(shared_choice(numbered("photon.extend", camera), "photon_extend"), p, std::move(inputs));
+  graph_.when(places_and_light(camera + 1), [this, camera] {
+    gathered_ = checked_facts(map_);
+    const std::uint64_t given = camera > 0 ? before_[camera - 1].clusters.count : 0;
+    Places& clusters = before_[camera].clusters;
+    gather_new(clusters, checked_places(clusters.places, given).places, given, numbered("photon.extend_gather", camera),
+               true);
+    refine_camera(camera);
   });
 }
 
-void PhotonPlan::shade_clusters(const Artifact& points, std::vector<Graph::Input> records) {
+// Sample points of so many cameras, and what their rays read.
+std::vector<Artifact> PhotonPlan::places_and_light(std::size_t cameras) const {
+  std::vector<Artifact> all = {cut_ ? cut_ : map_};
+  for (std::size_t k = 0; k < cameras; ++k) all.push_back(before_[k].clusters.places);
+  return all;
+}
+
+// A stage that chooses places, which other frames share.
+StageSpec PhotonPlan::shared_choice(const std::string& name, const char* kind) const {
+  StageSpec spec = cache_.choosing(name, kind, kFirst);
+  spec.output.most_records = 0xffffffffu;
+  spec.output.reusable = true;
+  return spec;
+}
+
+// Where records that a point reads differ much, there are more.
+void PhotonPlan::refine_camera(std::size_t camera) {
+  PhotonExtendRefineParameters p{};
+  p.points = cache_.camera_point_parameters(cameras_[camera], camera, SPLAT_LEVEL);
+  p.refine = refine_parameters(p.points.width, p.points.height, p.points.samples);
+  std::vector<Graph::Input> inputs;
+  for (std::size_t k = 0; k <= camera; ++k) add_records(before_[k].clusters, inputs);
+  if (inputs.empty()) return;
+  Places* const last = camera > 0 ? &before_[camera - 1].refined : nullptr;
+  if (last && last->places) inputs.push_back({"given", last->places});
+  Places& refined = before_[camera].refined;
+  refined.places =
+      graph_.add(shared_choice(numbered("photon.extend_refine", camera), "photon_extend_refine"), p, std::move(inputs));
+  graph_.when({refined.places}, [this, camera, &refined, last] {
+    gather_new(refined, refined.places.record_count(), last ? last->count : 0, numbered("photon.refine_gather", camera),
+               true);
+  });
+}
+
+// What this frame shows and no camera before did. Of a frame that stands alone that is all.
+void PhotonPlan::gather_own(const Artifact& points) {
+  gathered_ = checked_facts(map_);
+  const std::uint64_t given = before_.empty() ? 0 : before_.back().clusters.count;
+  clusters_ = checked_places(own_.places, given);
+  if (clusters_.places == 0) return show_clusters({});
+  gather_new(own_, clusters_.places, given, "photon.cluster_gather", false);
+  if (before_.empty()) refine_own(points);
+  std::vector<Artifact> until;
+  for (const CameraPlaces& before : before_)
+    if (before.refined.places) until.push_back(before.refined.places);
+  if (own_refined_.places) until.push_back(own_refined_.places);
+  graph_.when(std::move(until), [this, points] { shade_clusters(points); });
+}
+
+void PhotonPlan::refine_own(const Artifact& points) {
+  std::vector<Graph::Input> inputs;
+  add_records(own_, inputs);
+  inputs.push_back({"points", points});
+  own_refined_.places =
+      graph_.add(cache_.choosing("photon.cluster_refine", "photon_cluster_refine", kFirst),
+                 refine_parameters(settings_.width, settings_.height, cache_.samples()), std::move(inputs));
+  graph_.when({own_refined_.places}, [this] {
+    gather_new(own_refined_, own_refined_.places.record_count(), 0, "photon.cluster_gather.1", false);
+  });
+}
+
+void PhotonPlan::add_records(const Places& places, std::vector<Graph::Input>& inputs) {
+  if (places.gathered) inputs.push_back({numbered("records", inputs.size()), places.gathered});
+}
+
+std::uint64_t PhotonPlan::refined() const {
+  return before_.empty() ? own_refined_.count : before_.back().refined.count;
+}
+
+// All records as one cache.
+void PhotonPlan::shade_clusters(const Artifact& points) {
+  std::vector<Graph::Input> records;
+  for (const CameraPlaces& before : before_) {
+    add_records(before.clusters, records);
+    add_records(before.refined, records);
+  }
+  add_records(own_, records);
+  add_records(own_refined_, records);
   const Artifact cache = graph_.add({.name = "photon.cluster_smooth",
                                      .kind = "photon_cluster_smooth",
                                      .items = 1,
@@ -387,7 +530,7 @@ void PhotonPlan::shade_clusters(const Artifact& points, std::vector<Graph::Input
                                      .priority = kFirst,
                                      .output = {.record_bytes = CACHE_WORDS * 4,
                                                 .counted = true,
-                                                .most_records = low(clusters_.places + refined_),
+                                                .most_records = low(clusters_.places + refined()),
                                                 .placement = Placement::retain}},
                                     PhotonClusterSmoothParameters{}, std::move(records));
   const Artifact shaded = cache_.ask_shading(graph_, "photon.shade", kFirst, points, cache);
@@ -397,7 +540,7 @@ void PhotonPlan::shade_clusters(const Artifact& points, std::vector<Graph::Input
 
 // The clusters' light is a part of every pass of caustics, and a pass of its own where there is none.
 void PhotonPlan::show_clusters(std::vector<float> picture) {
-  if (settings_.target_error > 0) own_.add(picture, kRecordNoise / std::sqrt(strata_.count()));
+  if (settings_.target_error > 0) own_light_.add(picture, kRecordNoise / std::sqrt(strata_.count()));
   if (has_caustics())
     beside_->light = std::move(picture);
   else
@@ -446,7 +589,7 @@ void PhotonPlan::shade_caustics(std::uint32_t pass) {
       std::vector<float> picture(records.size() / sizeof(float));
       std::memcpy(picture.data(), records.data(), records.size());
       // Of a pass; radii shrink, so that variance falls by less than the passes' number.
-      own_.add(picture, std::pow(passes_.size(), -kShrinkage / 2) / std::sqrt(kCausticNeighbours));
+      own_light_.add(picture, std::pow(passes_.size(), -kShrinkage / 2) / std::sqrt(kCausticNeighbours));
       graph_.announce(first_caustics_);
     });
   preview_pass(shaded);
@@ -488,7 +631,11 @@ std::string PhotonPlan::parameters_json() const {
     photon["points"] = clusters_.points;
     photon["places"] = clusters_.places;
     photon["strays"] = clusters_.strays;
-    photon["refined"] = refined_;
+    photon["refined"] = refined();
+    if (!cameras_.empty()) {
+      photon["cameras"] = cameras_.size();
+      photon["kept"] = clusters_.given;
+    }
     photon["reach"] = clusters_.reach;
   }
   if (has_caustics()) {
@@ -511,14 +658,19 @@ std::vector<std::string> PhotonPlan::outline() const {
     lines.push_back("photon.map.global: the tree over their photons, solo");
     if (photon_.cut) lines.push_back("photon.cut: " + std::to_string(photon_.cut) + " nodes that stand for them, solo");
   }
+  if (has_clusters() && !cameras_.empty())
+    lines.push_back("photon.extend, extend_refine, and gather of both: sample points of " +
+                    std::to_string(cameras_.size()) +
+                    " cameras, those of one beside what the ones before it have; made once for all pictures");
   if (has_clusters()) {
     lines.push_back("photon.points: " + std::to_string(cache_.samples()) + " surface points of each pixel, in " +
                     std::to_string(cache_.tiles()) + " tiles, split");
     lines.push_back("photon.clusters: " + std::to_string(photon_.clusters) + " clusters of these, solo");
     lines.push_back("photon.cluster_gather: " + std::to_string(strata_.count()) +
                     " rays of each cluster's sample point, which read the map, split");
-    lines.push_back("photon.cluster_refine: sample points more where records differ, at most one for " +
-                    std::to_string(kRefined) + " clusters, solo");
+    if (cameras_.empty())
+      lines.push_back("photon.cluster_refine: sample points more where records differ, at most one for " +
+                      std::to_string(kRefined) + " clusters, solo");
     lines.push_back("photon.shade: " + std::to_string(cache_.tiles()) + " tiles lit by the samples near them, split");
   }
   if (has_caustics()) {

@@ -11,6 +11,10 @@ using namespace kernels;
 
 // Points of a film, at most, and so many of each pixel as that allows.
 constexpr std::uint64_t kMostPoints = 1u << 22;
+// Points of a camera whose records others begin with, at most: they are looked at by one worker.
+constexpr std::uint64_t kMostCameraPoints = std::uint64_t{1} << 17;
+// Samples of a pixel that records of a session's pictures are good for.
+constexpr std::uint32_t kSessionSamples = 16;
 // Work, in samples of paths: of a point that is found, and one that is shaded.
 constexpr double kPointWork = 0.2, kShadeWork = 0.1;
 
@@ -84,6 +88,32 @@ SplatPointParameters PixelCache::point_parameters(std::uint32_t free_scatterings
   p.seed_low = low(settings_.seed);
   p.seed_high = high(settings_.seed);
   p.free_scatterings = free_scatterings;
+  return p;
+}
+
+const std::vector<scene::Camera>& PixelCache::begins_with(const FrameSettings& settings) {
+  return settings.trajectory.empty() ? settings.looks : settings.trajectory;
+}
+
+std::uint32_t PixelCache::samples_of_records(const FrameSettings& settings) {
+  return settings.looks.empty() ? settings.spp : kSessionSamples;
+}
+
+SplatPointParameters PixelCache::camera_point_parameters(const scene::Camera& camera, std::size_t number,
+                                                         std::uint32_t free_scatterings) const {
+  const double pixels = static_cast<double>(settings_.width) * settings_.height;
+  const double edge = std::min(1.0, std::sqrt(static_cast<double>(kMostCameraPoints) / pixels));
+  const auto scaled = [edge](std::uint32_t length) {
+    return std::max(1u, static_cast<std::uint32_t>(edge * static_cast<double>(length)));
+  };
+  SplatPointParameters p = point_parameters(free_scatterings);
+  p.camera = camera;
+  p.width = scaled(settings_.width);
+  p.height = scaled(settings_.height);
+  p.samples = static_cast<std::uint32_t>(
+      std::bit_floor(std::clamp<std::uint64_t>(kMostCameraPoints / (std::uint64_t{p.width} * p.height), 1, 16)));
+  // Points of their own, should two cameras be the same.
+  p.seed_high += static_cast<std::uint32_t>(number) + 1;
   return p;
 }
 

@@ -35,6 +35,14 @@ class PixelCache {
 
   // Of the scatterings on the way from the camera to a point, its record's light lacks all but `free_scatterings`.
   kernels::SplatPointParameters point_parameters(std::uint32_t free_scatterings) const;
+  // Cameras whose records the picture begins with: of its trajectory, or of the session's pictures up to this one. What
+  // is made for them knows nothing of the frame that asks.
+  static const std::vector<scene::Camera>& begins_with(const FrameSettings& settings);
+  // Samples of a pixel that records are made for: pictures of a session share them, however many each of them has.
+  static std::uint32_t samples_of_records(const FrameSettings& settings);
+  // Points of camera number `number` of these: a picture with fewer pixels where the film has many.
+  kernels::SplatPointParameters camera_point_parameters(const scene::Camera& camera, std::size_t number,
+                                                        std::uint32_t free_scatterings) const;
   // Stage "METHOD.points", or that of another word for `what` (kernels/splat_records.h).
   Graph::Artifact ask_points(Graph& graph, const std::string& name, int priority,
                              std::uint32_t free_scatterings = SPLAT_LEVEL, std::uint32_t what = SPLAT_LAYERS) const;

@@ -1,7 +1,6 @@
 #include "coordinator/plan/splat_plan.h"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <limits>
 #include <nlohmann/json.hpp>
@@ -25,15 +24,11 @@ constexpr std::uint32_t kMostProbeRays = 256;
 // Bounds of R_k, in pixels: with an accuracy of 0.15 a record reaches 1.5 pixels at least, and of a picture of 512
 // pixels 38 at most.
 constexpr float kLeastRadius = 10, kMostRadiusOfWidth = 0.5f;
-// Samples of a pixel that records of a session's pictures are good for.
-constexpr std::uint32_t kSessionSamples = 16;
 // Pixels that a look at a cache looks at, and caches that are made for a target error, at most.
 constexpr std::uint32_t kJudgedPixels = 1024;
 constexpr unsigned kMostCaches = 2;
 // Edge of the blocks of pixels that are visited side by side, in tiles.
 constexpr std::uint32_t kBlockTiles = 2;
-// Points of a camera whose records others begin with, at most: they are looked at by one worker.
-constexpr std::uint64_t kMostCameraPoints = std::uint64_t{1} << 17;
 // The cache's stages wait for each other, paths for nothing: these fill what the others leave free.
 constexpr int kFirst = 1;
 
@@ -42,18 +37,12 @@ struct SplatSettings : SplatCounts {
   std::uint32_t bounces, records, order;  // records: new ones, at most
 };
 
-// Cameras whose records the picture begins with.
-const std::vector<scene::Camera>& begins_with(const FrameSettings& settings) {
-  return settings.trajectory.empty() ? settings.looks : settings.trajectory;
-}
-
 SplatSettings read_settings(const FrameSettings& settings) {
   SplatSettings s{};
   s.given = {.accuracy = real_setting(settings, "splat.accuracy"),
              .rays = whole_setting(settings, "splat.gather_rays")};
-  // Pictures of a session share records, however many samples each of them has.
-  const std::uint32_t spp = settings.looks.empty() ? settings.spp : kSessionSamples;
-  static_cast<SplatCounts&>(s) = choose_splat_counts(spp, settings.target_error, s.given);
+  static_cast<SplatCounts&>(s) =
+      choose_splat_counts(PixelCache::samples_of_records(settings), settings.target_error, s.given);
   s.bounces = whole_setting(settings, "splat.bounces").value_or(0);
   s.records = whole_setting(settings, "splat.new_records").value_or(0);
   s.order = whole_setting(settings, "splat.order").value_or(0);
@@ -77,7 +66,7 @@ class SplatPlan final : public GraphPlan {
         lobes_(graph_, cache_),
         glossy_(scene.needs.glossy),
         paths_(graph_, film_, settings),
-        cameras_(splat_.accuracy > 0 ? begins_with(settings) : std::vector<scene::Camera>()) {
+        cameras_(splat_.accuracy > 0 ? PixelCache::begins_with(settings) : std::vector<scene::Camera>()) {
     skips_ = path_skips(scene.needs);
     if (splat_.order && !glossy_) skips_.push_back({"records of incoming radiance", "no material has a rough lobe", 1});
     if (settings.depth == 1)
@@ -297,22 +286,10 @@ SplatSelectParameters SplatPlan::select_parameters(std::uint32_t width, std::uin
   return p;
 }
 
-// A camera's picture of its own points, with fewer pixels where it has many.
+// A camera's picture of its own points.
 SplatExtendParameters SplatPlan::extend_parameters(std::size_t camera) const {
-  const double pixels = static_cast<double>(settings_.width) * settings_.height;
-  const double edge = std::min(1.0, std::sqrt(static_cast<double>(kMostCameraPoints) / pixels));
-  const auto scaled = [edge](std::uint32_t length) {
-    return std::max(1u, static_cast<std::uint32_t>(edge * static_cast<double>(length)));
-  };
   SplatExtendParameters p{};
-  p.points = cache_.point_parameters(free_scatterings());
-  p.points.camera = cameras_[camera];
-  p.points.width = scaled(settings_.width);
-  p.points.height = scaled(settings_.height);
-  p.points.samples = static_cast<std::uint32_t>(std::bit_floor(
-      std::clamp<std::uint64_t>(kMostCameraPoints / (std::uint64_t{p.points.width} * p.points.height), 1, 16)));
-  // Points of their own, should two cameras be the same.
-  p.points.seed_high += static_cast<std::uint32_t>(camera) + 1;
+  p.points = cache_.camera_point_parameters(cameras_[camera], camera, free_scatterings());
   p.select = select_parameters(p.points.width, p.points.height, p.points.samples);
   return p;
 }

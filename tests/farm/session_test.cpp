@@ -107,6 +107,14 @@ pb::SessionRequest light_at(std::uint64_t number, float x, std::uint32_t light =
   return request;
 }
 
+// The camera of `frame`, elsewhere.
+pb::SessionRequest camera_at(std::uint64_t number, const pb::FrameSettings& frame, float x) {
+  pb::SessionRequest request = change(number);
+  *request.mutable_change()->mutable_camera() = frame.camera();
+  request.mutable_change()->mutable_camera()->mutable_origin()->set_x(x);
+  return request;
+}
+
 pb::SessionRequest box_at(std::uint64_t number, double x) {
   pb::SessionRequest request = change(number);
   pb::ObjectChange& moved = *request.mutable_change()->add_objects();
@@ -231,14 +239,8 @@ TEST_F(Session, KeepsCacheRecordsWhileOnlyTheCameraMoves) {
   frame.clear_set();
   (*frame.mutable_set())["splat.accuracy"] = "0.4";
   (*frame.mutable_set())["splat.gather_rays"] = "64";
-  const auto camera_at = [&](std::uint64_t number, float x) {
-    pb::SessionRequest request = change(number);
-    *request.mutable_change()->mutable_camera() = frame.camera();
-    request.mutable_change()->mutable_camera()->mutable_origin()->set_x(x);
-    return request;
-  };
-  const std::vector<pb::SessionPicture> all =
-      pictures({open, camera_at(1, 0.1f), camera_at(2, 0.2f), light_at(3, 0.2f), camera_at(4, 0.1f)});
+  const std::vector<pb::SessionPicture> all = pictures(
+      {open, camera_at(1, frame, 0.1f), camera_at(2, frame, 0.2f), light_at(3, 0.2f), camera_at(4, frame, 0.1f)});
   ASSERT_EQ(all.size(), 5u);
   EXPECT_THAT(made(all[0]), IsSupersetOf({"splat.extend.0", "splat.gather.0"}));
   EXPECT_THAT(reused(all[1]), IsSupersetOf({"splat.extend.0", "splat.gather.0"}));
@@ -249,6 +251,27 @@ TEST_F(Session, KeepsCacheRecordsWhileOnlyTheCameraMoves) {
   EXPECT_THAT(made(all[3]), Contains("splat.gather.0"));
   EXPECT_THAT(made(all[3]), Not(Contains("splat.extend.1")));
   EXPECT_THAT(reused(all[4]), Contains("splat.gather.0"));
+}
+
+TEST_F(Session, KeepsShadingClustersWhileOnlyTheCameraMoves) {
+  const scene::Scene scene = lit_box();
+  pb::SessionRequest open = opening(scene);
+  pb::FrameSettings& frame = *open.mutable_open()->mutable_settings();
+  frame.set_method("photon");
+  frame.clear_set();
+  for (const auto& [name, value] :
+       {std::pair{"photon.count", "2000"}, {"photon.clusters", "50"}, {"photon.gather_rays", "64"}})
+    (*frame.mutable_set())[name] = value;
+  const std::vector<pb::SessionPicture> all =
+      pictures({open, camera_at(1, frame, 0.1f), light_at(2, 0.2f), camera_at(3, frame, 0.2f)});
+  ASSERT_EQ(all.size(), 4u);
+  EXPECT_THAT(made(all[0]), IsSupersetOf({"photon.extend.0", "photon.extend_gather.0"}));
+  EXPECT_THAT(reused(all[1]), IsSupersetOf({"photon.map.global", "photon.extend.0", "photon.extend_gather.0"}));
+  EXPECT_THAT(made(all[1]), Contains("photon.extend.1"));
+  // A light moves: other light arrives at one camera's sample points.
+  EXPECT_THAT(made(all[2]), Contains("photon.extend_gather.0"));
+  EXPECT_THAT(made(all[2]), Not(Contains("photon.extend.1")));
+  EXPECT_THAT(reused(all[3]), IsSupersetOf({"photon.extend.0", "photon.extend_gather.0"}));
 }
 
 TEST_F(Session, RefusesWhatTheSceneLacksAndGoesOn) {

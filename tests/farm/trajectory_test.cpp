@@ -168,6 +168,41 @@ TEST(FarmTrajectory, LaterFramesKeepCacheRecords) {
   EXPECT_NE(pixels_of(scene, alone, 1), frames[2]["pixels_sha256"]);
 }
 
+// Sample points of the trajectory's cameras, and what is gathered there, are made once.
+TEST(FarmTrajectory, LaterFramesKeepShadingClusters) {
+  const scene::Scene scene = scene::make_scene("cornell-box", {});
+  JobRequest request = request_of(scene);
+  request.settings.method = "photon";
+  request.settings.set = {{"photon.count", "5000"}, {"photon.clusters", "100"}, {"photon.gather_rays", "64"}};
+  JobRequest alone = request;
+  request.last_frame = 3;
+  for (int frame = 0; frame < 3; ++frame) {
+    request.cameras.push_back(request.settings.camera);
+    request.cameras.back().origin[0] += 0.1f * static_cast<float>(frame);
+  }
+  const std::vector<json> frames = render(scene, request);
+  for (std::size_t k = 0; k < frames.size(); ++k) {
+    const auto run = names(frames[k]["stages"], "name"), left_out = names(frames[k]["skips"], "what");
+    for (const char* stage : {"photon.map.global", "photon.extend.0", "photon.extend.1", "photon.extend.2",
+                              "photon.extend_gather.0", "photon.extend_refine.2"}) {
+      EXPECT_EQ(std::ranges::count(run, stage), k == 0 ? 1 : 0) << stage << ", frame " << k + 1;
+      EXPECT_EQ(std::ranges::count(left_out, std::string("stage ") + stage), k == 0 ? 0 : 1)
+          << stage << ", frame " << k + 1;
+    }
+    const json& photon = frames[k]["parameters"]["photon"];
+    EXPECT_EQ(photon["cameras"], 3);
+    EXPECT_EQ(photon["kept"], frames[0]["parameters"]["photon"]["kept"]);
+    EXPECT_LT(photon["places"].get<int>() - photon["kept"].get<int>(), 40) << "frame " << k + 1;
+  }
+  EXPECT_NE(frames[1]["pixels_sha256"], frames[0]["pixels_sha256"]);
+  alone.settings.camera = request.cameras[1];
+  alone.settings.trajectory = coordinator::trajectory_of(request.cameras);
+  for (const unsigned workers : {1u, 3u})
+    EXPECT_EQ(pixels_of(scene, alone, workers), frames[1]["pixels_sha256"]) << workers << " workers";
+  alone.settings.trajectory.clear();
+  EXPECT_NE(pixels_of(scene, alone, 1), frames[1]["pixels_sha256"]);
+}
+
 // With a few new records each, pictures begin coarse and become finer; a picture is named by those before it.
 TEST(FarmTrajectory, PicturesOfASessionMakeTheCacheFiner) {
   const scene::Scene scene = scene::make_scene("cornell-box", {});

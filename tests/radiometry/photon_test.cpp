@@ -383,6 +383,66 @@ TEST(Photon, ClustersAreRefinedWhereRecordsDiffer) {
   EXPECT_EQ(refined("100000"), 0u);
 }
 
+// Clusters of a camera stand for what the next one sees of their members. It adds some for what is new to it, in
+// proportion, and for what it sees from nearby.
+TEST(Photon, KeptClustersStandForTheirMembers) {
+  constexpr std::uint32_t clusters = 150;
+  Frame frame = frame_of(scene::make_scene("cornell-box", {}), 48, 4,
+                         {{"photon.count", "20000"}, {"photon.clusters", "150"}, {"photon.gather_rays", "64"}});
+  scene::Camera aside = frame.settings.camera, near = frame.settings.camera;
+  aside.origin[0] += 0.8f;
+  near.origin[2] -= 2.9f;
+  frame.settings.trajectory = {frame.settings.camera, frame.settings.camera, aside, near};
+  const Rendered made = render(frame);
+  std::vector<std::vector<worker::SplatPoint>> places;
+  for (unsigned k = 0; k < 4; ++k) {
+    const scene::Bytes& rows = made.results.at("photon.extend." + std::to_string(k)).records;
+    std::vector<worker::SplatPoint> all(rows.size() / sizeof(worker::SplatPoint));
+    std::memcpy(all.data(), rows.data(), rows.size());
+    places.push_back(std::move(all));
+  }
+  std::vector<std::size_t> added{places[0].size()};
+  for (std::size_t k = 1; k < 4; ++k) {
+    added.push_back(places[k].size() - places[k - 1].size());
+    EXPECT_EQ(std::memcmp(places[k].data(), places[k - 1].data(), places[k - 1].size() * sizeof places[k][0]), 0) << k;
+  }
+  std::printf("  %zu places, %zu more of the same camera, %zu aside, %zu nearby\n", added[0], added[1], added[2],
+              added[3]);
+  EXPECT_GT(added[0], clusters * 9 / 10);
+  EXPECT_LT(added[1], clusters / 5);
+  EXPECT_GT(added[2], added[1]);
+  EXPECT_LT(added[2], clusters / 2);
+  EXPECT_GT(added[3], clusters / 2);
+  // The frame is the first camera's: its clusters are there.
+  const auto& told = made.parameters["photon"];
+  EXPECT_EQ(told["cameras"], 4);
+  EXPECT_EQ(told["kept"], places[3].size());
+  EXPECT_LT(told["places"].get<std::size_t>() - places[3].size(), clusters / 5);
+}
+
+// A frame that begins with the clusters of others is as near to the path tracer's as one of its own clusters.
+TEST(Photon, KeptClustersMeanIsThePathTracers) {
+  Frame frame = frame_of(scene::make_scene("cornell-box", {}), 48, 64,
+                         {{"photon.clusters", "500"}, {"photon.gather_rays", "384"}});
+  const Film path = render(square_frame("path", scene::make_scene("cornell-box", {}), {}, 48, 2048, {})).film;
+  const auto off = [&](const Film& film) {
+    const auto *a = film.find("indirect.G"), *b = path.find("indirect.G");
+    double squared = 0;
+    for (std::size_t i = 0; i < a->values.size(); ++i) squared += std::pow(double{a->values[i]} - b->values[i], 2);
+    return std::sqrt(squared / static_cast<double>(a->values.size())) / mean_of(path, "indirect.G");
+  };
+  const double alone = off(render(frame).film);
+  for (const float x : {-0.3f, -0.2f, -0.1f, 0.1f, 0.2f, 0.3f}) {
+    frame.settings.trajectory.push_back(frame.settings.camera);
+    frame.settings.trajectory.back().origin[0] += x;
+  }
+  const Film film = render(frame).film;
+  std::printf("  indirect light is off by %.4f, alone by %.4f; mean %.5f of %.5f\n", off(film), alone,
+              mean_of(film, "G"), mean_of(path, "G"));
+  EXPECT_NEAR(mean_of(film, "G") / mean_of(path, "G"), 1, 0.005);
+  EXPECT_LT(off(film), 1.08 * alone);
+}
+
 // Of the records that stage `stage` made: how far their irradiance is off in the mean (rms), over its mean.
 double records_off(const Rendered& found, const Rendered& expected, const char* stage) {
   const auto irradiance = [&](const Rendered& made) {
@@ -432,7 +492,7 @@ TEST(Photon, BrightRecordsDoNotShineOnDarkOnes) {
     std::memcpy(bytes.data(), records.data(), bytes.size());
     worker::StageTask task;
     task.kind = "photon_cluster_smooth";
-    task.inputs["records"] = std::make_shared<const scene::Bytes>(std::move(bytes));
+    task.inputs["records.0"] = std::make_shared<const scene::Bytes>(std::move(bytes));
     const worker::BatchResult result = worker::smooth_photon_clusters(task);
     std::memcpy(records.data(), result.records.data(), result.records.size());
     return records[1].radius;
@@ -641,6 +701,7 @@ TEST(Photon, RefusesWhatIsOutOfRange) {
   using kernels::PhotonClusterGatherParameters;
   refused("photon.clusters", set_word(offsetof(kernels::PhotonClusterParameters, clusters), 0));
   refused("photon.clusters", set_word(offsetof(kernels::PhotonClusterParameters, width), 80));
+  refused("photon.clusters", set_word(offsetof(kernels::PhotonClusterParameters, kept_footprint), 0x7fc00000u));  // NaN
   using kernels::PhotonClusterRefineParameters;
   refused("photon.cluster_refine", set_word(offsetof(PhotonClusterRefineParameters, most), 0));
   refused("photon.cluster_refine", set_word(offsetof(PhotonClusterRefineParameters, width), 80));
@@ -672,10 +733,10 @@ TEST(Photon, RefusesWhatIsOutOfRange) {
   // A record that reaches nowhere, or whose light is none.
   for (const unsigned word : {CACHE_RADIUS, CACHE_IRRADIANCE, CACHE_SPARE, CACHE_SPARE + 1})
     refused("photon.cluster_smooth", [word](worker::StageTask& task) {
-      scene::Bytes records = *task.inputs.at("records").load();
+      scene::Bytes records = *task.inputs.at("records.0").load();
       const float bad = word == CACHE_IRRADIANCE ? NAN : 0;
       std::memcpy(records.data() + word * 4, &bad, 4);
-      task.inputs["records"] = std::make_shared<const scene::Bytes>(std::move(records));
+      task.inputs["records.0"] = std::make_shared<const scene::Bytes>(std::move(records));
     });
   // A map whose first node leads nowhere, has photons that are none, or whose walk would not end.
   const auto broken = [&](std::size_t row, unsigned word, std::uint32_t value) {

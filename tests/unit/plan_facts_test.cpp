@@ -134,6 +134,23 @@ TEST(PlanFacts, OfPhotonMaps) {
   EXPECT_THAT(answer(frame("photon"), {{"photon_map", said(12, facts)}}), HasSubstr("facts that cannot be"));
 }
 
+// Each camera begins with the sample points of those before it.
+TEST(PlanFacts, OfShadingClusters) {
+  FrameSettings settings = frame("photon", {{"photon.cut", "0"}, {"photon.caustics", "0"}});
+  settings.trajectory.resize(1);
+  const Said map = said(12, kernels::PhotonMapFacts{.photons = 9, .nodes = 3, .power = {1, 1, 1}, .radius = 0.1});
+  const auto clusters = [](std::uint64_t places, std::uint64_t given) {
+    return said(20, kernels::PhotonClusterFacts{.points = 90, .places = places, .given = given});
+  };
+  const auto kinds = [&](const Said& first, const Said& then) {
+    return answer(settings, {{"photon_map", map}, {"photon_extend", first}, {"photon_cluster", then}});
+  };
+  EXPECT_EQ(kinds(clusters(20, 0), clusters(20, 20)), "accepted");
+  EXPECT_THAT(kinds(clusters(19, 0), clusters(20, 20)), HasSubstr("19 places"));
+  EXPECT_THAT(kinds(clusters(20, 3), clusters(20, 20)), HasSubstr("3 of them given"));
+  EXPECT_THAT(kinds(clusters(20, 0), clusters(20, 0)), HasSubstr("0 of them given"));
+}
+
 TEST(PlanFacts, OfTheMeshOfLinks) {
   kernels::LinksMeshFacts facts{};
   facts.vertices = 12;

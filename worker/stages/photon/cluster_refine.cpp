@@ -5,11 +5,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <unordered_map>
 
 #include "kernels/photon_records.h"
 #include "scene/model/error.h"
-#include "worker/stages/photon/clusters.h"
+#include "worker/stages/photon/reach_grid.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/splat/stages.h"
 #include "worker/wavefront/counters.h"
@@ -29,49 +28,6 @@ constexpr double kDark = 0.05;
 constexpr std::uint64_t kMostLooked = 1u << 16;
 // A sample stands for points within this part of its reach.
 constexpr float kOwn = 0.5f;
-// Cells that a record is entered in, at most; one that reaches farther is looked at for all points.
-constexpr std::int64_t kMostCells = 64;
-
-// Records by the cells of a grid that they reach.
-class RecordGrid {
- public:
-  explicit RecordGrid(const std::vector<CacheRecord>& records) : records_(records) {
-    cell_ = 2 * median_reach(records);
-    for (std::uint32_t i = 0; i < records.size(); ++i) enter(i);
-  }
-
-  // Calls see(record) for all that may reach the point, some perhaps twice, in an order of their own.
-  template <typename See>
-  void near(const SplatPoint& point, const See& see) const {
-    GridCell at{};
-    for (std::size_t k = 0; k < 3; ++k) at[k] = cell_of(point.position[k]);
-    if (const auto found = cells_.find(key_of(at)); found != cells_.end())
-      for (const std::uint32_t i : found->second) see(records_[i]);
-    for (const std::uint32_t i : wide_) see(records_[i]);
-  }
-
- private:
-  std::int64_t cell_of(float x) const { return static_cast<std::int64_t>(std::floor(double{x} / cell_)); }
-
-  void enter(std::uint32_t i) {
-    std::int64_t lower[3], upper[3], cells = 1;
-    for (std::size_t k = 0; k < 3; ++k) {
-      lower[k] = cell_of(records_[i].position[k] - records_[i].spare[0]);
-      upper[k] = cell_of(records_[i].position[k] + records_[i].spare[0]);
-      cells = std::min(cells * (upper[k] - lower[k] + 1), kMostCells + 1);
-    }
-    if (cells > kMostCells) return wide_.push_back(i);
-    for (std::int64_t x = lower[0]; x <= upper[0]; ++x)
-      for (std::int64_t y = lower[1]; y <= upper[1]; ++y)
-        for (std::int64_t z = lower[2]; z <= upper[2]; ++z) cells_[key_of({x, y, z})].push_back(i);
-  }
-
-  const std::vector<CacheRecord>& records_;
-  double cell_ = 1;
-  std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> cells_;
-  std::vector<std::uint32_t> wide_;
-};
-
 double sum_of(const std::array<float, 3>& rgb) { return double{rgb[0]} + rgb[1] + rgb[2]; }
 
 // Of the records that a point reads.
@@ -79,9 +35,10 @@ struct Spread {
   double mean = 0, deviation = 0;
 };
 
-Spread spread_at(const RecordGrid& grid, const SplatPoint& point) {
+Spread spread_at(const std::vector<CacheRecord>& records, const ReachGrid& grid, const SplatPoint& point) {
   double weights = 0, sum = 0, squares = 0;
-  grid.near(point, [&](const CacheRecord& record) {
+  grid.near(point.position, [&](std::uint32_t i) {
+    const CacheRecord& record = records[i];
     const float reach = record.spare[0], turn = record.spare[1];
     const PointOffset off = point_offset(record.position, record.normal, point);
     if (off.hidden || off.distance > reach || off.turn > turn) return;
@@ -109,7 +66,7 @@ std::vector<Candidate> candidates(const PhotonClusterRefineParameters& p, std::s
                                   const std::vector<CacheRecord>& records) {
   PointScreen screen{.width = p.width, .height = p.height, .samples = p.samples};
   while (std::uint64_t{screen.columns()} * screen.rows() > kMostLooked) screen.step *= 2;
-  const RecordGrid grid(records);
+  const ReachGrid grid = grid_of(records);
   double dark = 0;
   for (const CacheRecord& record : records) dark += sum_of(record.irradiance);
   dark *= kDark / static_cast<double>(std::max<std::size_t>(1, records.size()));
@@ -120,7 +77,7 @@ std::vector<Candidate> candidates(const PhotonClusterRefineParameters& p, std::s
       const std::size_t first = screen.point_of(x * screen.step, y * screen.step);
       for (std::size_t i = first; i < first + p.samples; ++i) {
         if (!points[i].exists()) continue;
-        const Spread spread = spread_at(grid, points[i]);
+        const Spread spread = spread_at(records, grid, points[i]);
         if (spread.deviation > kMostContrast * (spread.mean + dark))
           found.push_back({spread.deviation * sum_of(points[i].factor), static_cast<std::uint32_t>(i)});
         break;
@@ -132,36 +89,61 @@ std::vector<Candidate> candidates(const PhotonClusterRefineParameters& p, std::s
   return found;
 }
 
+// Samples for the candidates, after those that other cameras' points have. No more than `most` of them are for this
+// camera's points.
 std::vector<ClusterSample> choose(const std::vector<Candidate>& candidates, std::span<const SplatPoint> points,
-                                  std::uint32_t most) {
-  std::vector<ClusterSample> samples;
+                                  std::uint32_t most, std::vector<ClusterSample> samples) {
+  std::vector<bool> counted(samples.size(), false);
+  std::uint32_t chosen = 0;
   for (const Candidate& candidate : candidates) {
-    if (samples.size() >= most) break;
+    if (chosen >= most) break;
     check_wanted();
     const SplatPoint& point = points[candidate.point];
-    const bool stood_for = std::ranges::any_of(samples, [&](const ClusterSample& sample) {
-      const SplatPoint& from = points[sample.point];
-      const PointOffset off = point_offset(from.position, from.normal, point);
-      return off.distance <= kOwn * sample.reach && off.turn <= kOwn * sample.turn && !off.hidden;
-    });
-    if (!stood_for) samples.push_back(stray_sample(candidate.point, point.footprint));
+    const auto stands =
+        std::ranges::find_if(samples, [&](const ClusterSample& sample) { return covers(sample, point, kOwn); });
+    if (stands == samples.end()) {
+      samples.push_back(stray_sample(point));
+      ++chosen;
+    } else if (const auto number = static_cast<std::size_t>(stands - samples.begin()); number < counted.size()) {
+      chosen += counted[number] ? 0 : 1;
+      counted[number] = true;
+    }
   }
   return samples;
+}
+
+BatchResult refine(const StageRun& run, const PhotonClusterRefineParameters& p, std::span<const SplatPoint> points) {
+  const std::vector<CacheRecord> records = read_cluster_records(run.task);
+  return sample_places(choose(candidates(p, points, records), points, p.most, read_samples(run.task, "given")));
+}
+
+void check(const StageRun& run, const PhotonClusterRefineParameters& p) {
+  check_splat_points(run, p.width, p.height, p.samples);
+  if (p.most == 0 || p.most > 1u << 20)
+    throw Error::bad_input(run.where(), "most", "1 to " + std::to_string(1u << 20), std::to_string(p.most));
+  run.check_range(1);
 }
 
 }  // namespace
 
 BatchResult run_photon_cluster_refine_stage(const StageRun& run) {
   const auto p = run.parameters<PhotonClusterRefineParameters>();
-  check_splat_points(run, p.width, p.height, p.samples);
-  if (p.most == 0 || p.most > 1u << 20)
-    throw Error::bad_input(run.where(), "most", "1 to " + std::to_string(1u << 20), std::to_string(p.most));
-  run.check_range(1);
+  check(run, p);
   const double start = seconds_now();
-  const std::vector<SplatPoint> points = read_splat_points(run, p.width, p.height, p.samples);
-  const std::vector<CacheRecord> records = read_cluster_records(run.task, "records");
-  const std::vector<ClusterSample> samples = choose(candidates(p, points, records), points, p.most);
-  BatchResult result = sample_places(samples, points);
+  BatchResult result = refine(run, p, read_splat_points(run, p.width, p.height, p.samples));
+  result.counters.seconds = seconds_now() - start;
+  return result;
+}
+
+BatchResult run_photon_extend_refine_stage(const StageRun& run) {
+  const auto p = run.parameters<kernels::PhotonExtendRefineParameters>();
+  check(run, p.refine);
+  const double start = seconds_now();
+  BatchResult counters;
+  const std::vector<SplatPoint> points =
+      find_camera_points(run, p.points, p.refine.width, p.refine.height, p.refine.samples, counters);
+  BatchResult result = refine(run, p.refine, points);
+  result.counters = counters.counters;
   result.counters.seconds = seconds_now() - start;
   return result;
 }

@@ -15,7 +15,7 @@
 #include <unordered_map>
 
 #include "kernels/photon_records.h"
-#include "worker/stages/photon/clusters.h"
+#include "worker/stages/photon/reach_grid.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/splat/points.h"
 #include "worker/stages/splat/scalar.h"
@@ -45,7 +45,9 @@ struct Offset {
 class Smoothing {
  public:
   explicit Smoothing(std::vector<CacheRecord> records) : records_(std::move(records)) {
-    cell_ = kMostReach * median_reach(records_);
+    std::vector<float> reaches;
+    for (const CacheRecord& record : records_) reaches.push_back(record.spare[0]);
+    cell_ = kMostReach * median_of(std::move(reaches));
     for (std::uint32_t i = 0; i < records_.size(); ++i) cells_[key_of(cell_at(i))].push_back(i);
     radius_.reserve(records_.size());
     for (const CacheRecord& record : records_) radius_.push_back(record.radius);
@@ -215,33 +217,36 @@ class Smoothing {
   std::vector<std::vector<std::uint32_t>> near_, readable_;  // the latter: records that reach a record's place
 };
 
-}  // namespace
-
-std::vector<CacheRecord> read_cluster_records(const StageTask& task, const std::string& name) {
+void append_cluster_records(const StageTask& task, const std::string& name, std::vector<CacheRecord>& records) {
   const InputRows input(task, name, sizeof(CacheRecord));
-  std::vector<CacheRecord> records(input.rows());
+  const std::size_t before = records.size();
+  records.resize(before + input.rows());
   input.visit(0, input.rows(), [&](std::uint64_t first, std::span<const std::byte> piece) {
-    std::memcpy(&records[first], piece.data(), piece.size());
+    std::memcpy(&records[before + first], piece.data(), piece.size());
   });
-  for (std::size_t i = 0; i < records.size(); ++i) {
+  for (std::size_t i = 0; i < input.rows(); ++i) {
+    const CacheRecord& record = records[before + i];
     float words[CACHE_WORDS];
-    std::memcpy(words, &records[i], sizeof words);
+    std::memcpy(words, &record, sizeof words);
     for (const float word : words)
       if (!std::isfinite(word)) input.fail(i, "", "finite numbers", std::to_string(word));
-    if (!(records[i].radius > 0)) input.fail(i, "radius", "metres above 0", std::to_string(records[i].radius));
-    if (!(records[i].spare[0] > 0)) input.fail(i, "reach", "metres above 0", std::to_string(records[i].spare[0]));
-    if (!(records[i].spare[1] > 0)) input.fail(i, "turn", "a number above 0", std::to_string(records[i].spare[1]));
+    if (!(record.radius > 0)) input.fail(i, "radius", "metres above 0", std::to_string(record.radius));
+    if (!(record.spare[0] > 0)) input.fail(i, "reach", "metres above 0", std::to_string(record.spare[0]));
+    if (!(record.spare[1] > 0)) input.fail(i, "turn", "a number above 0", std::to_string(record.spare[1]));
   }
+}
+
+}  // namespace
+
+std::vector<CacheRecord> read_cluster_records(const StageTask& task) {
+  std::vector<CacheRecord> records;
+  for (unsigned part = 0; task.inputs.contains("records." + std::to_string(part)); ++part)
+    append_cluster_records(task, "records." + std::to_string(part), records);
   return records;
 }
 
 BatchResult smooth_photon_clusters(const StageTask& task) {
-  std::vector<CacheRecord> records = read_cluster_records(task, "records");
-  if (task.inputs.contains("more")) {
-    const std::vector<CacheRecord> more = read_cluster_records(task, "more");
-    records.insert(records.end(), more.begin(), more.end());
-  }
-  Smoothing smoothing(std::move(records));
+  Smoothing smoothing(read_cluster_records(task));
   smoothing.clamp_radii();
   smoothing.bound_leaks();
   smoothing.smooth_gradients();

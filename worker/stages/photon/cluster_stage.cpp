@@ -1,6 +1,6 @@
-// Stage kind "photon_cluster": shading points in clusters, and the point of each where light is gathered (Wang et al.
-// 2009, section 3.2): seeds by geometric variation (seeding.h), k-means by eq. 2 (kernels/cluster.cl), the member of
-// least error. Solo.
+// Stage kinds "photon_cluster" and "photon_extend": shading points in clusters, and the point of each where light is
+// gathered (Wang et al. 2009, section 3.2): seeds by geometric variation (seeding.h), k-means by eq. 2
+// (kernels/cluster.cl), the member of least error. Solo.
 
 #include <algorithm>
 #include <cmath>
@@ -10,7 +10,7 @@
 #include "kernels/photon_records.h"
 #include "scene/model/error.h"
 #include "worker/stages/k_means.h"
-#include "worker/stages/photon/clusters.h"
+#include "worker/stages/photon/reach_grid.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/splat/stages.h"
 #include "worker/stages/vpl/rows.h"
@@ -30,17 +30,19 @@ constexpr float kLeastCosine = 0.5f;
 // k-means looks at a grid of pixels, no more than a cluster needs or so many; the others read the clusters as well.
 constexpr std::uint64_t kDataOfACluster = 16, kEnoughData = 1u << 16, kMostData = 1u << 18;
 constexpr std::size_t kDatumWords = 8;
+// Of clusters beside kept ones, over the edge of a cluster's mean share of the picture.
+constexpr float kMostEdges = 2;
 // Where every point has a record of its own, its reach in pixels: such a record reaches no other point.
 constexpr float kOwnReach = 1e-4f;
 
-PhotonClusterParameters read_parameters(const StageRun& run) {
-  const auto p = run.parameters<PhotonClusterParameters>();
+void check(const StageRun& run, const PhotonClusterParameters& p) {
   check_splat_points(run, p.width, p.height, p.samples);
   if (p.clusters == 0 || p.iterations > 1000)
     throw Error::bad_input(run.where(), "clusters and iterations", "clusters, at most 1000 iterations",
                            std::to_string(p.clusters) + " and " + std::to_string(p.iterations));
+  if (!(p.kept_footprint >= 0) || !std::isfinite(p.kept_footprint))
+    throw Error::bad_input(run.where(), "kept_footprint", "0 or more", std::to_string(p.kept_footprint));
   run.check_range(1);
-  return p;
 }
 
 // What k-means looks at: the first point of each of the grid's pixels.
@@ -81,13 +83,48 @@ Data data_of(const PhotonClusterParameters& p, std::span<const SplatPoint> point
   return data;
 }
 
-// The members' clusters, and of each the member of least error.
-std::vector<ClusterSample> cluster(const StageRun& run, const PhotonClusterParameters& p, Data& data) {
+// A sample stands for what its cluster had members of: no farther away and turned no more than the one of largest
+// error (section 3.2, "Temporal Coherence"), and seen from not much nearer by than its cluster was.
+bool stands_for(const ClusterSample& sample, const SplatPoint& point, float kept_footprint) {
+  if (sample.at.footprint > kept_footprint * point.footprint) return false;
+  const PointOffset off = point_offset(sample.at.position, sample.at.normal, point);
+  return !off.hidden && off.distance <= sample.spacing && off.turn <= sample.turn / kOverlap;
+}
+
+// Gives members to the samples that exist. Returns the data of the others.
+Data classify(const PhotonClusterParameters& p, std::span<const SplatPoint> points,
+              std::span<const ClusterSample> given, Data& data) {
+  Data others{.screen = data.screen, .members = {}, .rows = {}};
+  const ReachGrid grid = grid_of(given);
+  for (std::size_t i = 0; i < data.members.size(); ++i) {
+    ClusterMember& member = data.members[i];
+    const SplatPoint& point = points[member.point];
+    float least = std::numeric_limits<float>::infinity();
+    grid.near(point.position, [&](std::uint32_t k) {
+      if (!stands_for(given[k], point, p.kept_footprint)) return;
+      const float error = point_offset(given[k].at.position, given[k].at.normal, point).distance / given[k].spacing;
+      if (error > least || (error == least && k >= member.sample)) return;
+      least = error;
+      member.sample = k;
+    });
+    if (member.sample != GLEANER_NONE) continue;
+    ClusterMember other = member;
+    other.screen.row = static_cast<std::uint32_t>(others.members.size());
+    others.members.push_back(other);
+    const auto row = data.rows.begin() + static_cast<std::ptrdiff_t>(i * kDatumWords);
+    others.rows.insert(others.rows.end(), row, row + kDatumWords);
+  }
+  return others;
+}
+
+// The members' clusters, and of each the member of least error as a sample, behind those that exist.
+void cluster(const StageRun& run, const PhotonClusterParameters& p, std::uint32_t clusters,
+             std::span<const SplatPoint> points, Data& data, std::vector<ClusterSample>& samples) {
   std::vector<ScreenPoint> places;
   places.reserve(data.members.size());
   for (const ClusterMember& member : data.members) places.push_back(member.screen);
   const std::uint64_t key = wide(p.seed_high, p.seed_low);
-  const std::vector<std::uint32_t> seeds = seeds_by_variation(data.rows, kDatumWords, places, p.clusters, key);
+  const std::vector<std::uint32_t> seeds = seeds_by_variation(data.rows, kDatumWords, places, clusters, key);
   constexpr ClusterMetric metric = ClusterMetric::distance_and_normal;
   KMeans means(run, data.rows, kDatumWords,
                {.clusters = static_cast<std::uint32_t>(seeds.size()),
@@ -106,59 +143,94 @@ std::vector<ClusterSample> cluster(const StageRun& run, const PhotonClusterParam
     if (error < least.error) least = {error, data.members[i].point};
   }
   // Clusters without members have no sample.
-  std::vector<ClusterSample> samples;
   std::vector<std::uint32_t> sample_of(seeds.size(), GLEANER_NONE);
   for (std::size_t k = 0; k < best.size(); ++k) {
     if (best[k].point == GLEANER_NONE) continue;
     sample_of[k] = static_cast<std::uint32_t>(samples.size());
-    samples.push_back({.point = best[k].point});
+    samples.push_back({.at = points[best[k].point]});
   }
   for (std::size_t i = 0; i < data.members.size(); ++i) data.members[i].sample = sample_of[assigned[i]];
-  return samples;
 }
 
-std::vector<ClusterSample> every_point(std::span<const SplatPoint> points) {
-  std::vector<ClusterSample> samples;
-  for (std::size_t i = 0; i < points.size(); ++i)
-    if (points[i].exists())
-      samples.push_back({.point = static_cast<std::uint32_t>(i),
-                         .reach = kOwnReach * points[i].footprint,
-                         .turn = kOwnReach,
-                         .spacing = 0});
-  return samples;
+// Samples for what none that exists stands for: as many for a part of the picture as for all of it, in proportion.
+void cluster_others(const StageRun& run, const PhotonClusterParameters& p, std::span<const SplatPoint> points,
+                    Data& data, std::vector<ClusterSample>& samples) {
+  Data others = classify(p, points, samples, data);
+  if (others.members.empty()) return;
+  const std::uint64_t share = std::uint64_t{p.clusters} * others.members.size() / data.members.size();
+  if (others.members.size() == 1) {
+    others.members[0].sample = static_cast<std::uint32_t>(samples.size());
+    samples.push_back({.at = points[others.members[0].point]});
+  } else {
+    cluster(run, p, std::max(1u, static_cast<std::uint32_t>(share)), points, others, samples);
+  }
+  // Both are in the data's order.
+  auto from = others.members.begin();
+  for (ClusterMember& member : data.members)
+    if (member.sample == GLEANER_NONE) member.sample = (from++)->sample;
+}
+
+// What no kept sample stands for lies here and there, and a new cluster would reach from one place to the next.
+float most_pixels(const PhotonClusterParameters& p, const Data& data) {
+  return kMostEdges * static_cast<float>(data.screen.step) *
+         std::sqrt(static_cast<float>(data.members.size()) / static_cast<float>(p.clusters));
+}
+
+void add_every_point(std::span<const SplatPoint> points, std::vector<ClusterSample>& samples) {
+  for (const SplatPoint& point : points)
+    if (point.exists())
+      samples.push_back({.at = point, .reach = kOwnReach * point.footprint, .turn = kOwnReach, .spacing = 0});
 }
 
 double median_reach(const std::vector<ClusterSample>& samples) {
   if (samples.empty()) return 0;
   std::vector<float> reaches;
   for (const ClusterSample& sample : samples) reaches.push_back(sample.reach);
-  const auto middle = reaches.begin() + static_cast<std::ptrdiff_t>(reaches.size() / 2);
-  std::nth_element(reaches.begin(), middle, reaches.end());
-  return double{*middle};
+  return double{median_of(std::move(reaches))};
+}
+
+BatchResult choose_samples(const StageRun& run, const PhotonClusterParameters& p, std::span<const SplatPoint> points) {
+  PhotonClusterFacts facts;
+  facts.points = static_cast<std::uint64_t>(std::ranges::count_if(points, &SplatPoint::exists));
+  std::vector<ClusterSample> samples = read_samples(run.task, "given");
+  facts.given = samples.size();
+  Data data = data_of(p, points);
+  if (p.clusters >= data.members.size()) {
+    add_every_point(points, samples);
+  } else {
+    cluster_others(run, p, points, data, samples);
+    facts.strays = extend_samples(data.screen, points, data.members, samples, facts.given,
+                                  facts.given ? most_pixels(p, data) : std::numeric_limits<float>::infinity());
+  }
+  BatchResult result = sample_places(samples);
+  facts.places = samples.size();
+  facts.reach = median_reach(samples);
+  set_facts(result, facts);
+  return result;
 }
 
 }  // namespace
 
 BatchResult run_photon_cluster_stage(const StageRun& run) {
-  const PhotonClusterParameters p = read_parameters(run);
+  const auto p = run.parameters<PhotonClusterParameters>();
+  check(run, p);
   const double start = seconds_now();
-  const std::vector<SplatPoint> points = read_splat_points(run, p.width, p.height, p.samples);
-  PhotonClusterFacts facts;
-  facts.points = static_cast<std::uint64_t>(std::ranges::count_if(points, &SplatPoint::exists));
-  std::vector<ClusterSample> samples;
-  Data data = data_of(p, points);
-  if (p.clusters >= data.members.size()) {
-    samples = every_point(points);
-  } else {
-    samples = cluster(run, p, data);
-    facts.strays = extend_samples(data.screen, points, data.members, samples);
-  }
-  BatchResult result = sample_places(samples, points);
-  facts.places = samples.size();
-  facts.reach = median_reach(samples);
-  set_facts(result, facts);
+  BatchResult result = choose_samples(run, p, read_splat_points(run, p.width, p.height, p.samples));
   result.counters.seconds = seconds_now() - start;
   result.counters.kernel_seconds = result.counters.seconds;
+  return result;
+}
+
+BatchResult run_photon_extend_stage(const StageRun& run) {
+  const auto p = run.parameters<kernels::PhotonExtendParameters>();
+  check(run, p.clusters);
+  const double start = seconds_now();
+  BatchResult counters;
+  const std::vector<SplatPoint> points =
+      find_camera_points(run, p.points, p.clusters.width, p.clusters.height, p.clusters.samples, counters);
+  BatchResult result = choose_samples(run, p.clusters, points);
+  result.counters = counters.counters;
+  result.counters.seconds = seconds_now() - start;
   return result;
 }
 

@@ -5,13 +5,13 @@
 #include <cstring>
 
 #include "kernels/records.h"
+#include "worker/stages/photon/reach_grid.h"
 #include "worker/stages/splat/scalar.h"
+#include "worker/wavefront/input_rows.h"
 
 namespace gleaner::worker {
 namespace {
 
-// How much farther than its own members a sample is read. More: smoother, and less of what changes fast.
-constexpr float kOverlap = 2;
 // Members whose normals turn farther from the sample's, or that lie farther away than so many times the others in the
 // mean (rms), are strays.
 constexpr float kMostTurn = 0.5f, kMostSpread = 3;
@@ -22,12 +22,15 @@ constexpr float kStrayPixels = 8, kStrayTurn = 0.35f;
 class Extents {
  public:
   Extents(const PointScreen& screen, std::span<const SplatPoint> points, std::span<const ClusterMember> members,
-          std::vector<ClusterSample>& samples)
+          std::vector<ClusterSample>& samples, std::size_t kept, float most_pixels)
       : screen_(screen),
         points_(points),
         members_(members),
         samples_(samples),
+        kept_(kept),
+        most_pixels_(most_pixels),
         clusters_(samples.size()),
+        kept_grid_(grid_of(std::span(samples).first(kept))),
         owners_(std::size_t{screen.columns()} * screen.rows(), GLEANER_NONE) {
     for (const ClusterMember& member : members)
       owners_[std::size_t{member.screen.y} * screen.columns() + member.screen.x] = member.sample;
@@ -38,21 +41,24 @@ class Extents {
     std::vector<double> squared(clusters_, 0);
     std::vector<std::uint32_t> count(clusters_, 0);
     for (const ClusterMember& member : members_) {
+      if (member.sample < kept_) continue;
       const PointOffset off = offset(member);
-      if (off.hidden || off.turn > kMostTurn) continue;
+      if (off.hidden || off.turn > kMostTurn || off.distance > most_of(samples_[member.sample])) continue;
       squared[member.sample] += double{off.distance} * off.distance;
       ++count[member.sample];
     }
     for (const ClusterMember& member : members_) {
+      if (member.sample < kept_) continue;
       const PointOffset off = offset(member);
       ClusterSample& sample = samples_[member.sample];
-      const double most = kMostSpread * std::sqrt(squared[member.sample] / std::max(1u, count[member.sample]));
+      const double most = std::min(kMostSpread * std::sqrt(squared[member.sample] / std::max(1u, count[member.sample])),
+                                   double{most_of(sample)});
       if (off.hidden || off.turn > kMostTurn || off.distance > most) continue;
       sample.spacing = std::max(sample.spacing, off.distance);
       sample.turn = std::max(sample.turn, off.turn);
     }
-    for (ClusterSample& sample : samples_) {
-      const float pixel = points_[sample.point].footprint * static_cast<float>(screen_.step);
+    for (ClusterSample& sample : std::span(samples_).subspan(kept_)) {
+      const float pixel = sample.at.footprint * static_cast<float>(screen_.step);
       sample.spacing = std::max(sample.spacing, pixel);
       sample.reach = kOverlap * sample.spacing;
       sample.turn = std::max(kLeastTurn, kOverlap * sample.turn);
@@ -64,26 +70,30 @@ class Extents {
       for (std::uint32_t x = 0; x < screen_.width; ++x) {
         const std::size_t first = screen_.point_of(x, y);
         for (std::size_t i = first; i < first + screen_.samples; ++i)
-          if (points_[i].exists() && !by_cluster(i, x / screen_.step, y / screen_.step)) cover_stray(i);
+          if (points_[i].exists() && !by_cluster(points_[i], x / screen_.step, y / screen_.step) &&
+              !by_kept(points_[i]))
+            cover_stray(points_[i]);
       }
   }
 
   std::uint64_t strays() const { return samples_.size() - clusters_; }
 
  private:
-  PointOffset offset_of(const ClusterSample& sample, std::size_t point) const {
-    const SplatPoint& from = points_[sample.point];
-    return point_offset(from.position, from.normal, points_[point]);
+  PointOffset offset(const ClusterMember& member) const {
+    const SplatPoint& from = samples_[member.sample].at;
+    return point_offset(from.position, from.normal, points_[member.point]);
   }
-  PointOffset offset(const ClusterMember& member) const { return offset_of(samples_[member.sample], member.point); }
 
-  bool covers(const ClusterSample& sample, std::size_t point) const {
-    const PointOffset off = offset_of(sample, point);
-    return off.distance <= sample.reach && off.turn <= sample.turn && !off.hidden;
+  float most_of(const ClusterSample& sample) const { return most_pixels_ * sample.at.footprint; }
+
+  bool by_kept(const SplatPoint& point) const {
+    bool covered = false;
+    kept_grid_.near(point.position, [&](std::uint32_t i) { covered = covered || covers(samples_[i], point); });
+    return covered;
   }
 
   // Whether a cluster that is seen next to the point covers it.
-  bool by_cluster(std::size_t point, std::uint32_t column, std::uint32_t row) const {
+  bool by_cluster(const SplatPoint& point, std::uint32_t column, std::uint32_t row) const {
     const std::uint32_t right = std::min(column + 1, screen_.columns() - 1),
                         below = std::min(row + 1, screen_.rows() - 1);
     const auto covered = [&](std::uint32_t c, std::uint32_t r) {
@@ -98,17 +108,20 @@ class Extents {
   }
 
   // The last strays are the nearest on the screen.
-  void cover_stray(std::size_t point) {
+  void cover_stray(const SplatPoint& point) {
     for (std::size_t k = samples_.size(); k > clusters_; --k)
       if (covers(samples_[k - 1], point)) return;
-    samples_.push_back(stray_sample(static_cast<std::uint32_t>(point), points_[point].footprint));
+    samples_.push_back(stray_sample(point));
   }
 
   PointScreen screen_;
   std::span<const SplatPoint> points_;
   std::span<const ClusterMember> members_;
   std::vector<ClusterSample>& samples_;
+  std::size_t kept_;
+  float most_pixels_;
   std::size_t clusters_;
+  ReachGrid kept_grid_;
   std::vector<std::uint32_t> owners_;  // of the grid's pixels
 };
 
@@ -124,19 +137,24 @@ PointOffset point_offset(const std::array<float, 3>& position, const std::array<
           splat::splat_is_hidden(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], SPLAT_MOST_DEPTH * (1 - SPLAT_SLACK))};
 }
 
-ClusterSample stray_sample(std::uint32_t point, float footprint) {
-  return {.point = point,
-          .reach = kStrayPixels * footprint,
+ClusterSample stray_sample(const SplatPoint& point) {
+  return {.at = point,
+          .reach = kStrayPixels * point.footprint,
           .turn = kStrayTurn,
-          .spacing = kStrayPixels / kOverlap * footprint};
+          .spacing = kStrayPixels / kOverlap * point.footprint};
 }
 
-BatchResult sample_places(const std::vector<ClusterSample>& samples, std::span<const SplatPoint> points) {
+bool covers(const ClusterSample& sample, const SplatPoint& point, float part) {
+  const PointOffset off = point_offset(sample.at.position, sample.at.normal, point);
+  return off.distance <= part * sample.reach && off.turn <= part * sample.turn && !off.hidden;
+}
+
+BatchResult sample_places(const std::vector<ClusterSample>& samples) {
   BatchResult result;
   result.records.resize(samples.size() * sizeof(SplatPoint));
   std::byte* to = result.records.data();
   for (const ClusterSample& sample : samples) {
-    SplatPoint row = points[sample.point];
+    SplatPoint row = sample.at;
     row.factor = {sample.reach, sample.turn, sample.spacing};
     std::memcpy(to, &row, sizeof row);
     to += sizeof row;
@@ -145,22 +163,33 @@ BatchResult sample_places(const std::vector<ClusterSample>& samples, std::span<c
   return result;
 }
 
-float median_reach(const std::vector<CacheRecord>& records) {
-  std::vector<float> reaches{1e-6f};
-  for (const CacheRecord& record : records) reaches.push_back(record.spare[0]);
-  const auto middle = reaches.begin() + static_cast<std::ptrdiff_t>(reaches.size() / 2);
-  std::nth_element(reaches.begin(), middle, reaches.end());
-  return *middle;
-}
-
-std::uint64_t key_of(const GridCell& c) {
-  return static_cast<std::uint64_t>(c[0]) * 73856093u ^ static_cast<std::uint64_t>(c[1]) * 19349663u ^
-         static_cast<std::uint64_t>(c[2]) * 83492791u;
+std::vector<ClusterSample> read_samples(const StageTask& task, const std::string& name) {
+  std::vector<ClusterSample> samples;
+  if (!task.inputs.contains(name)) return samples;
+  const InputRows input(task, name, sizeof(SplatPoint));
+  samples.reserve(input.rows());
+  input.visit(0, input.rows(), [&](std::uint64_t first, std::span<const std::byte> piece) {
+    for (std::size_t at = 0; at < piece.size(); at += sizeof(SplatPoint)) {
+      ClusterSample sample;
+      std::memcpy(&sample.at, piece.data() + at, sizeof sample.at);
+      sample.reach = sample.at.factor[0];
+      sample.turn = sample.at.factor[1];
+      sample.spacing = sample.at.factor[2];
+      bool sound = sample.at.exists() && sample.reach > 0 && sample.turn > 0 && sample.spacing >= 0;
+      for (std::size_t k = 0; k < 3; ++k)
+        sound = sound && std::isfinite(sample.at.position[k]) && std::isfinite(sample.at.normal[k]) &&
+                std::isfinite(sample.at.factor[k]);
+      if (!sound) input.fail(first + at / sizeof(SplatPoint), "reach", "a place with its extents", "another");
+      samples.push_back(sample);
+    }
+  });
+  return samples;
 }
 
 std::uint64_t extend_samples(const PointScreen& screen, std::span<const SplatPoint> points,
-                             std::span<const ClusterMember> members, std::vector<ClusterSample>& samples) {
-  Extents extents(screen, points, members, samples);
+                             std::span<const ClusterMember> members, std::vector<ClusterSample>& samples,
+                             std::size_t kept, float most_pixels) {
+  Extents extents(screen, points, members, samples, kept, most_pixels);
   extents.measure();
   extents.cover_all();
   return extents.strays();

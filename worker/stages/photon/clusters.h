@@ -27,17 +27,20 @@ struct PointScreen {
   }
 };
 
+// How much farther than its own members a sample is read. More: smoother, and less of what changes fast.
+inline constexpr float kOverlap = 2;
+
 // A point where light is gathered, and where it may be read: up to `reach` metres away, by points whose normals give
 // sqrt(1 - n.m) up to `turn`. `spacing`: of its cluster's members, m.
 struct ClusterSample {
-  std::uint32_t point = 0;
+  SplatPoint at{};
   float reach = 0, turn = 0, spacing = 0;
 };
 
 // A point of the grid and the sample of its cluster.
 struct ClusterMember {
   ScreenPoint screen{};
-  std::uint32_t point = 0, sample = 0;
+  std::uint32_t point = 0, sample = GLEANER_NONE;
 };
 
 // How a point lies to a sample's.
@@ -49,23 +52,24 @@ PointOffset point_offset(const std::array<float, 3>& position, const std::array<
                          const SplatPoint& to);
 
 // A sample at a point that is too unlike all others near it: it is read a few pixels around.
-ClusterSample stray_sample(std::uint32_t point, float footprint);
+ClusterSample stray_sample(const SplatPoint& point);
+// Whether a point may read the sample, `part` of its extents away at most.
+bool covers(const ClusterSample& sample, const SplatPoint& point, float part = 1);
 
 // The samples as rows of places (kernels/splat_records.h), in one item.
-BatchResult sample_places(const std::vector<ClusterSample>& samples, std::span<const SplatPoint> points);
+BatchResult sample_places(const std::vector<ClusterSample>& samples);
+// Such rows; none where the task has no such input. Throws Error::bad_input.
+std::vector<ClusterSample> read_samples(const StageTask& task, const std::string& input);
 
-// Records that were gathered at samples: their reach and turn are `spare`. Throws Error::bad_input.
-std::vector<CacheRecord> read_cluster_records(const StageTask& task, const std::string& input);
-// Of such records, m; above 0.
-float median_reach(const std::vector<CacheRecord>& records);
+// Records that were gathered at samples, inputs "records.0", "records.1" and so on: their reach and turn are `spare`.
+// Throws Error::bad_input.
+std::vector<CacheRecord> read_cluster_records(const StageTask& task);
 
-// A cell of a grid of places, and its hash: cells of equal hash share their entries.
-using GridCell = std::array<std::int64_t, 3>;
-std::uint64_t key_of(const GridCell& cell);
-
-// Gives the samples (whose points are set) their extents, such that each point that a pixel shows may read one: where
-// it is too unlike all near it, it becomes a sample itself, or reads one that did. Returns how many did.
+// Gives the samples from `kept` on (whose points are set) their extents, such that each point that a pixel shows may
+// read one: where it is too unlike all near it, it becomes a sample itself, or reads one that did. Members that lie
+// farther than `most_pixels` from their sample do not widen it. Returns how many points became samples.
 std::uint64_t extend_samples(const PointScreen& screen, std::span<const SplatPoint> points,
-                             std::span<const ClusterMember> members, std::vector<ClusterSample>& samples);
+                             std::span<const ClusterMember> members, std::vector<ClusterSample>& samples,
+                             std::size_t kept, float most_pixels);
 
 }  // namespace gleaner::worker

@@ -12,8 +12,10 @@ BatchResult run_photon_caustics_stage(const StageRun& run);
 BatchResult run_photon_cut_stage(const StageRun& run);
 BatchResult run_photon_map_stage(const StageRun& run);
 BatchResult run_photon_cluster_stage(const StageRun& run);
+BatchResult run_photon_extend_stage(const StageRun& run);
 BatchResult run_photon_cluster_gather_stage(const StageRun& run);
 BatchResult run_photon_cluster_refine_stage(const StageRun& run);
+BatchResult run_photon_extend_refine_stage(const StageRun& run);
 // On the host:
 BatchResult smooth_photon_clusters(const StageTask& task);
 

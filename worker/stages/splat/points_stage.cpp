@@ -122,6 +122,17 @@ BatchResult find_splat_points(const StageRun& run, const SplatPointParameters& p
   return result;
 }
 
+std::vector<SplatPoint> find_camera_points(const StageRun& run, const SplatPointParameters& p, std::uint32_t width,
+                                           std::uint32_t height, std::uint32_t samples, BatchResult& counters) {
+  if (p.width != width || p.height != height || p.samples != samples)
+    throw Error::bad_input(run.where(), "width", "the same in both parts", std::to_string(p.width));
+  counters = find_splat_points(run, p, 0, std::uint64_t{splat_tiles(width)} * splat_tiles(height));
+  std::vector<SplatPoint> points(counters.records.size() / sizeof(SplatPoint));
+  std::memcpy(points.data(), counters.records.data(), counters.records.size());
+  counters.records = {};
+  return points;
+}
+
 BatchResult run_splat_points_stage(const StageRun& run) {
   const auto p = run.parameters<SplatPointParameters>();
   run.check_range(std::uint64_t{splat_tiles(p.width)} * splat_tiles(p.height));

@@ -235,13 +235,10 @@ BatchResult run_splat_select_stage(const StageRun& run) {
 BatchResult run_splat_extend_stage(const StageRun& run) {
   const auto p = run.parameters<SplatExtendParameters>();
   check(run, p.select);
-  if (p.points.width != p.select.width || p.points.height != p.select.height || p.points.samples != p.select.samples)
-    throw Error::bad_input(run.where(), "width", "the same in both parts", std::to_string(p.points.width));
   const double start = seconds_now();
-  BatchResult result =
-      find_splat_points(run, p.points, 0, std::uint64_t{splat_tiles(p.points.width)} * splat_tiles(p.points.height));
-  std::vector<SplatPoint> points(result.records.size() / sizeof(SplatPoint));
-  std::memcpy(points.data(), result.records.data(), result.records.size());
+  BatchResult result;
+  const std::vector<SplatPoint> points =
+      find_camera_points(run, p.points, p.select.width, p.select.height, p.select.samples, result);
   choose_places(run, p.select, points, result);
   result.counters.seconds = seconds_now() - start;
   return result;

@@ -25,6 +25,11 @@ void check_splat_points(const StageRun& run, std::uint32_t width, std::uint32_t 
 // The points of tiles [first_tile, first_tile + tiles). The task's parameters begin with `p`.
 BatchResult find_splat_points(const StageRun& run, const kernels::SplatPointParameters& p, std::uint64_t first_tile,
                               std::uint64_t tiles);
+// All points that a camera shows, where a stage makes them for its own part, of a picture of this size: `counters` gets
+// what that took. Throws Error::bad_input where `p` says another size.
+std::vector<SplatPoint> find_camera_points(const StageRun& run, const kernels::SplatPointParameters& p,
+                                           std::uint32_t width, std::uint32_t height, std::uint32_t samples,
+                                           BatchResult& counters);
 // The input "points", of whole tiles. Throws Error::bad_input for other numbers of them, and such as are not finite.
 std::vector<SplatPoint> read_splat_points(const StageRun& run, std::uint32_t width, std::uint32_t height,
                                           std::uint32_t samples);
