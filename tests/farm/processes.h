@@ -119,11 +119,12 @@ class ProcessFarm {
   Process& coordinator() { return *coordinator_; }
   std::filesystem::path data() const { return folder_ / "data"; }
 
-  Process& add_worker(const std::string& name) {
-    workers_[name] =
-        std::make_unique<Process>(std::vector<std::string>{(programs_ / "gleaner-worker").string(), "--coordinator",
-                                                           address_, "--name", name, "--threads", "1"},
-                                  folder_ / name, std::map<std::string, std::string>{{"POCL_MAX_PTHREAD_COUNT", "1"}});
+  Process& add_worker(const std::string& name, unsigned threads = 1) {
+    const std::string count = std::to_string(threads);
+    workers_[name] = std::make_unique<Process>(
+        std::vector<std::string>{(programs_ / "gleaner-worker").string(), "--coordinator", address_, "--name", name,
+                                 "--threads", count},
+        folder_ / name, std::map<std::string, std::string>{{"POCL_MAX_PTHREAD_COUNT", count}});
     return *workers_[name];
   }
   // Starts `gleaner WORDS...` against this farm.

@@ -1,6 +1,6 @@
 // Workers that lie or say nothing, thousands of idle connections and of silent streams, all at once: the farm renders,
 // in time, and the same bits. $GLEANER_SIEGE_CONNECTIONS and $GLEANER_SIEGE_STREAMS are their numbers, and
-// $GLEANER_SIEGE_SAMPLES a pixel's samples (bench/siege sets them).
+// $GLEANER_SIEGE_SAMPLES a pixel's samples, $GLEANER_SIEGE_THREADS those of each worker (bench/siege sets them).
 
 #include <arpa/inet.h>
 #include <gmock/gmock.h>
@@ -192,11 +192,12 @@ TEST_P(Siege, TheFarmRendersTheSameInTime) {
   Process made({(programs / "gleaner").string(), "scene", "cornell-box", "-o", scene}, folder_.path() / "made");
   ASSERT_EQ(made.wait(), 0) << made.err();
   const std::vector<std::string> methods = {"path", "vpl"};
+  const auto threads = static_cast<unsigned>(number("GLEANER_SIEGE_THREADS", 1));
 
   std::map<std::string, Rendered> honest;
   {
     ProcessFarm farm(folder_.path() / "honest", programs);
-    for (const char* name : {"ada", "bob"}) farm.add_worker(name);
+    for (const char* name : {"ada", "bob"}) farm.add_worker(name, threads);
     ASSERT_TRUE(farm.wait_for_workers(2));
     for (const std::string& method : methods) {
       render(farm, scene, method, 1);  // compiles
@@ -204,12 +205,12 @@ TEST_P(Siege, TheFarmRendersTheSameInTime) {
     }
   }
   ProcessFarm farm(folder_.path() / "siege", programs);
-  for (const std::string& name : GetParam().honest) farm.add_worker(name);
+  for (const std::string& name : GetParam().honest) farm.add_worker(name, threads);
   ASSERT_TRUE(farm.wait_for_workers(GetParam().honest.size()));
   for (const std::string& method : methods) render(farm, scene, method, 1);
   const MuteWorker mute(farm.address(), "mute", farm.workers().front().device());
   Process eve({GLEANER_LYING_WORKER, farm.address(), "eve", GetParam().lie, "0"}, folder_.path() / "eve",
-              {{"POCL_MAX_PTHREAD_COUNT", "1"}});
+              {{"POCL_MAX_PTHREAD_COUNT", std::to_string(threads)}});
   ASSERT_TRUE(farm.wait_for_workers(GetParam().honest.size() + 2)) << eve.err();
   const IdleConnections idle(farm.address(), connections);
   const SilentStreams silent(farm.address(), streams);
