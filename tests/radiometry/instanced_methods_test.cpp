@@ -5,6 +5,7 @@
 
 #include "scene/library/bake.h"
 #include "scene/library/library.h"
+#include "scene/model/error.h"
 #include "tests/radiometry/rendered_frame.h"
 
 namespace gleaner::test {
@@ -53,6 +54,27 @@ TEST_P(InstancedMethods, VirtualPointLights) {
 TEST_P(InstancedMethods, PhotonMaps) {
   expect_equal_means("photon", "indirect.G",
                      {{"photon.count", "20000"}, {"photon.caustics", "0"}, {"photon.gather_rays", "128"}}, 0.004);
+}
+
+// Links take copies, each with vertices of its own, so that light finds its way between all places: the mean is that of
+// paths among instances.
+TEST_P(InstancedMethods, RadianceLinksAmongCopies) {
+  Frame links =
+      frame_of("links", true, {{"links.vertices", "16000"}, {"links.directions", "64"}, {"links.light_samples", "16"}});
+  Frame path = frame_of("path", false, {});
+  links.settings.spp = 64;
+  path.settings.spp = 512;
+  const Sample sample = means_of(links, "G", 4), truth = means_of(path, "G", 4);
+  const double error = std::hypot(truth.standard_error(), sample.standard_error());
+  std::printf("  links %.5f +- %.5f, path %.5f +- %.5f\n", sample.mean, sample.standard_error(), truth.mean,
+              truth.standard_error());
+  EXPECT_LT(std::abs(sample.mean - truth.mean), 4 * error + 0.006 * truth.mean);
+  EXPECT_LT(error, 0.01 * truth.mean) << "too noisy to prove anything";
+  const Rendered made = render(links);
+  EXPECT_GT(made.parameters["links"]["vertices"].get<std::size_t>(), 60u * 128) << "copies share vertices";
+  EXPECT_GT(mean_of(made.film, "indirect.G"), 0.05 * mean_of(made.film, "G")) << "there is little to carry";
+  Frame refused = frame_of("links", false, {});
+  EXPECT_THROW(render(refused), Error);
 }
 
 std::string tracer_of(const testing::TestParamInfo<worker::TraceKind>& test) {
