@@ -383,6 +383,25 @@ TEST(Photon, ClustersAreRefinedWhereRecordsDiffer) {
   EXPECT_EQ(refined("100000"), 0u);
 }
 
+// The ceiling goes on above the Cornell box's lamp, a centimetre away from it. What a pixel shows of that is in the
+// clusters of what lies beside it, but has sample points of its own, which light no other pixel.
+TEST(Photon, GapsAreNotAsBrightAsWhatLiesBesideThem) {
+  const Scene scene = scene::make_scene("cornell-box", {});
+  const Settings set = {
+      {"photon.count", "50000"}, {"photon.clusters", "400"}, {"photon.gather_rays", "512"}, {"photon.cut", "0"}};
+  Settings every = set;
+  every["photon.clusters"] = "100000";
+  // A point of each pixel, the same in both.
+  const Rendered found = render(frame_of(scene, 96, 1, set)), expected = render(frame_of(scene, 96, 1, every));
+  const auto *a = found.film.find("indirect.G"), *b = expected.film.find("indirect.G");
+  const double mean = mean_of(expected.film, "indirect.G");
+  double worst = 0;
+  for (std::size_t i = 0; i < a->values.size() / 4; ++i)
+    if (b->values[i] < 0.1 * mean) worst = std::max(worst, double{a->values[i]} - b->values[i]);
+  std::printf("  the brightest pixel that is dark: %.3f of the mean\n", worst / mean);
+  EXPECT_LT(worst, 0.3 * mean);
+}
+
 // Clusters of a camera stand for what the next one sees of their members. It adds some for what is new to it, in
 // proportion, and for what it sees from nearby.
 TEST(Photon, KeptClustersStandForTheirMembers) {

@@ -33,15 +33,19 @@ double sum_of(const std::array<float, 3>& rgb) { return double{rgb[0]} + rgb[1] 
 // Of the records that a point reads.
 struct Spread {
   double mean = 0, deviation = 0;
+  bool own = false;  // one of them was gathered for this point and those beside it
 };
 
 Spread spread_at(const std::vector<CacheRecord>& records, const ReachGrid& grid, const SplatPoint& point) {
   double weights = 0, sum = 0, squares = 0;
+  const ClusterSample stray = stray_sample(point);
+  bool own = false;
   grid.near(point.position, [&](std::uint32_t i) {
     const CacheRecord& record = records[i];
     const float reach = record.spare[0], turn = record.spare[1];
     const PointOffset off = point_offset(record.position, record.normal, point);
     if (off.hidden || off.distance > reach || off.turn > turn) return;
+    own = own || (reach <= stray.reach && off.distance <= kOwn * reach && off.turn <= kOwn * turn);
     // Nearly as kernels/splat/shade.cl weighs it, whose radius is known after smoothing.
     const double radius = std::min(record.radius, 10 * reach);
     const double w = 1 / std::max(off.distance / radius + off.turn, 1e-3) - 1 / (reach / radius + turn);
@@ -53,7 +57,7 @@ Spread spread_at(const std::vector<CacheRecord>& records, const ReachGrid& grid,
   });
   if (!(weights > 0)) return {};
   const double mean = sum / weights;
-  return {mean, std::sqrt(std::max(0.0, squares / weights - mean * mean))};
+  return {mean, std::sqrt(std::max(0.0, squares / weights - mean * mean)), own};
 }
 
 struct Candidate {
@@ -78,7 +82,7 @@ std::vector<Candidate> candidates(const PhotonClusterRefineParameters& p, std::s
       for (std::size_t i = first; i < first + p.samples; ++i) {
         if (!points[i].exists()) continue;
         const Spread spread = spread_at(records, grid, points[i]);
-        if (spread.deviation > kMostContrast * (spread.mean + dark))
+        if (!spread.own && spread.deviation > kMostContrast * (spread.mean + dark))
           found.push_back({spread.deviation * sum_of(points[i].factor), static_cast<std::uint32_t>(i)});
         break;
       }

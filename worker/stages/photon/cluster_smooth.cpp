@@ -34,6 +34,8 @@ constexpr int kClampRounds = 3;
 // A record that is brighter than so many times another that lies in its reach is weighed there for no more than this
 // part of the other's light: what is beside a window would shine otherwise.
 constexpr double kBrighter = 2, kMostLeak = 0.5;
+// Not for the sake of one that reaches hardly any point but its own, where no other counts beside it.
+constexpr float kFarOff = 4;
 // Bounds of the radius that weighs a record: of its reach, and by normals that hardly turn.
 constexpr float kLeastRadius = 0.05f, kLeastTurn = 0.1f;
 
@@ -78,7 +80,7 @@ class Smoothing {
     };
     for (std::uint32_t i = 0; i < records_.size(); ++i)
       for (const std::uint32_t j : readable_[i])
-        if (light(j) > kBrighter * light(i))
+        if (light(j) > kBrighter * light(i) && offset(i, j).distance < kFarOff * reach(i))
           weighing_[j] = std::min(weighing_[j],
                                   static_cast<float>(kMostLeak * double{offset(i, j).distance} * light(i) / light(j)));
   }
@@ -159,7 +161,9 @@ class Smoothing {
             if (j == i) continue;
             const Offset off = offset(i, j);
             if (off.distance <= reach(j) && off.turn <= turn(j) && !hidden(i, j, off)) readable_[i].push_back(j);
-            if (off.distance > most || off.turn > std::min(turn(i), turn(j)) || hidden(i, j, off)) continue;
+            if (off.distance > std::min(most, kMostReach * reach(j)) || off.turn > std::min(turn(i), turn(j)) ||
+                hidden(i, j, off))
+              continue;
             near_[i].push_back(j);
           }
         }

@@ -10,6 +10,7 @@
 #include "kernels/photon_records.h"
 #include "scene/model/error.h"
 #include "worker/stages/k_means.h"
+#include "worker/stages/photon/nearness.h"
 #include "worker/stages/photon/reach_grid.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/splat/stages.h"
@@ -189,7 +190,9 @@ double median_reach(const std::vector<ClusterSample>& samples) {
   return double{median_of(std::move(reaches))};
 }
 
-BatchResult choose_samples(const StageRun& run, const PhotonClusterParameters& p, std::span<const SplatPoint> points) {
+// `counters` gets the rays.
+BatchResult choose_samples(const StageRun& run, const PhotonClusterParameters& p, std::span<const SplatPoint> points,
+                           BatchResult& counters) {
   PhotonClusterFacts facts;
   facts.points = static_cast<std::uint64_t>(std::ranges::count_if(points, &SplatPoint::exists));
   std::vector<ClusterSample> samples = read_samples(run.task, "given");
@@ -200,7 +203,8 @@ BatchResult choose_samples(const StageRun& run, const PhotonClusterParameters& p
   } else {
     cluster_others(run, p, points, data, samples);
     facts.strays = extend_samples(data.screen, points, data.members, samples, facts.given,
-                                  facts.given ? most_pixels(p, data) : std::numeric_limits<float>::infinity());
+                                  facts.given ? most_pixels(p, data) : std::numeric_limits<float>::infinity(),
+                                  [&](auto places) { return distances_ahead(run, places, counters); });
   }
   BatchResult result = sample_places(samples);
   facts.places = samples.size();
@@ -215,7 +219,9 @@ BatchResult run_photon_cluster_stage(const StageRun& run) {
   const auto p = run.parameters<PhotonClusterParameters>();
   check(run, p);
   const double start = seconds_now();
-  BatchResult result = choose_samples(run, p, read_splat_points(run, p.width, p.height, p.samples));
+  BatchResult counters;
+  BatchResult result = choose_samples(run, p, read_splat_points(run, p.width, p.height, p.samples), counters);
+  result.counters = counters.counters;
   result.counters.seconds = seconds_now() - start;
   result.counters.kernel_seconds = result.counters.seconds;
   return result;
@@ -228,7 +234,7 @@ BatchResult run_photon_extend_stage(const StageRun& run) {
   BatchResult counters;
   const std::vector<SplatPoint> points =
       find_camera_points(run, p.points, p.clusters.width, p.clusters.height, p.clusters.samples, counters);
-  BatchResult result = choose_samples(run, p.clusters, points);
+  BatchResult result = choose_samples(run, p.clusters, points, counters);
   result.counters = counters.counters;
   result.counters.seconds = seconds_now() - start;
   return result;

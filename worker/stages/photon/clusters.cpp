@@ -16,6 +16,12 @@ namespace {
 // mean (rms), are strays.
 constexpr float kMostTurn = 0.5f, kMostSpread = 3;
 constexpr float kLeastTurn = 0.05f;
+// A member is in a gap where the next surface ahead is nearer than this part of its cluster's spacing, and this part of
+// what is ahead of its sample.
+constexpr float kGapOfSpacing = 0.5f, kGapOfSample = 0.25f;
+// Pixels that a sample in a gap reaches; clusters for one such sample, at least.
+constexpr float kGapPixels = 1;
+constexpr std::size_t kClustersOfAGap = 4;
 // A stray's sample: pixels that it reaches, and how far normals may turn.
 constexpr float kStrayPixels = 8, kStrayTurn = 0.35f;
 
@@ -65,6 +71,25 @@ class Extents {
     }
   }
 
+  // Light does not come into a gap (above a lamp, below a cupboard) as it comes to what lies beside it in the same
+  // plane.
+  void cover_gaps(const LookAhead& look) {
+    std::vector<SplatPoint> places;
+    places.reserve(members_.size() + clusters_);
+    for (const ClusterMember& member : members_) places.push_back(points_[member.point]);
+    for (std::size_t k = 0; k < clusters_; ++k) places.push_back(samples_[k].at);
+    const std::vector<float> ahead = look(places);
+    std::vector<std::size_t> gaps;
+    for (std::size_t i = 0; i < members_.size(); ++i) {
+      const ClusterSample& sample = samples_[members_[i].sample];
+      if (ahead[i] < kGapOfSpacing * sample.spacing &&
+          ahead[i] < kGapOfSample * ahead[members_.size() + members_[i].sample])
+        gaps.push_back(i);
+    }
+    const std::size_t most = std::min(gaps.size(), clusters_ / kClustersOfAGap + 1);
+    for (std::size_t k = 0; k < most; ++k) cover_gap(places[gaps[k * gaps.size() / most]]);
+  }
+
   void cover_all() {
     for (std::uint32_t y = 0; y < screen_.height; ++y)
       for (std::uint32_t x = 0; x < screen_.width; ++x) {
@@ -105,6 +130,14 @@ class Extents {
       for (std::uint32_t c = column ? column - 1 : 0; c <= right; ++c)
         if (covered(c, r)) return true;
     return false;
+  }
+
+  // It reaches hardly more than its pixel: it says nothing of what lies beside the gap.
+  void cover_gap(const SplatPoint& point) {
+    for (std::size_t k = samples_.size(); k > clusters_; --k)
+      if (covers(samples_[k - 1], point)) return;
+    const float reach = kGapPixels * static_cast<float>(screen_.step) * point.footprint;
+    samples_.push_back({.at = point, .reach = reach, .turn = kStrayTurn, .spacing = reach / kOverlap});
   }
 
   // The last strays are the nearest on the screen.
@@ -188,9 +221,10 @@ std::vector<ClusterSample> read_samples(const StageTask& task, const std::string
 
 std::uint64_t extend_samples(const PointScreen& screen, std::span<const SplatPoint> points,
                              std::span<const ClusterMember> members, std::vector<ClusterSample>& samples,
-                             std::size_t kept, float most_pixels) {
+                             std::size_t kept, float most_pixels, const LookAhead& ahead) {
   Extents extents(screen, points, members, samples, kept, most_pixels);
   extents.measure();
+  extents.cover_gaps(ahead);
   extents.cover_all();
   return extents.strays();
 }

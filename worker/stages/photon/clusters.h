@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <span>
 #include <string>
 #include <vector>
@@ -65,11 +66,15 @@ std::vector<ClusterSample> read_samples(const StageTask& task, const std::string
 // Throws Error::bad_input.
 std::vector<CacheRecord> read_cluster_records(const StageTask& task);
 
+// Distances to the next surface ahead of these places, m (nearness.h).
+using LookAhead = std::function<std::vector<float>(std::span<const SplatPoint>)>;
+
 // Gives the samples from `kept` on (whose points are set) their extents, such that each point that a pixel shows may
 // read one: where it is too unlike all near it, it becomes a sample itself, or reads one that did. Members that lie
-// farther than `most_pixels` from their sample do not widen it. Returns how many points became samples.
+// farther than `most_pixels` from their sample do not widen it, and those that something covers close by, but not their
+// sample, become samples as well. Returns how many points became samples.
 std::uint64_t extend_samples(const PointScreen& screen, std::span<const SplatPoint> points,
                              std::span<const ClusterMember> members, std::vector<ClusterSample>& samples,
-                             std::size_t kept, float most_pixels);
+                             std::size_t kept, float most_pixels, const LookAhead& ahead);
 
 }  // namespace gleaner::worker

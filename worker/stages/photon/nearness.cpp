@@ -1,0 +1,83 @@
+#include "worker/stages/photon/nearness.h"
+
+#include <array>
+#include <bit>
+#include <limits>
+#include <memory>
+
+#include "kernels/rays.h"
+#include "worker/wavefront/host_threads.h"
+
+namespace gleaner::worker {
+namespace {
+
+constexpr float kNothing = std::numeric_limits<float>::infinity();
+
+// Rays are few, one of a place: they are made and read on the host.
+class AheadThread : public HostThread {
+ public:
+  AheadThread(const StageRun& run, std::span<const SplatPoint> places, std::span<float> distances, WorkQueue& work,
+              unsigned index)
+      : HostThread(run.device, run.workspace, run.scene.tracer(), work, index),
+        places_(places),
+        distances_(distances),
+        capacity_(run.device.info().cpu ? 1u << 12 : 1u << 16),
+        rows_(std::size_t{capacity_} * RAY_HIT_ROWS),
+        hits_(take("paths", rows_.size() * sizeof rows_[0])) {}
+
+  void run(BatchResult&) {
+    while (const WorkQueue::Block block = work_.claim(capacity_)) {
+      const auto count = static_cast<std::uint32_t>(block.count);
+      for (std::uint32_t i = 0; i < count; ++i) put_ray(i, places_[block.first + i]);
+      const std::size_t bytes = std::size_t{(count + RAY_BLOCK - 1) / RAY_BLOCK} * RAY_BLOCK * RAY_HIT_ROWS * 4;
+      queue_.enqueueWriteBuffer(hits_, CL_TRUE, 0, bytes, rows_.data());
+      rays_.closest(hits_, single_rays(RAY_HIT_ROWS, count));
+      counters.scatter += count;
+      queue_.enqueueReadBuffer(hits_, CL_TRUE, 0, bytes, rows_.data());
+      for (std::uint32_t i = 0; i < count; ++i)
+        distances_[block.first + i] = word(i, ROW_GEOMETRY) == GLEANER_NONE ? kNothing : real(i, ROW_FAR);
+    }
+  }
+
+ private:
+  std::uint32_t& word(std::uint32_t ray, unsigned row) {
+    return rows_[(std::size_t{ray / RAY_BLOCK} * RAY_HIT_ROWS + row) * RAY_BLOCK + ray % RAY_BLOCK];
+  }
+  float real(std::uint32_t ray, unsigned row) { return std::bit_cast<float>(word(ray, row)); }
+
+  void put_ray(std::uint32_t ray, const SplatPoint& place) {
+    const auto put = [&](unsigned row, float value) { word(ray, row) = std::bit_cast<std::uint32_t>(value); };
+    for (unsigned k = 0; k < 3; ++k) {
+      put(ROW_ORIGIN + k, place.position[k]);
+      put(ROW_DIRECTION + k, place.geometric[k]);
+    }
+    put(ROW_NEAR, 0);
+    put(ROW_TIME, 0);
+    put(ROW_FAR, kNothing);
+    word(ray, ROW_MASK) = 0xffffffffu;
+    word(ray, ROW_SOURCE) = GLEANER_NONE;
+    word(ray, ROW_FLAGS) = 0;
+    word(ray, ROW_GEOMETRY) = GLEANER_NONE;
+    word(ray, ROW_INSTANCE) = GLEANER_NONE;
+  }
+
+  std::span<const SplatPoint> places_;
+  std::span<float> distances_;
+  std::uint32_t capacity_;
+  std::vector<std::uint32_t> rows_;
+  cl::Buffer hits_;
+};
+
+}  // namespace
+
+std::vector<float> distances_ahead(const StageRun& run, std::span<const SplatPoint> places, BatchResult& result) {
+  std::vector<float> distances(places.size(), kNothing);
+  WorkQueue work(places.size(), host_threads(run.device));
+  if (!places.empty())
+    run_host_threads(work, result, [&](unsigned index) {
+      return std::make_unique<AheadThread>(run, places, distances, work, index);
+    });
+  return distances;
+}
+
+}  // namespace gleaner::worker
