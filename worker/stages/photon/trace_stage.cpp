@@ -39,7 +39,6 @@ class PhotonThread : public HostThread {
         records_(take("photons", std::size_t{capacity_ + 1} * kPathBytes)),
         arrivals_(take("arrivals", std::size_t{capacity_ + 1} * 4)),
         balance_(take("balance", std::size_t{capacity_ + 1} * kBalanceWords * 4)),
-        photons_(std::size_t{capacity_} * kPathBytes),
         arrived_(capacity_),
         balances_(balance_wanted_ ? capacity_ * kBalanceWords : 0) {
     run.scene.set_arguments(emit_);
@@ -64,21 +63,26 @@ class PhotonThread : public HostThread {
       counters.scatter += count;
       step_in_place(step_, paths_, path_rows_, count, capacity_);
       queue_.enqueueReadBuffer(arrivals_, CL_TRUE, 0, std::size_t{count} * 4, arrived_.data());
-      queue_.enqueueReadBuffer(records_, CL_TRUE, 0, count * kPathBytes, photons_.data());
       if (balance_wanted_)
         queue_.enqueueReadBuffer(balance_, CL_TRUE, 0, std::size_t{count} * kBalanceWords * 4, balances_.data());
-      joined_.add(block.first, pack(count, &result.counts[block.first]));
+      // Most slots are empty: on a CPU device nothing is copied but what is in the others.
+      void* const slots = queue_.enqueueMapBuffer(records_, CL_TRUE, CL_MAP_READ, 0, count * kPathBytes);
+      joined_.add(block.first, pack(static_cast<const std::byte*>(slots), count, &result.counts[block.first]));
+      queue_.enqueueUnmapMemObject(records_, slots);
     }
   }
 
  private:
   // Leaves each path only the slots that hold a photon. Those of a path that arrived more often carry the power of the
   // photons that were dropped as well. `counts`: of the photons left of each path.
-  scene::Bytes pack(std::uint32_t count, std::uint32_t* counts) const {
+  scene::Bytes pack(const std::byte* slots, std::uint32_t count, std::uint32_t* counts) const {
+    std::size_t rows = balance_wanted_ ? 2 * std::size_t{count} : 0;
+    for (std::uint32_t item = 0; item < count; ++item) rows += std::min(arrived_[item], PHOTON_PATH_SLOTS);
     scene::Bytes records;
+    records.reserve(rows * kRowBytes);
     for (std::uint32_t item = 0; item < count; ++item) {
       const std::uint32_t kept = std::min(arrived_[item], PHOTON_PATH_SLOTS);
-      const std::byte* from = photons_.data() + item * kPathBytes;
+      const std::byte* from = slots + item * kPathBytes;
       const std::size_t at = records.size();
       records.insert(records.end(), from, from + kept * kRowBytes);
       if (arrived_[item] > kept)
@@ -117,7 +121,6 @@ class PhotonThread : public HostThread {
   unsigned path_rows_;
   Kernel emit_, step_;
   cl::Buffer paths_, records_, arrivals_, balance_;
-  scene::Bytes photons_;
   std::vector<std::uint32_t> arrived_;
   std::vector<float> balances_;
 };
