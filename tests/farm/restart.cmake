@@ -1,9 +1,8 @@
 # Coordinators that die: the real programs, as processes.
-find_package(OpenImageIO REQUIRED)
 find_package(nlohmann_json REQUIRED)
 if(TARGET gleaner AND TARGET gleaner-coordinator AND TARGET gleaner-worker)
-  gleaner_test(NAME farm_restart SOURCES restart_test.cpp ../unit/import_files.cpp
-               LIBRARIES gleaner_import gleaner_proto OpenImageIO::OpenImageIO nlohmann_json::nlohmann_json
+  gleaner_test(NAME farm_restart SOURCES restart_test.cpp
+               LIBRARIES gleaner_test_files gleaner_proto
                TIMEOUT 900)
   target_compile_definitions(test_farm_restart PRIVATE GLEANER_BIN_DIR="${CMAKE_RUNTIME_OUTPUT_DIRECTORY}")
   add_dependencies(test_farm_restart gleaner gleaner-coordinator gleaner-worker)
