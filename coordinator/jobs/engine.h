@@ -170,6 +170,11 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   // Runs `call`, which asks the plan or makes one, with the plan to itself; then a cancelled job ends here.
   template <typename Call>
   auto compute(Frame& frame, const Call& call);
+  // Workers that take batches (none that drains), and those of them that have the denoiser's library. Mutex held.
+  struct Denoisers {
+    std::size_t working = 0, able = 0;
+  };
+  Denoisers denoisers() const;
   // Of Farm::show() and Farm::denoise().
   std::optional<Picture> show(Farm& farm, JobRequest request, Job::Showing showing, const std::stop_token& stop);
   std::unique_ptr<Plan> plan_for(const Frame& frame, const SceneSummary& summary) const;

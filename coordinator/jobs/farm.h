@@ -101,7 +101,7 @@ class Farm {
   // nor a word in the journal. `shown`: of the scene as the request's state shows it, with its lineage. None: `stop`
   // was requested. Throws as submit(), and Error::failed where the frame failed.
   std::optional<Picture> show(const JobRequest& request, const SceneSummary& shown, const std::stop_token& stop);
-  // Whether a worker has the denoiser's library.
+  // Whether a worker that takes batches has the denoiser's library.
   bool can_denoise() const;
   // A picture of a job that runs (R G B, and guides where it has them), denoised as show() renders: for someone who
   // waits for it. None: `stop` was requested, or the job does not run any more. Throws as show().

@@ -270,10 +270,9 @@ std::string Farm::submit(const JobRequest& submitted) {
   std::shared_ptr<Job> job = impl_->accept(request);
   impl_->join_ended_threads();
   std::unique_lock lock(impl_->mutex);
-  if (request.settings.denoise != Denoise::off && !impl_->workers.empty() &&
-      std::none_of(impl_->workers.begin(), impl_->workers.end(),
-                   [](const auto& entry) { return !entry.second.hello.device.denoiser.empty(); }))
-    throw Error::usage("--denoise: none of " + std::to_string(impl_->workers.size()) +
+  if (const auto [working, able] = impl_->denoisers();
+      request.settings.denoise != Denoise::off && working > 0 && able == 0)
+    throw Error::usage("--denoise: none of " + std::to_string(working) +
                        " workers has Open Image Denoise 2: run ./farm denoiser where they are, or set GLEANER_OIDN, "
                        "and start them again");
   for (const std::string& other : request.after)

@@ -16,9 +16,17 @@ std::optional<Farm::Picture> Farm::show(const JobRequest& request, const SceneSu
 
 bool Farm::can_denoise() const {
   std::lock_guard lock(impl_->mutex);
-  return std::ranges::any_of(impl_->workers, [](const auto& entry) {
-    return !entry.second.draining && !entry.second.hello.device.denoiser.empty();
-  });
+  return impl_->denoisers().able > 0;
+}
+
+Farm::Impl::Denoisers Farm::Impl::denoisers() const {
+  Denoisers found;
+  for (const auto& [id, worker] : workers) {
+    if (worker.draining) continue;
+    ++found.working;
+    if (!worker.hello.device.denoiser.empty()) ++found.able;
+  }
+  return found;
 }
 
 std::optional<Farm::Picture> Farm::denoise(const std::string& id, Film film, const std::stop_token& stop) {

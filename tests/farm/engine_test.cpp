@@ -792,6 +792,33 @@ TEST_F(FarmEngine, DenoisingIsRefusedWhereNobodyCan) {
   EXPECT_EQ(end_of(farm, job).state, JobState::done);
 }
 
+TEST_F(FarmEngine, WhoDrainsDoesNotCountAmongThoseWhoCouldDenoise) {
+  Farm farm(settings(), blobs_);
+  WorkerHello hello;
+  hello.name = "able";
+  hello.device.denoiser = "2.5.1";
+  ScriptedWorker worker, able;
+  worker.join(farm);
+  able.join_as(farm, hello);
+  ASSERT_TRUE(farm.drain("able"));
+  JobRequest denoised = request();
+  denoised.settings.denoise = Denoise::high;
+  try {
+    farm.submit(denoised);
+    ADD_FAILURE() << "nobody who takes batches can denoise";
+  } catch (const Error& error) {
+    EXPECT_THAT(error.what(), testing::HasSubstr("none of 1 workers has Open Image Denoise"));
+  }
+  // Only workers that drain: as in a farm without any, the job waits for one that joins.
+  Farm other(settings(), blobs_);
+  ScriptedWorker leaving;
+  WorkerHello unable;
+  unable.name = "unable";
+  leaving.join_as(other, unable);
+  ASSERT_TRUE(other.drain("unable"));
+  EXPECT_NO_THROW(other.submit(denoised));
+}
+
 // A batch of stage "denoise" whose picture is of this colour everywhere.
 void denoise_to(ScriptedWorker& worker, const Offered& offer, float color) {
   const std::vector<kernels::DenoiseRecord> records(offer.lease.count, {{color, color, color}, 0});
