@@ -59,17 +59,23 @@ void take_order(const pb::SubmitJobRequest& request, JobRequest& job) {
 
 }  // namespace
 
+Status FarmService::admitted(const grpc::ServerContext& context, const std::function<Status()>& answer) {
+  if (Status refused = callers_.admit(context); !refused.ok()) return refused;
+  return guarded(answer);
+}
+
 Status FarmService::MissingBlobs(grpc::ServerContext* context, const pb::MissingBlobsRequest* request,
                                  pb::MissingBlobsReply* reply) {
-  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
-  if (request->ids_size() > most_ids) return {StatusCode::INVALID_ARGUMENT, "more than 1024 ids"};
-  for (const std::string& id : request->ids()) {
-    if (!is_sha256_hex(id))
-      return {StatusCode::INVALID_ARGUMENT,
-              "blob id: expected 64 lower-case hexadecimal digits, found \"" + id.substr(0, 80) + "\""};
-    if (!blobs_.has(id)) reply->add_ids(id);
-  }
-  return Status::OK;
+  return admitted(*context, [&]() -> Status {
+    if (request->ids_size() > most_ids) return {StatusCode::INVALID_ARGUMENT, "more than 1024 ids"};
+    for (const std::string& id : request->ids()) {
+      if (!is_sha256_hex(id))
+        return {StatusCode::INVALID_ARGUMENT,
+                "blob id: expected 64 lower-case hexadecimal digits, found \"" + id.substr(0, 80) + "\""};
+      if (!blobs_.has(id)) reply->add_ids(id);
+    }
+    return Status::OK;
+  });
 }
 
 Status FarmService::UploadBlob(grpc::ServerContext* context, grpc::ServerReader<pb::UploadBlobRequest>* stream,
@@ -165,8 +171,7 @@ void FarmService::check_state(const FrameScene& scene) {
 
 Status FarmService::SubmitJob(grpc::ServerContext* context, const pb::SubmitJobRequest* request,
                               pb::SubmitJobReply* reply) {
-  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
-  return guarded([&]() -> Status {
+  return admitted(*context, [&]() -> Status {
     const pb::JobFrames frames = frames_of(*request);
     const std::uint64_t most = most_frames;
     if (static_cast<std::uint64_t>(std::max(frames.scenes_size(), frames.cameras_size())) > most)
@@ -223,38 +228,41 @@ Status FarmService::SubmitJob(grpc::ServerContext* context, const pb::SubmitJobR
 }
 
 Status FarmService::ListJobs(grpc::ServerContext* context, const pb::ListJobsRequest*, pb::ListJobsReply* reply) {
-  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
-  for (const JobStatus& status : farm_.list()) *reply->add_jobs() = to_proto(status);
-  return Status::OK;
+  return admitted(*context, [&]() -> Status {
+    for (const JobStatus& status : farm_.list()) *reply->add_jobs() = to_proto(status);
+    return Status::OK;
+  });
 }
 
 Status FarmService::GetJob(grpc::ServerContext* context, const pb::GetJobRequest* request, pb::Job* reply) {
-  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
-  auto status = farm_.status(request->job());
-  if (!status) return no_job(request->job());
-  *reply = to_proto(*status);
-  return Status::OK;
+  return admitted(*context, [&]() -> Status {
+    auto status = farm_.status(request->job());
+    if (!status) return no_job(request->job());
+    *reply = to_proto(*status);
+    return Status::OK;
+  });
 }
 
 Status FarmService::CancelJob(grpc::ServerContext* context, const pb::CancelJobRequest* request, pb::Job* reply) {
-  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
-  auto status = farm_.cancel(request->job());
-  if (!status) return no_job(request->job());
-  *reply = to_proto(*status);
-  return Status::OK;
+  return admitted(*context, [&]() -> Status {
+    auto status = farm_.cancel(request->job());
+    if (!status) return no_job(request->job());
+    *reply = to_proto(*status);
+    return Status::OK;
+  });
 }
 
 Status FarmService::PauseJob(grpc::ServerContext* context, const pb::PauseJobRequest* request, pb::Job* reply) {
-  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
-  auto status = farm_.pause(request->job(), !request->resume());
-  if (!status) return no_job(request->job());
-  *reply = to_proto(*status);
-  return Status::OK;
+  return admitted(*context, [&]() -> Status {
+    auto status = farm_.pause(request->job(), !request->resume());
+    if (!status) return no_job(request->job());
+    *reply = to_proto(*status);
+    return Status::OK;
+  });
 }
 
 Status FarmService::RetryJob(grpc::ServerContext* context, const pb::RetryJobRequest* request, pb::Job* reply) {
-  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
-  return guarded([&]() -> Status {
+  return admitted(*context, [&]() -> Status {
     auto status = farm_.retry(request->job());
     if (!status) return no_job(request->job());
     *reply = to_proto(*status);
@@ -311,8 +319,7 @@ Status FarmService::WatchEvents(grpc::ServerContext* context, const pb::WatchEve
 
 Status FarmService::GetPreview(grpc::ServerContext* context, const pb::GetPreviewRequest* request,
                                pb::GetPreviewReply* reply) {
-  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
-  return guarded([&]() -> Status {
+  return admitted(*context, [&]() -> Status {
     auto status = farm_.status(request->job());
     if (!status) return no_job(request->job());
     std::string png;
@@ -331,13 +338,12 @@ Status FarmService::GetPreview(grpc::ServerContext* context, const pb::GetPrevie
 
 Status FarmService::Session(grpc::ServerContext* context,
                             grpc::ServerReaderWriter<pb::SessionPicture, pb::SessionRequest>* stream) {
-  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
-  const Callers::Call open(callers_, *context, Callers::Call::work);  // it has seats of its own
-  const Seat seat(sessions_);
-  if (seat.before >= settings_.most_sessions)
-    return {StatusCode::RESOURCE_EXHAUSTED,
-            "this coordinator has " + std::to_string(settings_.most_sessions) + " sessions, and takes no more"};
-  return guarded([&]() -> Status {
+  return admitted(*context, [&]() -> Status {
+    const Callers::Call open(callers_, *context, Callers::Call::work);  // it has seats of its own
+    const Seat seat(sessions_);
+    if (seat.before >= settings_.most_sessions)
+      return {StatusCode::RESOURCE_EXHAUSTED,
+              "this coordinator has " + std::to_string(settings_.most_sessions) + " sessions, and takes no more"};
     pb::SessionRequest first;
     {
       SilenceWatch::Call call(silence_, *context, settings_.silent_seconds);
@@ -350,33 +356,35 @@ Status FarmService::Session(grpc::ServerContext* context,
 }
 
 Status FarmService::Why(grpc::ServerContext* context, const pb::WhyRequest* request, pb::WhyReply* reply) {
-  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
-  auto reasons = farm_.why(request->job());
-  if (!reasons) return no_job(request->job());
-  for (const std::string& reason : *reasons) reply->add_reasons(printable(reason));
-  return Status::OK;
+  return admitted(*context, [&]() -> Status {
+    auto reasons = farm_.why(request->job());
+    if (!reasons) return no_job(request->job());
+    for (const std::string& reason : *reasons) reply->add_reasons(printable(reason));
+    return Status::OK;
+  });
 }
 
 Status FarmService::ListFiles(grpc::ServerContext* context, const pb::ListFilesRequest* request,
                               pb::ListFilesReply* reply) {
-  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
-  if (!farm_.status(request->job())) return no_job(request->job());
-  for (const fs::path& path : farm_.files(request->job())) {
-    std::error_code code;
-    std::uint64_t bytes = fs::file_size(path, code);
-    if (code) continue;
-    pb::File* file = reply->add_files();
-    file->set_name(path.filename().string());
-    file->set_bytes(bytes);
-  }
-  return Status::OK;
+  return admitted(*context, [&]() -> Status {
+    if (!farm_.status(request->job())) return no_job(request->job());
+    for (const fs::path& path : farm_.files(request->job())) {
+      std::error_code code;
+      std::uint64_t bytes = fs::file_size(path, code);
+      if (code) continue;
+      pb::File* file = reply->add_files();
+      file->set_name(path.filename().string());
+      file->set_bytes(bytes);
+    }
+    return Status::OK;
+  });
 }
 
 Status FarmService::FetchFile(grpc::ServerContext* context, const pb::FetchFileRequest* request,
                               grpc::ServerWriter<pb::FetchFileReply>* stream) {
-  if (!farm_.status(request->job())) return no_job(request->job());
   Callers::Call open(callers_, *context, Callers::Call::download);
   if (!open.status().ok()) return open.status();
+  if (!farm_.status(request->job())) return no_job(request->job());
   // Only names that the job itself gave: nothing else of the disk can be asked for.
   for (const fs::path& path : farm_.files(request->job())) {
     if (path.filename() != request->name()) continue;
@@ -403,17 +411,19 @@ Status FarmService::FetchFile(grpc::ServerContext* context, const pb::FetchFileR
 
 Status FarmService::ListWorkers(grpc::ServerContext* context, const pb::ListWorkersRequest*,
                                 pb::ListWorkersReply* reply) {
-  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
-  for (const WorkerStatus& status : farm_.workers()) *reply->add_workers() = to_proto(status);
-  return Status::OK;
+  return admitted(*context, [&]() -> Status {
+    for (const WorkerStatus& status : farm_.workers()) *reply->add_workers() = to_proto(status);
+    return Status::OK;
+  });
 }
 
 Status FarmService::DrainWorker(grpc::ServerContext* context, const pb::DrainWorkerRequest* request,
                                 pb::DrainWorkerReply*) {
-  if (Status refused = callers_.admit(*context); !refused.ok()) return refused;
-  if (!farm_.drain(request->worker()))
-    return {StatusCode::NOT_FOUND, "no worker " + printable(request->worker(), most_name_bytes) + " is connected"};
-  return Status::OK;
+  return admitted(*context, [&]() -> Status {
+    if (!farm_.drain(request->worker()))
+      return {StatusCode::NOT_FOUND, "no worker " + printable(request->worker(), most_name_bytes) + " is connected"};
+    return Status::OK;
+  });
 }
 
 }  // namespace gleaner::gateway

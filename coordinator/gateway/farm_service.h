@@ -2,6 +2,7 @@
 // gleaner.v1.Farm: what people call.
 
 #include <atomic>
+#include <functional>
 #include <map>
 #include <mutex>
 #include <string>
@@ -47,6 +48,9 @@ class FarmService final : public pb::Farm::Service {
   grpc::Status ListWorkers(grpc::ServerContext*, const pb::ListWorkersRequest*, pb::ListWorkersReply*) override;
 
  private:
+  // `answer`'s, of a caller that has a request left; else RESOURCE_EXHAUSTED. What it throws becomes a status. Watches,
+  // uploads and downloads, which have shares of their own, open a Callers::Call instead.
+  grpc::Status admitted(const grpc::ServerContext& context, const std::function<grpc::Status()>& answer);
   // Throws Error::bad_input where the frame's state is none, or not one of its base.
   // What the request says of each frame, in itself or in a blob.
   pb::JobFrames frames_of(const pb::SubmitJobRequest& request);

@@ -1,12 +1,14 @@
 // How much of a coordinator one caller may have, and what becomes of the calls of one whose certificate is revoked.
 
 #include <gmock/gmock.h>
+#include <google/protobuf/descriptor.h>
 #include <gtest/gtest.h>
 
 #include <future>
 
 #include "coordinator/blobs/sha256.h"
 #include "proto/authority.h"
+#include "tests/farm/raw_call.h"
 #include "tests/farm/wire_farm.h"
 
 namespace gleaner::test {
@@ -56,6 +58,24 @@ TEST_F(Bounded, RequestsASecond) {
   EXPECT_LE(taken, 41 + 20 * seconds);
   EXPECT_TRUE(list(*inside_).ok()) << "the process itself has no bound";
   EXPECT_TRUE(eventually([&] { return list(*people_).ok(); })) << "after a while there are more";
+}
+
+// Whoever adds a method to the service need not know of this test.
+TEST_F(Bounded, EveryMethodCountsRequests) {
+  start({.requests_a_second = 0.01});  // two at once
+  const auto channel = farm_->socket_channel();
+  pb::GetJobRequest request;  // all others that name a job begin with it, too
+  request.set_job("none");
+  const auto* service = google::protobuf::DescriptorPool::generated_pool()->FindServiceByName("gleaner.v1.Farm");
+  ASSERT_NE(service, nullptr);
+  ASSERT_GT(service->method_count(), 10);
+  for (int i = 0; i < service->method_count(); ++i) {
+    const std::string method = "/gleaner.v1.Farm/" + service->method(i)->name();
+    for (int taken = 0; taken < 2; ++taken) raw_call(channel, method, request.SerializeAsString());
+    const grpc::Status third = raw_call(channel, method, request.SerializeAsString());
+    EXPECT_EQ(third.error_code(), StatusCode::RESOURCE_EXHAUSTED) << method;
+    EXPECT_THAT(third.error_message(), HasSubstr("requests a second")) << method;
+  }
 }
 
 TEST_F(Bounded, CallsThatLast) {

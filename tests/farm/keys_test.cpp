@@ -1,8 +1,6 @@
 // Who may do what: the farm's own authority, TLS with certificates on both sides, roles, revoked certificates.
 
 #include <gmock/gmock.h>
-#include <grpcpp/generic/generic_stub.h>
-#include <grpcpp/impl/codegen/proto_utils.h>
 #include <gtest/gtest.h>
 
 #include <jwt.h>
@@ -14,6 +12,7 @@
 #include "proto/authority.h"
 #include "proto/openssl_handles.h"
 #include "proto/token.h"
+#include "tests/farm/raw_call.h"
 #include "tests/farm/wire_farm.h"
 #include "worker/agent/part_server.h"
 
@@ -50,22 +49,6 @@ class Keyring : public testing::Test {
     const auto credentials = channel_credentials(keys, expected, arguments);
     return grpc::CreateCustomChannel(address, credentials, arguments);
   }
-  // Of an empty message, whatever the method takes.
-  static grpc::Status call(const std::shared_ptr<grpc::Channel>& channel, const std::string& method) {
-    grpc::GenericStub stub(channel);
-    grpc::ClientContext context;
-    context.set_deadline(std::chrono::system_clock::now() + std::chrono::seconds(10));
-    grpc::CompletionQueue queue;
-    grpc::ByteBuffer reply, empty(nullptr, 0);
-    grpc::Status status;
-    auto reader = stub.PrepareUnaryCall(&context, method, empty, &queue);
-    reader->StartCall();
-    reader->Finish(&reply, &status, nullptr);
-    void* tag = nullptr;
-    bool ok = false;
-    queue.Next(&tag, &ok);
-    return status;
-  }
   // For the caller's certificate, and not for what it asked.
   static bool refused_at_the_door(const grpc::Status& status) {
     EXPECT_NE(status.error_code(), StatusCode::UNAVAILABLE) << status.error_message();
@@ -74,7 +57,7 @@ class Keyring : public testing::Test {
             status.error_message().find("with what it shows") != std::string::npos);
   }
   static StatusCode list_jobs(const std::string& address, const Keys* keys) {
-    return call(dial(address, keys), "/gleaner.v1.Farm/ListJobs").error_code();
+    return raw_call(dial(address, keys), "/gleaner.v1.Farm/ListJobs").error_code();
   }
   static std::string complaint(const fs::path& folder) {
     try {
@@ -159,12 +142,12 @@ TEST_F(Keyring, EachCallAsksForItsRole) {
       for (int i = 0; i < descriptor->method_count(); ++i) {
         const std::string name = descriptor->name() + "/" + descriptor->method(i)->name();
         ASSERT_TRUE(needed.contains(name)) << name << ": whose call is it?";
-        const grpc::Status status = call(channel, "/gleaner.v1." + name);
+        const grpc::Status status = raw_call(channel, "/gleaner.v1." + name);
         EXPECT_EQ(refused_at_the_door(status), !may.contains(needed.at(name)))
             << name << " as " << role_name(role) << ": " << status.error_message();
       }
     }
-    EXPECT_EQ(call(channel, "/gleaner.v1.Farm/ThatIsYetToCome").error_code(),
+    EXPECT_EQ(raw_call(channel, "/gleaner.v1.Farm/ThatIsYetToCome").error_code(),
               role == Role::administer ? StatusCode::UNIMPLEMENTED : StatusCode::PERMISSION_DENIED);
   }
 }
@@ -182,7 +165,7 @@ TEST_F(Keyring, StrangersAreNotLetIn) {
   grpc::ChannelArguments arguments;
   arguments.SetSslTargetNameOverride(role_dns_name(Role::coordinate));
   const auto bare = grpc::CreateCustomChannel(address, grpc::SslCredentials({friends.authority, "", ""}), arguments);
-  EXPECT_EQ(call(bare, "/gleaner.v1.Farm/ListJobs").error_code(), StatusCode::UNAUTHENTICATED)
+  EXPECT_EQ(raw_call(bare, "/gleaner.v1.Farm/ListJobs").error_code(), StatusCode::UNAUTHENTICATED)
       << "without a certificate and without a token";
   EXPECT_EQ(list_jobs(address, &friends), StatusCode::OK);
 }
@@ -198,9 +181,9 @@ TEST_F(Keyring, RevokedCertificatesAreRefusedAtOnce) {
   WireFarm farm(64 << 20, 16, 30, coordinator());
   const Keys anna = load_keys(issue("anna", {Role::submit})), otto = load_keys(issue("otto", {Role::observe}));
   const auto channel = dial(farm.server().address(), &anna);
-  EXPECT_TRUE(call(channel, "/gleaner.v1.Farm/ListJobs").ok());
+  EXPECT_TRUE(raw_call(channel, "/gleaner.v1.Farm/ListJobs").ok());
   authority_.revoke("anna");
-  EXPECT_EQ(call(channel, "/gleaner.v1.Farm/ListJobs").error_code(), StatusCode::UNAUTHENTICATED)
+  EXPECT_EQ(raw_call(channel, "/gleaner.v1.Farm/ListJobs").error_code(), StatusCode::UNAUTHENTICATED)
       << "on a connection that is there";
   EXPECT_EQ(list_jobs(farm.server().address(), &otto), StatusCode::OK);
   authority_.revoke("otto");
@@ -210,7 +193,7 @@ TEST_F(Keyring, RevokedCertificatesAreRefusedAtOnce) {
 TEST_F(Keyring, TokensLetPeopleIn) {
   WireFarm farm(64 << 20, 16, 30, coordinator());
   const std::string& address = farm.server().address();
-  const auto status_of = [&](const Keys& keys, const char* method) { return call(dial(address, &keys), method); };
+  const auto status_of = [&](const Keys& keys, const char* method) { return raw_call(dial(address, &keys), method); };
   const Keys otto = token("otto", {Role::observe}), anna = token("anna", {Role::administer});
   EXPECT_TRUE(status_of(otto, "/gleaner.v1.Farm/ListJobs").ok());
   const grpc::Status refused = status_of(otto, "/gleaner.v1.Farm/SubmitJob");
@@ -348,7 +331,7 @@ TEST_F(Keyring, WorkersShowTheirPartsToWorkersAlone) {
   const auto keys = std::make_shared<const Keys>(load_keys(issue("w1", {Role::work})));
   const worker::PeerServer server("127.0.0.1:0", std::make_shared<worker::PartStore>(1 << 20), keys);
   const auto fetch = [&](const Keys& caller) {
-    return call(dial(server.address(), &caller, Role::work), "/gleaner.v1.WorkerPeer/FetchPart");
+    return raw_call(dial(server.address(), &caller, Role::work), "/gleaner.v1.WorkerPeer/FetchPart");
   };
   EXPECT_TRUE(refused_at_the_door(fetch(own(Role::submit))));
   EXPECT_FALSE(refused_at_the_door(fetch(own(Role::work))));
