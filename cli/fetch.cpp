@@ -3,7 +3,6 @@
 #include "cli/fetch.h"
 
 #include <CLI/CLI.hpp>
-#include <charconv>
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
@@ -13,6 +12,7 @@
 #include "cli/client.h"
 #include "cli/commands.h"
 #include "cli/status_words.h"
+#include "coordinator/jobs/frame_name.h"
 #include "scene/import/sequence.h"
 #include "scene/model/error.h"
 
@@ -47,13 +47,9 @@ void fetch_file(Client& client, const std::string& job, const std::string& name,
 // Where the farm's file "frame_0007.exr" goes.
 fs::path target_of(const FetchOptions& options, const std::string& name) {
   const fs::path file(name);
-  const std::string stem = file.stem().string(), before_number = "frame_";
-  std::uint32_t frame = 0;
-  const char* end = stem.data() + stem.size();
-  if (options.pattern.empty() || stem.rfind(before_number, 0) != 0 ||
-      std::from_chars(stem.data() + before_number.size(), end, frame).ptr != end)
-    return fs::path(options.folder) / file;
-  return fs::path(options.folder) / (scene::file_of_frame(options.pattern, frame) + file.extension().string());
+  const auto frame = coordinator::frame_of_stem(file.stem().string());
+  if (options.pattern.empty() || !frame) return fs::path(options.folder) / file;
+  return fs::path(options.folder) / (scene::file_of_frame(options.pattern, *frame) + file.extension().string());
 }
 
 // A name is a name, whatever the coordinator says.

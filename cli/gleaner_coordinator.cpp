@@ -23,6 +23,7 @@
 #include "coordinator/gateway/listener.h"
 #include "coordinator/gateway/server.h"
 #include "coordinator/jobs/farm.h"
+#include "coordinator/jobs/frame_name.h"
 #include "coordinator/journal/journal_writer.h"
 #ifdef GLEANER_POSTGRES
 #include "coordinator/journal/postgres_journal.h"
@@ -124,9 +125,7 @@ int coordinate(const CoordinatorOptions& options) {
   settings.memory_bytes =
       options.memory_gib > 0 ? static_cast<std::uint64_t>(options.memory_gib * gib) : machine_memory() / 4 * 3;
   settings.paths = [data](const std::string& job, std::uint32_t frame) {
-    char stem[32];
-    std::snprintf(stem, sizeof stem, "frame_%04u", frame);
-    fs::path base = data / "jobs" / job / stem;
+    const fs::path base = data / "jobs" / job / frame_stem(frame);
     return FramePaths{base.string() + ".exr", base.string() + ".png", base.string() + ".json"};
   };
   Farm farm(settings, blobs);

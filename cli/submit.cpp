@@ -15,6 +15,7 @@
 #include "cli/watch.h"
 #include "coordinator/blobs/sha256.h"
 #include "coordinator/gateway/convert.h"
+#include "coordinator/jobs/frame_name.h"
 #include "scene/bvh/build.h"
 #include "scene/model/names.h"
 
@@ -37,11 +38,8 @@ void check_targets(const FetchOptions& options, const scene::FrameNumbers& frame
   if (options.folder.empty()) return;
   std::vector<std::string> names;
   for (std::uint64_t i = 0; i < frames.count(); ++i)
-    for (const char* ending : {".exr", ".png", ".json"}) {
-      char name[32];
-      std::snprintf(name, sizeof name, "frame_%04u%s", frames.at(i), ending);
-      names.emplace_back(name);
-    }
+    for (const char* ending : {".exr", ".png", ".json"})
+      names.push_back(coordinator::frame_stem(frames.at(i)) + ending);
   refuse_to_overwrite(options, names);
 }
 

@@ -9,6 +9,7 @@
 
 #include <system_error>
 
+#include "coordinator/jobs/frame_name.h"
 #include "coordinator/jobs/kept_records.h"
 #include "tests/farm/scripted_farm.h"
 
@@ -126,6 +127,14 @@ class FarmJobs : public FarmEngine {
 
   PlanLog log_;
 };
+
+TEST(FrameName, IsReadAsItWasWritten) {
+  for (const std::uint32_t frame : {0u, 7u, 9999u, 10000u, 4294967295u})
+    EXPECT_EQ(frame_of_stem(frame_stem(frame)), frame);
+  EXPECT_EQ(frame_stem(7), "frame_0007");
+  for (const char* stem : {"", "frame_", "frame_7a", "frame_-1", "frame_4294967296", "shot_0007"})
+    EXPECT_EQ(frame_of_stem(stem), std::nullopt) << stem;
+}
 
 TEST_F(FarmJobs, AJobThatWaitsHasNoPlan) {
   Farm farm(counted(), blobs_);
