@@ -8,9 +8,6 @@
 #include <grpcpp/impl/codegen/proto_utils.h>
 
 #include <cstdint>
-#include <cstdlib>
-#include <filesystem>
-#include <fstream>
 #include <span>
 #include <string>
 #include <vector>
@@ -104,16 +101,6 @@ inline std::string input_of(std::uint8_t first, const std::vector<std::string>& 
     input += message;
   }
   return input;
-}
-
-// With $GLEANER_FUZZ_SEEDS the fuzzer writes these inputs into that folder, and ends.
-inline void write_seeds(const std::vector<std::string>& seeds) {
-  const char* folder = std::getenv("GLEANER_FUZZ_SEEDS");
-  if (!folder) return;
-  std::filesystem::create_directories(folder);
-  for (std::size_t i = 0; i < seeds.size(); ++i)
-    std::ofstream(std::filesystem::path(folder) / std::to_string(i), std::ios::binary) << seeds[i];
-  std::_Exit(0);
 }
 
 }  // namespace gleaner::fuzz

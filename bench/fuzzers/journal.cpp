@@ -3,7 +3,11 @@
 
 #include <unistd.h>
 
+#include <filesystem>
+#include <fstream>
+
 #include "bench/fuzzers/called_farm.h"
+#include "bench/fuzzers/seeds.h"
 #include "coordinator/jobs/request_codec.h"
 #include "coordinator/journal/journal_writer.h"
 #include "coordinator/journal/sqlite_journal.h"
@@ -62,22 +66,6 @@ JobRequest request() {
 
 std::string text_of(const Bytes& bytes) { return {reinterpret_cast<const char*>(bytes.data()), bytes.size()}; }
 
-std::vector<std::string> seeds() {
-  const std::string asked = text_of(encode_request(request())), frames = text_of(encode_frames(request()));
-  std::vector<std::string> all = {std::string(1, '\0') + asked, std::string(1, '\1') + frames,
-                                  fuzz::input_of(2, {"a", "queued", std::string(1, '\0'), asked, frames}),
-                                  fuzz::input_of(2, {"a", "failed", "why", asked, frames})};
-  const std::filesystem::path file = folder() / "seed.sqlite";
-  {
-    auto journal = open_sqlite_journal(file);
-    journal->add({.id = "a", .state = "queued", .message = {}, .request = encode_request(request())},
-                 encode_frames(request()));
-  }
-  std::ifstream in(file, std::ios::binary);
-  all.push_back(std::string(1, '\3') + std::string(std::istreambuf_iterator<char>(in), {}));
-  return all;
-}
-
 void start_farm(std::vector<std::string> words) {
   static auto* blobs = new BlobStore;
   FarmSettings settings;
@@ -105,9 +93,20 @@ void open_file(std::span<const std::uint8_t> bytes) {
 
 }  // namespace
 
-extern "C" int LLVMFuzzerInitialize(int*, char***) {
-  fuzz::write_seeds(seeds());
-  return 0;
+std::vector<std::string> fuzz::seeds() {
+  const std::string asked = text_of(encode_request(request())), frames = text_of(encode_frames(request()));
+  std::vector<std::string> all = {std::string(1, '\0') + asked, std::string(1, '\1') + frames,
+                                  fuzz::input_of(2, {"a", "queued", std::string(1, '\0'), asked, frames}),
+                                  fuzz::input_of(2, {"a", "failed", "why", asked, frames})};
+  const std::filesystem::path file = folder() / "seed.sqlite";
+  {
+    auto journal = open_sqlite_journal(file);
+    journal->add({.id = "a", .state = "queued", .message = {}, .request = encode_request(request())},
+                 encode_frames(request()));
+  }
+  std::ifstream in(file, std::ios::binary);
+  all.push_back(std::string(1, '\3') + std::string(std::istreambuf_iterator<char>(in), {}));
+  return all;
 }
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {

@@ -3,6 +3,7 @@
 #include <google/protobuf/descriptor.h>
 
 #include "bench/fuzzers/called_farm.h"
+#include "bench/fuzzers/seeds.h"
 #include "proto/sha256.h"
 
 using namespace gleaner;
@@ -25,7 +26,9 @@ const std::vector<std::string>& methods() {
   return all;
 }
 
-std::vector<std::string> seeds() {
+}  // namespace
+
+std::vector<std::string> fuzz::seeds() {
   std::vector<std::string> all;
   for (std::size_t i = 0; i < methods().size(); ++i) {
     std::vector<std::string> messages = {""};
@@ -58,13 +61,6 @@ std::vector<std::string> seeds() {
     all.push_back(fuzz::input_of(static_cast<std::uint8_t>(i), messages));
   }
   return all;
-}
-
-}  // namespace
-
-extern "C" int LLVMFuzzerInitialize(int*, char***) {
-  fuzz::write_seeds(seeds());
-  return 0;
 }
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {

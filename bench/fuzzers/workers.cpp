@@ -2,6 +2,7 @@
 // Work, whether an honest Hello comes first.
 
 #include "bench/fuzzers/called_farm.h"
+#include "bench/fuzzers/seeds.h"
 
 using namespace gleaner;
 namespace pb = gleaner::v1;
@@ -9,7 +10,16 @@ namespace pb = gleaner::v1;
 namespace {
 
 fuzz::CalledFarm& farm() {
-  static auto* called = new fuzz::CalledFarm;
+  static auto* called = [] {
+    auto* made = new fuzz::CalledFarm;
+    // There is work: leases are handed out, results may be of one.
+    coordinator::JobRequest job;
+    job.scene_name = "fake.glb";
+    job.scenes = {{made->farm().blobs().put(test::bytes_of(std::vector<int>{1, 2, 3})), {}, {}, {}}};
+    job.settings = test::fake_settings();
+    made->farm().farm().submit(job);
+    return made;
+  }();
   return *called;
 }
 
@@ -24,7 +34,9 @@ std::string hello() {
   return message.SerializeAsString();
 }
 
-std::vector<std::string> seeds() {
+}  // namespace
+
+std::vector<std::string> fuzz::seeds() {
   std::vector<std::string> all;
   pb::WorkerMessage result, failed, beat, leaving, wrong;
   result.mutable_result()->set_lease(1);
@@ -57,21 +69,6 @@ std::vector<std::string> seeds() {
        {blob.SerializeAsString(), locate.SerializeAsString(), part.SerializeAsString(), deliver.SerializeAsString()})
     all.push_back(fuzz::input_of(method++, {message}));
   return all;
-}
-
-}  // namespace
-
-extern "C" int LLVMFuzzerInitialize(int*, char***) {
-  fuzz::write_seeds(seeds());
-  // There is work: leases are handed out, results may be of one.
-  farm().farm().farm().submit([] {
-    coordinator::JobRequest job;
-    job.scene_name = "fake.glb";
-    job.scenes = {{farm().farm().blobs().put(test::bytes_of(std::vector<int>{1, 2, 3})), {}, {}, {}}};
-    job.settings = test::fake_settings();
-    return job;
-  }());
-  return 0;
 }
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
