@@ -186,6 +186,8 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   Film render_trusted(const std::shared_ptr<Frame>& frame);  // again where a liar had a part in it
   void warn(Frame& frame);                                   // mutex held; what the report's warnings say
   void reuse(Frame& frame, std::uint32_t rendered);          // what was made for the frame of that number
+  // Plan::allow(); none: there is no time limit.
+  std::optional<double> allowed_work(const Frame& frame);
   // Draws accepted batches until a stage is whole. None: the time limit has ended the frame.
   std::optional<FinishedStage> await_stage(Frame& frame);
   // Hand records to the plan: those of a streamed stage, those that the preview does not show. False: there are none.

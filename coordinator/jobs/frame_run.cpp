@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cstring>
+#include <limits>
 #include <type_traits>
 #include <utility>
 
@@ -165,7 +166,9 @@ Film Farm::Impl::render(const std::shared_ptr<Frame>& frame) {
   // What is still to come is predicted anew after each stage.
   double to_come = 0;
   const auto next_step = [&](const FinishedStage* finished) {
+    const std::optional<double> allowed = allowed_work(*frame);
     return timed([&](Plan& plan) {
+      if (allowed) plan.allow(*allowed);
       Step step = plan.next(finished);
       to_come = plan.predicted_work();
       return step;
@@ -226,6 +229,15 @@ void Farm::Impl::reuse(Frame& frame, std::uint32_t rendered) {
   std::erase_if(report.skips, [](const Skip& skip) { return skip.what == "frame"; });
   report.skips.push_back({"frame", "same scene, camera and settings as frame " + std::to_string(rendered), 1});
   frame.report = std::move(report);
+}
+
+std::optional<double> Farm::Impl::allowed_work(const Frame& frame) {
+  const double limit = frame.job->request.time_limit;
+  if (limit <= 0) return std::nullopt;
+  std::lock_guard lock(mutex);
+  const double pace = frame.progress.pace();
+  if (pace <= 0) return std::numeric_limits<double>::infinity();
+  return pace * std::max(0.0, frame.begun + limit - now());
 }
 
 std::optional<FinishedStage> Farm::Impl::await_stage(Frame& frame) {

@@ -30,4 +30,11 @@ Seconds FrameProgress::seconds_left() const {
   return done > before && until > since ? left_ * (until - since) / (done - before) : -1;
 }
 
+double FrameProgress::pace() const {
+  if (samples_.size() < 2) return 0;
+  const auto& [since, before] = samples_[samples_.size() > 2 ? 1 : 0];
+  const auto& [until, done] = samples_.back();
+  return until > since ? std::max(0.0, done - before) / (until - since) : 0;
+}
+
 }  // namespace gleaner::coordinator

@@ -23,6 +23,9 @@ class FrameProgress {
   double part() const { return part_; }
   // By the rate of the last seconds; negative: nothing is known of it.
   Seconds seconds_left() const;
+  // Work a second, of the last seconds; what came before the first result is no part of it, as programs were compiled
+  // then. 0: nothing is known of it.
+  double pace() const;
 
  private:
   Seconds window_ = 10;

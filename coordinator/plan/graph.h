@@ -13,6 +13,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <set>
 #include <span>
 #include <string>
@@ -167,6 +168,7 @@ class Graph {
 class GraphPlan : public Plan {
  public:
   Step next(const FinishedStage* finished) final;
+  void allow(double work) final { allowed_work_ = work; }
   void take(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) final {
     graph_.take(stage, first, count, records);
   }
@@ -207,7 +209,8 @@ class GraphPlan : public Plan {
   Accumulator film_;
   std::vector<Skip> skips_;
 
-  bool own_stages_asked_ = false;  // the method asks for no more stages but paths
+  std::optional<double> allowed_work_;  // that fits in what is left of a time limit; none: there is no limit
+  bool own_stages_asked_ = false;       // the method asks for no more stages but paths
 
  private:
   bool begun_ = false;

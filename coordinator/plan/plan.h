@@ -77,6 +77,10 @@ class Plan {
   // Work of the stages that next() will still ask for, as StageSpec::work counts it; a rough prediction from what is
   // known by now. Progress and the time left rest on it.
   virtual double predicted_work() const { return 0; }
+  // Of a frame with a time limit, before each next(): how much work, as StageSpec::work counts it, the farm is
+  // predicted to do in what is left of the limit. Infinity: its pace is not known yet. What a plan still chooses may
+  // follow it.
+  virtual void allow(double work) { static_cast<void>(work); }
   // What the accepted records so far say, for the live preview: adds the batch's records to `film`'s RGB.
   // Any order of batches; null film layers are made on first use. Not called for streamed stages, whose records the
   // plan has.

@@ -11,6 +11,8 @@ namespace {
 // cache leaves to paths is noisy by so much of the picture's mean.
 constexpr double kSampleError = 0.14;
 constexpr double kLeastSamples = 16, kMostSamples = 4096;
+// A time limit allows a cache as of so few samples, at least.
+constexpr double kLimitedSamples = 1, kFewerSamples = 0.8;
 
 // So is the cache where its records have a ray each, in a picture of which half the light is the cache's.
 constexpr double kRayNoise = 0.5;
@@ -34,12 +36,12 @@ std::uint32_t rays_of(double rays) {
   return static_cast<std::uint32_t>(std::lround(std::clamp(rays, kLeastRays, kMostRays)));
 }
 
-}  // namespace
+double samples_of(std::uint32_t spp, double error) {
+  return error > 0 ? std::clamp(std::pow(kSampleError / error, 2) / kPathShare, kLeastSamples, kMostSamples)
+                   : std::max(1u, spp);
+}
 
-SplatCounts choose_splat_counts(std::uint32_t spp, double error, const GivenSplatCounts& given) {
-  const double samples = error > 0
-                             ? std::clamp(std::pow(kSampleError / error, 2) / kPathShare, kLeastSamples, kMostSamples)
-                             : std::max(1u, spp);
+SplatCounts counts_of(double samples, const GivenSplatCounts& given) {
   const double squared_error = kSampleError * kSampleError / (kPathShare * samples);
   SplatCounts counts;
   counts.rays = given.rays.value_or(rays_of(kRayNoise * kRayNoise / (kNoiseShare * squared_error)));
@@ -47,6 +49,32 @@ SplatCounts choose_splat_counts(std::uint32_t spp, double error, const GivenSpla
       accuracy_of(std::sqrt(std::sqrt(kInterpolationShare * squared_error) / (kCacheShare * kInterpolation))));
   counts.points = std::bit_floor(static_cast<std::uint32_t>(std::clamp(samples, 1.0, 16.0)));
   return counts;
+}
+
+}  // namespace
+
+SplatCounts choose_splat_counts(std::uint32_t spp, double error, const GivenSplatCounts& given) {
+  return counts_of(samples_of(spp, error), given);
+}
+
+double usual_splat_records(double pixels, double accuracy) {
+  const double usual = 27 * std::pow(pixels, 0.55);
+  return accuracy > 0 ? std::min(pixels, usual * std::pow(0.15 / accuracy, 2)) : pixels;
+}
+
+SplatCounts splat_counts_within(double work, double pixels, std::uint32_t spp, double error,
+                                const GivenSplatCounts& given) {
+  double samples = samples_of(spp, error);
+  const SplatCounts asked = counts_of(samples, given);
+  SplatCounts counts = asked;
+  while (samples > kLimitedSamples && usual_splat_records(pixels, counts.accuracy) * counts.rays > work)
+    counts = counts_of(samples *= kFewerSamples, given);
+  counts.points = asked.points;
+  return counts;
+}
+
+std::uint32_t splat_rays_within(double work, double records, std::uint32_t rays) {
+  return records * rays > work ? std::min(rays, rays_of(work / records)) : rays;
 }
 
 double splat_interpolation_error(const kernels::SplatJudgeFacts& facts, double accuracy) {

@@ -25,6 +25,17 @@ struct GivenSplatCounts {
 // predicted to need for it.
 SplatCounts choose_splat_counts(std::uint32_t spp, double error, const GivenSplatCounts& given);
 
+// Records that rooms take: as cornell-box and modern-hall of 64 to 512 pixels have them. `accuracy` 0: one a pixel.
+double usual_splat_records(double pixels, double accuracy);
+
+// The same of fewer samples: as many as have a cache of no more than `work` rays in all, or
+// the coarsest one. `points` stay.
+SplatCounts splat_counts_within(double work, double pixels, std::uint32_t spp, double error,
+                                const GivenSplatCounts& given);
+
+// Rays of so many records that are no more than `work` in all, and no fewer than make a picture.
+std::uint32_t splat_rays_within(double work, double records, std::uint32_t rays);
+
 // Squared error that interpolation with this accuracy makes in the picture (a mean over pixels and channels), after a
 // look at the cache.
 double splat_interpolation_error(const kernels::SplatJudgeFacts& facts, double accuracy);

@@ -27,6 +27,11 @@ constexpr float kLeastRadius = 10, kMostRadiusOfWidth = 0.5f;
 // Pixels that a look at a cache looks at, and caches that are made for a target error, at most.
 constexpr std::uint32_t kJudgedPixels = 1024;
 constexpr unsigned kMostCaches = 2;
+// Of what a time limit leaves the cache gets so much, or all that the paths do not ask for but for a margin.
+constexpr double kCacheShareOfLimit = 0.5, kMostOfLimit = 0.9;
+// Where paths carry direct light alone, as in cornell-box, a ray of a record takes as long as so many of their samples;
+// where they carry more it takes less.
+constexpr double kRayWork = 4.5;
 // Edge of the blocks of pixels that are visited side by side, in tiles.
 constexpr std::uint32_t kBlockTiles = 2;
 // The cache's stages wait for each other, paths for nothing: these fill what the others leave free.
@@ -105,6 +110,7 @@ class SplatPlan final : public GraphPlan {
   };
 
   double own_work() const;
+  double cached_pixels() const { return static_cast<double>(cache_.points()) / cache_.samples(); }
 
   // Whether the cache is looked at before paths begin, or so that a denoiser knows what it cannot see.
   bool judges() const { return settings_.target_error > 0 || settings_.denoise != Denoise::off; }
@@ -114,6 +120,12 @@ class SplatPlan final : public GraphPlan {
   // one of the depth counts mirrors and glass before the surface as well.
   std::uint32_t free_scatterings() const { return settings_.depth ? settings_.depth - depth() : SPLAT_LEVEL; }
   void make_cache();
+  // Whether the cache follows a time limit: what other frames begin with stays as it is.
+  bool limited() const { return allowed_work_ && cameras_.empty(); }
+  std::optional<double> limited_work() const;  // rays of each cache; none: no limit, or nothing is known
+  void fit_limit();
+  void fit_rays(std::uint64_t records);
+  void tell_fewer_rays(std::uint32_t than);
   void judge(const Artifact& cache);
   void take_judgement(const Artifact& cache, const Artifact& judgement);
   double wanted_squared_error() const;  // by the samples so far
@@ -147,6 +159,7 @@ class SplatPlan final : public GraphPlan {
   Records own_;
   unsigned caches_made_ = 0;
   std::optional<SplatJudgeFacts> judged_;  // of the last cache
+  std::optional<double> planned_work_;     // limited_work() before places were chosen
   Artifact errors_known_;                  // an event, where a target error is given: paths may go on
   double wanted_squared_error_ = 0;        // of the whole picture, where one is given
   bool chosen_ = false;                    // the facts of all are known
@@ -163,11 +176,56 @@ void SplatPlan::begin() {
                 .limit = std::numeric_limits<float>::infinity(),
                 .known = errors_known_});
   missing_ = caches_lobes() ? 2 : 1;
-  if (caches_lobes()) begin_lobes();
   points_ = cache_.ask_points(graph_, "splat.points", kFirst, free_scatterings());
   before_.resize(cameras_.size());
   for (std::size_t camera = 0; camera < cameras_.size(); ++camera) extend(camera);
-  make_cache();
+  const auto make = [this] {
+    if (caches_lobes()) begin_lobes();
+    make_cache();
+  };
+  if (!limited()) return make();
+  // How fast the farm is, the first samples tell; no picture is without them.
+  graph_.when({points_, paths_.first_samples()}, [this, make] {
+    fit_limit();
+    make();
+  });
+}
+
+std::optional<double> SplatPlan::limited_work() const {
+  if (!limited() || !std::isfinite(*allowed_work_)) return std::nullopt;
+  double share = kCacheShareOfLimit * *allowed_work_;
+  if (settings_.target_error == 0) share = std::max(share, kMostOfLimit * *allowed_work_ - paths_.predicted_work());
+  return std::max(0.0, share - cache_.work()) / kRayWork / (caches_lobes() ? 2 : 1);
+}
+
+// Before places are chosen.
+void SplatPlan::fit_limit() {
+  const std::optional<double> work = planned_work_ = limited_work();
+  if (!work) return;
+  const double accuracy = splat_.accuracy;
+  const std::uint32_t rays = splat_.rays;
+  static_cast<SplatCounts&>(splat_) = splat_counts_within(
+      *work, cached_pixels(), PixelCache::samples_of_records(settings_), settings_.target_error, splat_.given);
+  if (splat_.accuracy > accuracy)
+    skips_.push_back({"a finer cache", "the time limit leaves less for it than --spp or --target-error ask for", 1});
+  tell_fewer_rays(rays);
+}
+
+// Once they are known.
+void SplatPlan::fit_rays(std::uint64_t records) {
+  std::optional<double> work = limited_work();
+  if (!work || splat_.given.rays) return;
+  // Nothing but one worker chose places meanwhile, and the farm looks slower than it is.
+  if (planned_work_) work = std::min(*planned_work_, *allowed_work_ / kRayWork);
+  const std::uint32_t rays = splat_.rays;
+  splat_.rays = splat_rays_within(*work, static_cast<double>(records), rays);
+  tell_fewer_rays(rays);
+}
+
+void SplatPlan::tell_fewer_rays(std::uint32_t than) {
+  strata_ = strata_of(splat_.rays);
+  if (splat_.rays == than) return;
+  skips_.push_back({"rays of each record", "the time limit leaves no time for them", than - splat_.rays});
 }
 
 void SplatPlan::make_cache() {
@@ -235,7 +293,11 @@ double SplatPlan::wanted_squared_error() const {
 std::optional<SplatCounts> SplatPlan::better_counts() const {
   if (!settings_.target_error || !cameras_.empty() || caches_made_ == kMostCaches || splat_.records)
     return std::nullopt;
-  return better_splat_counts(splat_, *judged_, wanted_squared_error(), splat_.given);
+  std::optional<SplatCounts> better = better_splat_counts(splat_, *judged_, wanted_squared_error(), splat_.given);
+  const std::optional<double> work = limited_work();
+  if (better && work && usual_splat_records(cached_pixels(), better->accuracy) * better->rays > *work)
+    return std::nullopt;
+  return better;
 }
 
 // Both caches' light is one pass.
@@ -255,17 +317,10 @@ void SplatPlan::begin_lobes() {
                [this](const std::vector<float>& picture) { add_light(picture); });
 }
 
-// Records before they are chosen, as cornell-box and modern-hall of 64 to 512 pixels have them.
-double usual_records(double pixels, double accuracy) {
-  const double usual = 27 * std::pow(pixels, 0.55);
-  return accuracy > 0 ? std::min(pixels, usual * std::pow(0.15 / accuracy, 2)) : pixels;
-}
-
 double SplatPlan::own_work() const {
   if (!caches()) return 0;
-  const double records = chosen_
-                             ? static_cast<double>(own_.facts.records)
-                             : usual_records(static_cast<double>(cache_.points()) / cache_.samples(), splat_.accuracy);
+  const double records =
+      chosen_ ? static_cast<double>(own_.facts.records) : usual_splat_records(cached_pixels(), splat_.accuracy);
   return cache_.work() + records * strata_.count();
 }
 
@@ -340,6 +395,7 @@ void SplatPlan::take_places(Records& records, std::uint64_t given, const std::st
                                  std::to_string(records.places.record_count()) + " places");
   const std::uint64_t added = facts.records - facts.given;
   if (added == 0) return;
+  if (&records == &own_) fit_rays(added);
   SplatGatherParameters p = gather_parameters(added);
   p.first_place = low(facts.given);
   StageSpec spec = PixelCache::gathering(gather, "splat_gather", kFirst, added, strata_);

@@ -479,6 +479,35 @@ TEST_F(FarmEngine, ATimeLimitEndsTheFrameWithWhatThereIs) {
   EXPECT_EQ(report(farm, job)["time_limit"]["reached"], false);
 }
 
+// As much work as the pace so far does in the seconds that are left.
+TEST_F(FarmEngine, APlanKnowsWhatItsTimeLimitAllows) {
+  std::atomic<double> time{0};
+  FarmSettings farm_settings = settings(128);
+  farm_settings.clock = [&] { return time.load(); };
+  farm_settings.silence = farm_settings.scheduler.lease_floor = 1e9;
+  Farm farm(farm_settings, blobs_);
+  ScriptedWorker worker;
+  worker.join(farm);
+  JobRequest limited = request();
+  limited.time_limit = 1000;
+  const std::string job = farm.submit(limited);
+  for (int batch = 0; batch < 20; ++batch) {  // 16 of the first stage
+    auto offer = worker.next();
+    ASSERT_TRUE(offer);
+    if (batch < 16) time = time + 10;
+    EXPECT_EQ(worker.deliver(*offer, worker.compute(*offer, blobs_)), Verdict::accepted);
+  }
+  ASSERT_EQ(end_of(farm, job).state, JobState::done);
+  const auto allowed = report(farm, job)["parameters"]["allowed"];
+  ASSERT_EQ(allowed.size(), 3u);
+  EXPECT_EQ(allowed[0], -1) << "nothing is known yet";
+  EXPECT_NEAR(allowed[1].get<double>(), 128 / 10.0 * (1000 - 160), 1e-3);
+  const std::string other = farm.submit(request());
+  serve(farm, worker, other);
+  ASSERT_EQ(end_of(farm, other).state, JobState::done);
+  EXPECT_EQ(report(farm, other)["parameters"]["allowed"].size(), 0u) << "without a limit it is not asked";
+}
+
 TEST_F(FarmEngine, StreamedRecordsReachThePlanInItemOrderWhateverOrderTheyArriveIn) {
   FarmSettings many = settings(128);
   many.scheduler.in_flight = 16;
@@ -656,6 +685,16 @@ TEST(FrameProgress, NeverRunsBackwards) {
   // Only the last seconds count.
   for (int second = 104; second <= 140; ++second) progress.update(second, 150 + 0.1 * (second - 103), 50);
   EXPECT_NEAR(progress.seconds_left(), 500, 60);
+}
+
+TEST(FrameProgress, KnowsItsPace) {
+  FrameProgress progress(100);
+  EXPECT_EQ(progress.pace(), 0) << "nothing is known yet";
+  progress.update(108, 10, 90);  // programs were compiled until then
+  progress.update(109, 40, 60);
+  EXPECT_NEAR(progress.pace(), 30, 1e-9);
+  progress.update(110, 60, 40);
+  EXPECT_NEAR(progress.pace(), 25, 1e-9);
 }
 
 TEST_F(FarmEngine, NamesAreUniqueAmongWhoIsThere) {

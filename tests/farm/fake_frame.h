@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <chrono>
+#include <cmath>
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
@@ -159,7 +160,13 @@ class FakePlan final : public coordinator::Plan {
     const auto warning = settings_.set.find("warn");
     return warning == settings_.set.end() ? std::vector<std::string>{} : std::vector<std::string>{warning->second};
   }
-  std::string parameters_json() const override { return R"({"fake": true})"; }
+  void allow(double work) override { allowed_.push_back(std::isfinite(work) ? work : -1); }
+  // With what the time limit allows at each step (-1: not known).
+  std::string parameters_json() const override {
+    std::string allowed;
+    for (const double work : allowed_) allowed += (allowed.empty() ? "" : ", ") + std::to_string(work);
+    return R"({"fake": true, "allowed": [)" + allowed + "]}";
+  }
   std::vector<std::string> outline() const override { return {"scatter", "gather"}; }
 
  private:
@@ -180,6 +187,7 @@ class FakePlan final : public coordinator::Plan {
   Film film_;
   std::uint64_t taken_ = 0;  // items of a streamed "gather"
   bool asked_for_all_ = false;
+  std::vector<double> allowed_;
 };
 
 inline std::uint64_t check_fake_settings(const coordinator::FrameSettings& settings, const coordinator::SceneSummary&) {

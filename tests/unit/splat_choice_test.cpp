@@ -5,6 +5,13 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstring>
+#include <deque>
+#include <limits>
+#include <optional>
+
+#include "coordinator/plan/graph.h"
+#include "scene/library/library.h"
 
 namespace gleaner::coordinator {
 namespace {
@@ -72,6 +79,90 @@ TEST(SplatChoice, InterpolationIsNeverWithoutError) {
   EXPECT_NEAR(splat_interpolation_error(facts, 0.6) / usual, 16, 1e-9);
   facts.spread = 3 * usual;
   EXPECT_NEAR(splat_interpolation_error(facts, 0.3), 3 * usual, 1e-12);
+}
+
+TEST(SplatChoice, CountsKeepWithinWork) {
+  const double pixels = 128 * 128;
+  const SplatCounts asked = choose_splat_counts(1024, 0, {});
+  const SplatCounts free = splat_counts_within(1e12, pixels, 1024, 0, {});
+  EXPECT_EQ(free.rays, asked.rays);
+  EXPECT_EQ(free.accuracy, asked.accuracy);
+  double last = 1e12;
+  for (const double work : {1e7, 1e6, 1e5}) {
+    const SplatCounts counts = splat_counts_within(work, pixels, 1024, 0, {});
+    const double rays = usual_splat_records(pixels, counts.accuracy) * counts.rays;
+    EXPECT_LE(rays, work);
+    EXPECT_GT(rays, work / 2) << "no less than it may";
+    EXPECT_LT(rays, last);
+    EXPECT_EQ(counts.points, asked.points);
+    last = rays;
+  }
+  const SplatCounts coarsest = splat_counts_within(0, pixels, 1024, 0, {});
+  EXPECT_EQ(coarsest.rays, 64u) << "it ends, and is a cache";
+  const SplatCounts given = splat_counts_within(0, pixels, 1024, 0, {.accuracy = 0.1, .rays = 500});
+  EXPECT_EQ(given.rays, 500u) << "what is set stays";
+  EXPECT_EQ(given.accuracy, 0.1);
+  EXPECT_EQ(splat_rays_within(1e6, 2000, 1000), 500u);
+  EXPECT_EQ(splat_rays_within(1e6, 2000, 100), 100u);
+  EXPECT_EQ(splat_rays_within(1e6, 1e6, 100), 64u);
+}
+
+// What the plan asks for once the first samples and points are there, and 2,000 places are chosen.
+struct AskedCache {
+  float accuracy = 0;
+  std::uint32_t rays = 0;
+};
+
+AskedCache asked_cache(const FrameSettings& settings, std::optional<double> allowed) {
+  const auto plan = make_plan(settings, summarize(scene::make_scene("cornell-box")));
+  AskedCache asked;
+  const auto next = [&](const FinishedStage* finished) {
+    if (allowed) plan->allow(finished ? *allowed : std::numeric_limits<double>::infinity());
+    return plan->next(finished);
+  };
+  Step step = next(nullptr);
+  std::deque<StageSpec> waiting(step.stages.begin(), step.stages.end());
+  while (!waiting.empty() && !asked.rays) {
+    const StageSpec stage = waiting.front();
+    waiting.pop_front();
+    FinishedStage finished{stage.name, nullptr, stage.items, {}};
+    if (stage.output.placement == Placement::stream)
+      plan->take(stage.name, 0, stage.items, Bytes(stage.items * stage.output.record_bytes));
+    if (stage.kind == "splat_select") {
+      kernels::SplatSelectParameters p;
+      std::memcpy(&p, stage.parameters.data(), sizeof p);
+      asked.accuracy = p.accuracy;
+      finished.record_count = 2000;
+      finished.facts = bytes_of(kernels::SplatSelectFacts{.points = 9000, .records = 2000, .accuracy = p.accuracy});
+    } else if (stage.kind == "splat_gather") {
+      kernels::SplatGatherParameters p;
+      std::memcpy(&p, stage.parameters.data(), sizeof p);
+      asked.rays = p.polar * p.azimuthal;
+    }
+    if (asked.rays) break;
+    step = next(&finished);
+    waiting.insert(waiting.end(), step.stages.begin(), step.stages.end());
+  }
+  return asked;
+}
+
+TEST(SplatChoice, TheCacheFollowsATimeLimit) {
+  FrameSettings settings;
+  settings.method = "splat";
+  settings.width = settings.height = 128;
+  settings.spp = 1024;
+  const AskedCache free = asked_cache(settings, {}), wide = asked_cache(settings, 1e12),
+                   unknown = asked_cache(settings, std::numeric_limits<double>::infinity()),
+                   narrow = asked_cache(settings, 1e7), none = asked_cache(settings, 0);
+  EXPECT_NEAR(free.rays, 4096, 64);
+  for (const AskedCache& same : {wide, unknown}) {
+    EXPECT_EQ(same.rays, free.rays);
+    EXPECT_EQ(same.accuracy, free.accuracy);
+  }
+  EXPECT_GT(narrow.accuracy, free.accuracy);
+  EXPECT_LT(2000.0 * narrow.rays, 1e7 / 4) << "a ray takes longer than a path's sample";
+  EXPECT_GT(narrow.rays, none.rays);
+  EXPECT_EQ(none.rays, 64u);
 }
 
 }  // namespace
