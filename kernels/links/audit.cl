@@ -12,6 +12,7 @@
 // Rays are as many as a vertex has, of the same kind: what elements send to both halves differs by a vertex' noise.
 #include "kernels/links/light_sample.h"
 #include "kernels/links/ray.h"
+#include "kernels/lost_samples.h"
 #include "kernels/vpl_records.h"
 
 // Numbers of a ray: RGB of what elements send, and of what the hit sends by their indirect light.
@@ -103,8 +104,7 @@ FN uint audit_means(global const float* seen, global const float* slots, uint di
   for (uint r = 0; r < directions; ++r) {
     global const float* row = seen + SEEN_WORDS * r;
     global const float* slot = slots + SLOT_WORDS * r;
-    int fine = 1;
-    for (uint k = 0; k < 3u; ++k) fine = fine && fabs(slot[k]) <= 3.402823466e38f;
+    int fine = finite_words(slot, 3u);
     for (uint k = 0; k < 3u && fine; ++k) {
       means[k] += row[k];
       means[3u + k] += row[3u + k] + slot[k];
@@ -137,9 +137,5 @@ kernel void links_audit_sum(global const LinksParameters* restrict parameters, u
       record[AUDIT_HALVES + 3u * h + k] = exists ? factor * means[3u + k] : 0.0f;
     }
   }
-  if (lost) {
-    atomic_add(report, lost);
-    uint at = atomic_inc(report + 1);
-    if (at < REPORTED_ITEMS) report[2 + at] = number;
-  }
+  report_lost(report, number, lost);
 }

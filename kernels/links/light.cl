@@ -9,6 +9,7 @@
 // The points are spread over the one-ring as the paper's 1:4 oversampling has them: divided once, the small triangle at
 // the vertex holds half of the samples, its neighbours the rest.
 #include "kernels/links/light_sample.h"
+#include "kernels/lost_samples.h"
 #include "kernels/wide.h"
 
 // Sample s of element first + e is number e * samples + s of `count`, which is its slot.
@@ -55,8 +56,7 @@ kernel void links_light_sum(global const LinksParameters* restrict parameters, u
   float sum[3] = {0, 0, 0};
   for (uint s = 0; s < samples; ++s) {
     global const float* slot = slots + (ulong)SLOT_WORDS * (element * samples + s);
-    int fine = 1;
-    for (uint k = 0; k < 3u; ++k) fine = fine && fabs(slot[k]) <= 3.402823466e38f;
+    int fine = finite_words(slot, 3u);
     for (uint k = 0; k < 3u && fine; ++k) sum[k] += slot[k];
     lost += fine ? 0u : 1u;
   }
@@ -66,9 +66,5 @@ kernel void links_light_sum(global const LinksParameters* restrict parameters, u
     record[RADIOSITY_IRRADIANCE + k] = light;
     record[RADIOSITY_SENT + k] = light * albedo[ALBEDO_WORDS * element + k];
   }
-  if (lost) {
-    atomic_add(report, lost);
-    uint at = atomic_inc(report + 1);
-    if (at < REPORTED_ITEMS) report[2 + at] = element;
-  }
+  report_lost(report, element, lost);
 }

@@ -4,6 +4,7 @@
 //   links_interpolate                        irradiance between the vertices about it, times its albedo over pi
 //   links_resolve                            a pixel's samples -> its record
 #include "kernels/links/mesh.h"
+#include "kernels/lost_samples.h"
 #include "kernels/vpl_records.h"
 #include "kernels/wide.h"
 
@@ -53,10 +54,6 @@ kernel void links_resolve(uint samples, uint count, global const float* restrict
   }
   int fine = 1;
   for (uint k = 0; k < 3u; ++k) fine = fine && fabs(sum[k]) <= 3.402823466e38f;
-  if (!fine) {
-    atomic_add(report, samples);
-    uint at = atomic_inc(report + 1);
-    if (at < REPORTED_ITEMS) report[2 + at] = item;
-  }
+  report_lost(report, item, fine ? 0u : samples);
   for (uint k = 0; k < 3u; ++k) records[3u * item + k] = fine ? sum[k] / (float)samples : 0.0f;
 }

@@ -15,6 +15,7 @@
 #define POINTS_WITHIN_SOLIDS
 
 #include "kernels/camera.h"
+#include "kernels/lost_samples.h"
 #include "kernels/photon/layer.h"
 #include "kernels/transport/surface_points.h"
 #include "kernels/wide.h"
@@ -145,15 +146,11 @@ kernel void photon_caustics_resolve(global const float* restrict radiance, uint 
   uint lost = 0u;
   for (uint s = 0; s < samples; ++s) {
     global const float* one = radiance + 3u * (item * samples + s);
-    if (fabs(one[0]) <= 3.402823466e38f && fabs(one[1]) <= 3.402823466e38f && fabs(one[2]) <= 3.402823466e38f)
+    if (finite_words(one, 3u))
       for (uint k = 0; k < 3u; ++k) sum[k] += one[k];
     else
       ++lost;
   }
   for (uint k = 0; k < 3u; ++k) records[3u * item + k] = sum[k] / (float)samples;
-  if (lost) {
-    atomic_add(report, lost);
-    uint at = atomic_inc(report + 1);
-    if (at < REPORTED_ITEMS) report[2 + at] = item;
-  }
+  report_lost(report, item, lost);
 }

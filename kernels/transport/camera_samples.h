@@ -11,6 +11,7 @@
 #define GLEANER_KERNELS_TRANSPORT_CAMERA_SAMPLES_H
 
 #include "kernels/camera.h"
+#include "kernels/lost_samples.h"
 #include "kernels/path_filter.h"
 #include "kernels/path_records.h"
 #include "kernels/wide.h"
@@ -151,9 +152,7 @@ kernel void camera_resolve(global const PathParameters* restrict parameters, uin
   uint lost = 0;
   for (uint s = 0; s < used; ++s) {
     global const float* slot = slots + (ulong)SLOT_WORDS * (item * samples + s);
-    int fine = 1;
-    for (uint k = 0; k < SUMS; ++k) fine = fine && fabs(slot[k]) <= 3.402823466e38f;
-    if (fine)
+    if (finite_words(slot, SUMS))
       for (uint k = 0; k < SUMS; ++k) sum[k] += slot[k];
     else
       ++lost;
@@ -169,11 +168,7 @@ kernel void camera_resolve(global const PathParameters* restrict parameters, uin
   }
   // What the partner lacks stands last.
   for (uint k = 6u; k < SUMS; ++k) record[words - SUMS + k] = sum[k];
-  if (lost) {
-    atomic_add(report, lost);
-    uint at = atomic_inc(report + 1);
-    if (at < REPORTED_ITEMS) report[2 + at] = item;
-  }
+  report_lost(report, item, lost);
 }
 
 #endif

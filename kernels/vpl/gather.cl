@@ -14,6 +14,7 @@
 #define SAME_SURFACE 0.25f
 
 #include "kernels/cluster_grid.h"
+#include "kernels/lost_samples.h"
 #include "kernels/vpl/lobes.h"
 #include "kernels/vpl/memberships.h"
 #include "kernels/wide.h"
@@ -240,10 +241,6 @@ kernel void vpl_resolve(global const VplPointParameters* restrict parameters, ui
     fine = fine && fabs(all) <= 3.402823466e38f;
     sum[k] = all > 0.0f ? all : 0.0f;
   }
-  if (!fine) {
-    atomic_add(report, samples);
-    uint at = atomic_inc(report + 1);
-    if (at < REPORTED_ITEMS) report[2 + at] = item;
-  }
+  report_lost(report, item, fine ? 0u : samples);
   for (uint k = 0; k < 3; ++k) records[3 * item + k] = fine ? sum[k] : 0.0f;
 }
