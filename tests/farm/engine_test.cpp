@@ -428,9 +428,7 @@ TEST_F(FarmEngine, TheLastFrameNumbersEnd) {
 
 TEST_F(FarmEngine, ATimeLimitEndsTheFrameWithWhatThereIs) {
   std::atomic<double> time{0};
-  FarmSettings farm_settings = settings(128);
-  farm_settings.clock = [&] { return time.load(); };
-  farm_settings.silence = farm_settings.scheduler.lease_floor = 1e9;
+  FarmSettings farm_settings = timed_settings(time, 128);
   Farm farm(farm_settings, blobs_);
   ScriptedWorker worker;
   worker.join(farm);
@@ -482,9 +480,7 @@ TEST_F(FarmEngine, ATimeLimitEndsTheFrameWithWhatThereIs) {
 // As much work as the pace so far does in the seconds that are left.
 TEST_F(FarmEngine, APlanKnowsWhatItsTimeLimitAllows) {
   std::atomic<double> time{0};
-  FarmSettings farm_settings = settings(128);
-  farm_settings.clock = [&] { return time.load(); };
-  farm_settings.silence = farm_settings.scheduler.lease_floor = 1e9;
+  FarmSettings farm_settings = timed_settings(time, 128);
   Farm farm(farm_settings, blobs_);
   ScriptedWorker worker;
   worker.join(farm);
@@ -587,9 +583,7 @@ TEST_F(FarmEngine, ReleasedArtifactsAreFreedWhileTheFrameRuns) {
 
 TEST_F(FarmEngine, EachFramesTimeLimitRunsFromItsOwnStart) {
   std::atomic<double> time{0};
-  FarmSettings farm_settings = settings(2048);
-  farm_settings.clock = [&] { return time.load(); };
-  farm_settings.silence = farm_settings.scheduler.lease_floor = 1e9;
+  FarmSettings farm_settings = timed_settings(time, 2048);
   farm_settings.active_jobs = 1;
   Farm farm(farm_settings, blobs_);
   ScriptedWorker worker;
@@ -633,9 +627,7 @@ TEST_F(FarmEngine, WhatAPlanWarnsOfIsToldToPeople) {
 
 TEST_F(FarmEngine, ProgressCountsStagesAndFramesToCome) {
   std::atomic<double> time{0};
-  FarmSettings farm_settings = settings();
-  farm_settings.clock = [&] { return time.load(); };
-  farm_settings.silence = farm_settings.scheduler.lease_floor = 1e9;
+  FarmSettings farm_settings = timed_settings(time);
   Farm farm(farm_settings, blobs_);
   ScriptedWorker worker;
   worker.join(farm);

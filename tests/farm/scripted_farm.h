@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <atomic>
 #include <fstream>
 #include <nlohmann/json.hpp>
 
@@ -91,6 +92,14 @@ class FarmEngine : public testing::Test {
       return FramePaths{stem + ".exr", stem + ".png", stem + ".json"};
     };
     farm_settings.log = [](const std::string&) {};
+    return farm_settings;
+  }
+
+  // The same by a clock that stands still but for the test: nobody is silent for too long.
+  FarmSettings timed_settings(const std::atomic<double>& time, std::uint64_t batch_items = 256) {
+    FarmSettings farm_settings = settings(batch_items);
+    farm_settings.clock = [&time] { return time.load(); };
+    farm_settings.silence = farm_settings.scheduler.lease_floor = 1e9;
     return farm_settings;
   }
 
