@@ -30,6 +30,7 @@ bool same_picture(const JobRequest& request, std::uint64_t a, std::uint64_t b) {
 FrameSettings settings_of(const JobRequest& request, std::uint64_t place) {
   FrameSettings settings = request.settings;
   if (!request.cameras.empty()) settings.camera = request.cameras[place];
+  settings.limited = request.time_limit > 0;
   return settings;
 }
 

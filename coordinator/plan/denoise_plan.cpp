@@ -1,5 +1,6 @@
 #include "coordinator/plan/denoise_plan.h"
 
+#include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <utility>
@@ -100,10 +101,11 @@ void DenoisePlan::take(const std::string& stage, std::uint64_t first, std::uint6
   method_->take(stage, first, count, records);
 }
 
-double DenoisePlan::predicted_work() const {
-  if (film_) return 0;
-  return method_->predicted_work() + kWorkAPixel * settings_.width * settings_.height;
-}
+double DenoisePlan::own_work() const { return kWorkAPixel * settings_.width * settings_.height; }
+
+double DenoisePlan::predicted_work() const { return film_ ? 0 : method_->predicted_work() + own_work(); }
+
+void DenoisePlan::allow(double work) { method_->allow(std::max(0.0, work - own_work())); }
 
 void DenoisePlan::preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) {
   if (!film_) method_->preview(stage, first, count, records);

@@ -26,7 +26,7 @@ class DenoisePlan final : public Plan {
   Step next(const FinishedStage* finished) override;
   void take(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override;
   double predicted_work() const override;
-  void allow(double work) override { method_->allow(work); }
+  void allow(double work) override;
   void preview(const std::string& stage, std::uint64_t first, std::uint64_t count, const Bytes& records) override;
   Film preview_film(bool guides = false) const override;
   // What there is of the samples is denoised all the same.
@@ -42,6 +42,7 @@ class DenoisePlan final : public Plan {
 
  private:
   Step ask();
+  double own_work() const;
 
   FrameSettings settings_;
   std::unique_ptr<Plan> method_;

@@ -59,7 +59,7 @@ LinksSettings read_settings(const FrameSettings& settings, double triangles) {
   links.given = {.vertices = whole_setting(settings, "links.vertices"),
                  .directions = whole_setting(settings, "links.directions"),
                  .light_samples = whole_setting(settings, "links.light_samples")};
-  const std::uint32_t spp = settings.looks.empty() ? settings.spp : kSessionSamples;
+  const std::uint32_t spp = settings.looks.empty() ? settings.method_spp() : kSessionSamples;
   static_cast<LinksCounts&>(links) = choose_links_counts(triangles, std::uint64_t{settings.width} * settings.height,
                                                          spp, settings.target_error, links.given);
   links.bounces = whole_setting(settings, "links.bounces").value_or(0);
@@ -396,7 +396,7 @@ VplPointParameters LinksPlan::point_parameters() const {
   p.camera = settings_.camera;
   p.width = settings_.width;
   p.height = settings_.height;
-  p.samples = std::min(std::bit_floor(settings_.spp), kMostShadeSamples);
+  p.samples = std::min(std::bit_floor(settings_.planned_spp()), kMostShadeSamples);
   p.seed_low = low(settings_.seed);
   p.seed_high = high(settings_.seed);
   p.items_low = static_cast<std::uint32_t>(pixels());

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstring>
 #include <nlohmann/json.hpp>
+#include <numeric>
 
 #include "coordinator/plan/allocation.h"
 #include "coordinator/plan/denoise_plan.h"
@@ -30,6 +31,23 @@ constexpr int kNoiseRadius = 3;
 // The budget in quarters: two chunks for every pixel first (the least that shows a variance), then as the noise asks.
 std::uint32_t chunk_samples(std::uint32_t spp) {
   return std::clamp<std::uint32_t>(std::bit_floor(std::max(1u, spp / 4)), 1, GLEANER_PATH_MAX_ITEM_SAMPLES);
+}
+
+// Chunk after chunk of one pixel, then of the next.
+void list_by_pixel(const Allocation& given, PathItem* item) {
+  for (std::uint32_t pixel = 0; pixel < given.more.size(); ++pixel)
+    for (std::uint32_t k = 0; k < given.more[pixel]; ++k) *item++ = {pixel, given.chunks[pixel] + k};
+}
+
+// A chunk for each pixel that gets one, then a further one and so on: however much of the list a time limit leaves, it
+// is spread over the picture.
+void list_in_rounds(const Allocation& given, PathItem* item) {
+  std::vector<std::uint32_t> pixels(given.more.size());
+  std::iota(pixels.begin(), pixels.end(), 0u);
+  for (std::uint32_t round = 0; !pixels.empty(); ++round) {
+    std::erase_if(pixels, [&](std::uint32_t pixel) { return given.more[pixel] <= round; });
+    for (const std::uint32_t pixel : pixels) *item++ = {pixel, given.chunks[pixel] + round};
+  }
 }
 
 // One item's record, of which some words may be missing: those stay 0.
@@ -59,10 +77,10 @@ PathSampler::PathSampler(Graph& graph, Accumulator& film, const FrameSettings& s
       film_(film),
       settings_(settings),
       program_(std::move(program)),
-      chunk_samples_(chunk_samples(settings.spp)),
-      first_chunks_(std::min<std::uint32_t>(2, settings.spp / chunk_samples_)) {
+      chunk_samples_(chunk_samples(settings.planned_spp())),
+      first_chunks_(std::min<std::uint32_t>(2, settings.planned_spp() / chunk_samples_)) {
   if (settings.target_error > 0) {
-    chunk_samples_ = 16;
+    chunk_samples_ = settings.fitting_spp ? std::min(16u, chunk_samples_) : 16;
     first_chunks_ = 2;
   }
 }
@@ -70,6 +88,8 @@ PathSampler::PathSampler(Graph& graph, Accumulator& film, const FrameSettings& s
 std::uint64_t PathSampler::budget() const {
   return pixels() * (settings_.target_error > 0 ? kMostSamplesForTarget : settings_.spp);
 }
+
+std::uint64_t PathSampler::planned() const { return std::min(budget(), pixels() * settings_.planned_spp()); }
 
 std::uint32_t PathSampler::samples_of(const Asked& asked, std::uint64_t item) const {
   return item + 1 == asked.items ? asked.last_item_samples : chunk_samples_;
@@ -153,11 +173,9 @@ void PathSampler::spend(std::uint64_t samples) {
     noise.mean = std::vector<float>();
     denoised_error_ = std::vector<float>();
   }
-  const auto [more, used] = allocate_by_noise(std::move(noise), items, kNoiseRadius);
+  const Allocation given = allocate_by_noise(std::move(noise), items, kNoiseRadius);
   auto list = std::make_shared<Bytes>(items * sizeof(PathItem));
-  auto* item = reinterpret_cast<PathItem*>(list->data());
-  for (std::uint32_t pixel = 0; pixel < more.size(); ++pixel)
-    for (std::uint32_t k = 0; k < more[pixel]; ++k) *item++ = {pixel, used[pixel] + k};
+  (settings_.limited ? list_in_rounds : list_by_pixel)(given, reinterpret_cast<PathItem*>(list->data()));
   ask({.artifact = {},
        .items = items,
        .features = false,
@@ -238,13 +256,19 @@ void PathSampler::continue_or_end() {
     const auto look = [this] { settings_.denoise == Denoise::off ? reach_for_target() : ask_judgement(); };
     return complement_.known ? graph_.when({complement_.known}, look) : look();
   }
-  const std::uint64_t left = budget() - spent_;
-  done_ = left == 0;
+  done_ = spent_ == budget();
   if (done_) return program_.inputs.clear();
+  graph_.when_released([this] { spend(next_samples()); });
+}
+
+std::uint64_t PathSampler::next_samples() const {
+  // The time limit is further away than was predicted: on in small steps.
+  if (spent_ >= planned()) return std::min(budget() - spent_, std::max(planned() / 4, pixels() * chunk_samples_));
+  const std::uint64_t left = planned() - spent_;
   // A first look at two chunks is a noisy guide for a long way: half now, and the rest once more is known. Not for a
   // few chunks: each stage ends with workers waiting for the last.
   const bool halves = stages_.size() == 1 && left >= pixels() * chunk_samples_ * 2;
-  graph_.when_released([this, samples = halves ? left / 2 : left] { spend(samples); });
+  return halves ? left / 2 : left;
 }
 
 bool PathSampler::conclude(const std::vector<CutStage>& cut, std::vector<Skip>& skips) {
@@ -266,7 +290,7 @@ bool PathSampler::conclude(const std::vector<CutStage>& cut, std::vector<Skip>& 
 
 double PathSampler::predicted_work() const {
   if (done_) return 0;
-  const std::uint64_t all = settings_.target_error > 0 ? target_samples_ : budget();
+  const std::uint64_t all = settings_.target_error > 0 ? target_samples_ : planned();
   return static_cast<double>(all - std::min(all, spent_));
 }
 
@@ -274,6 +298,7 @@ nlohmann::json PathSampler::parameters() const {
   nlohmann::json json = {{"spp", settings_.spp},          {"depth", settings_.depth},
                          {"seed", settings_.seed},        {"samples_per_chunk", chunk_samples_},
                          {"first_chunks", first_chunks_}, {"samples", spent_}};
+  if (settings_.fitting_spp) json["planned_spp"] = settings_.fitting_spp;
   if (settings_.target_error > 0) json["target_error"] = settings_.target_error;
   return json;
 }

@@ -75,7 +75,9 @@ class PathSampler {
   };
 
   std::uint64_t pixels() const { return std::uint64_t{settings_.width} * settings_.height; }
-  std::uint64_t budget() const;  // samples in all, at most
+  std::uint64_t budget() const;        // samples in all, at most
+  std::uint64_t planned() const;       // that a time limit is predicted to allow, or all
+  std::uint64_t next_samples() const;  // of the next stage, where there is no target error
   std::uint32_t samples_of(const Asked& asked, std::uint64_t item) const;
   std::uint64_t samples_of(const Asked& asked, const ItemRange& range) const;
   std::size_t record_bytes(const Asked& asked) const;

@@ -60,9 +60,9 @@ PhotonSettings read_settings(const FrameSettings& settings) {
   };
   PhotonSettings p{chosen(PixelCache::samples_of_records(settings)), 1,
                    real_setting(settings, "photon.radius").value_or(0)};
-  p.passes = chosen(settings.spp).passes;  // which nothing is shared of
+  p.passes = chosen(settings.planned_spp()).passes;  // which nothing is shared of
   // As many places of caustics in a pixel as samples, but a few of each pass.
-  p.samples = std::bit_floor(std::clamp<std::uint32_t>(settings.spp / std::max(1u, p.passes), 1, 16));
+  p.samples = std::bit_floor(std::clamp<std::uint32_t>(settings.planned_spp() / std::max(1u, p.passes), 1, 16));
   return p;
 }
 
@@ -209,7 +209,7 @@ PhotonPlan::PhotonPlan(const FrameSettings& settings, const SceneSummary& scene)
       sharp_(has_sharp_parts(scene.needs)),
       most_radius_(photon_.radius > 0 ? photon_.radius : kMostRadius * diagonal_of(scene.bounds)),
       paths_(graph_, film_, settings),
-      cache_(settings, settings.spp),
+      cache_(settings, settings.method_spp()),
       strata_(strata_of(std::max(1u, photon_.rays))),
       // As many clusters as points are no clusters.
       cameras_(has_clusters() && photon_.clusters < pixels() ? PixelCache::begins_with(settings)

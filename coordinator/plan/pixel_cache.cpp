@@ -96,7 +96,7 @@ const std::vector<scene::Camera>& PixelCache::begins_with(const FrameSettings& s
 }
 
 std::uint32_t PixelCache::samples_of_records(const FrameSettings& settings) {
-  return settings.looks.empty() ? settings.spp : kSessionSamples;
+  return settings.looks.empty() ? settings.method_spp() : kSessionSamples;
 }
 
 SplatPointParameters PixelCache::camera_point_parameters(const scene::Camera& camera, std::size_t number,

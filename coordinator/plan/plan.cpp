@@ -4,6 +4,7 @@
 
 #include "coordinator/film/accumulator.h"
 #include "coordinator/plan/denoise_plan.h"
+#include "coordinator/plan/limited_plan.h"
 #include "coordinator/plan/methods.h"
 #include "scene/model/error.h"
 
@@ -71,7 +72,9 @@ std::uint64_t predicted_memory(const FrameSettings& given, const SceneSummary&) 
 
 std::unique_ptr<Plan> make_plan(const FrameSettings& given, const SceneSummary& scene) {
   const FrameSettings settings = checked(given);
-  std::unique_ptr<Plan> plan = method_of(settings.method).make(settings, scene);
+  const auto make = method_of(settings.method).make;
+  std::unique_ptr<Plan> plan =
+      settings.limited ? std::make_unique<LimitedPlan>(settings, scene, make) : make(settings, scene);
   return settings.denoise == Denoise::off ? std::move(plan)
                                           : std::make_unique<DenoisePlan>(settings, scene, std::move(plan));
 }

@@ -62,6 +62,15 @@ struct FrameSettings {
   double target_error = 0;  // 0 = none
   Denoise denoise = Denoise::off;
   std::map<std::string, std::string> set;  // --set KEY=VALUE
+  bool limited = false;                    // a time limit may end the frame before all is done
+  // Of `spp`, what the time limit is predicted to leave time for; 0: all.
+  std::uint32_t fitting_spp = 0;
+
+  // Samples of a pixel that the frame is planned for. There may be more in the end, never more than `spp`.
+  std::uint32_t planned_spp() const { return fitting_spp ? fitting_spp : spp; }
+  // The same for what a method makes beside the samples. What other pictures share is made for `spp`, for it must not
+  // depend on how fast the farm was.
+  std::uint32_t method_spp() const { return trajectory.empty() && looks.empty() ? planned_spp() : spp; }
 };
 
 class Plan {

@@ -216,7 +216,7 @@ double VplPlan::own_work() const {
   const double traced = passes * VplWork::path * light_paths_;
   // A pilot chooses counts that are worth as much work as the paths, but takes no fewer VPLs than these.
   if (vpl_.piloted && !prediction_)
-    return traced + static_cast<double>(pixels()) * settings_.spp + passes * VplWork::light * kLeastChosen;
+    return traced + static_cast<double>(pixels()) * settings_.method_spp() + passes * VplWork::light * kLeastChosen;
   const double kept = vpl_.count, lights = vpl_.clusters ? std::min(vpl_.clusters, vpl_.count) : vpl_.count;
   const double of_pass =
       (lights < kept ? VplWork::light * kept : 0) + VplWork::pair * lights * vpl_.point_clusters + shade_work(lights);
@@ -581,7 +581,7 @@ void VplPlan::choose(const VplPilotFacts& facts) {
   VplTarget target;
   target.pixels = static_cast<double>(pixels());
   target.points = points_parameters().items_low;
-  target.spp = settings_.spp;
+  target.spp = settings_.method_spp();
   target.error = settings_.target_error;
   target.made = low(drawn.made);
   target.samples = vpl_.samples;

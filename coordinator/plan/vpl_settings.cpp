@@ -53,9 +53,9 @@ VplSettings make_vpl_settings(const FrameSettings& settings) {
   const auto real = [&](const char* name, double usual) { return real_setting(settings, name).value_or(usual); };
   const auto flag = [&](const char* name, bool usual) { return flag_setting(settings, name).value_or(usual); };
   const double pixels = static_cast<double>(settings.width) * settings.height;
-  vpl.samples = std::min<std::uint32_t>(std::bit_floor(settings.spp), 16);
+  vpl.samples = std::min<std::uint32_t>(std::bit_floor(settings.method_spp()), 16);
   // Measured on the Cornell box and on sponza: a second pass pays once the paths have some 64 samples a pixel.
-  vpl.passes = whole("vpl.passes", std::clamp<std::uint32_t>(settings.spp / 64, 1, 64));
+  vpl.passes = whole("vpl.passes", std::clamp<std::uint32_t>(settings.method_spp() / 64, 1, 64));
   vpl.count = whole("vpl.count", 16000);
   vpl.clusters = whole("vpl.clusters", std::min(1536u, vpl.count));
   vpl.point_clusters = whole("vpl.point_clusters", static_cast<std::uint32_t>(std::clamp(pixels / 80, 256.0, 20000.0)));
@@ -71,7 +71,7 @@ VplSettings make_vpl_settings(const FrameSettings& settings) {
   // What a few samples leave of noise, clusters' errors of a tenth of it do not show in. Who sets all counts is after
   // their error: on white-room 0.02 brings it below 8 % of the mean with the counts of the paper, 0.1 leaves 13 %.
   vpl.residual_threshold =
-      real("vpl.residual_threshold", counts_given ? 0.02 : std::clamp(1.6 / settings.spp, 0.02, 0.2));
+      real("vpl.residual_threshold", counts_given ? 0.02 : std::clamp(1.6 / settings.method_spp(), 0.02, 0.2));
   // Measured on cornell-box, sponza-dabrovic and white-room: 3 to 10 % of the rays, no error that shows.
   vpl.contribution_cutoff = real("vpl.contribution_cutoff", 0.05);
   vpl.clamp = real("vpl.clamp", 0.05);
