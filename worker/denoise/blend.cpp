@@ -28,29 +28,47 @@ std::vector<float> gaussian(double sigma) {
   return weights;
 }
 
-// Along one axis of `length` places, each of `size` values that lie together: place i becomes the weighted mean of its
-// neighbours that exist.
-void smooth_axis(float* values, std::size_t length, std::size_t size, const std::vector<float>& weights, Plane& from) {
+// For each of `length` places, the sum of the weights of its neighbours that exist.
+Plane sums_of_weights(std::size_t length, const std::vector<float>& weights) {
   const std::size_t radius = weights.size() / 2;
-  from.assign(values, values + length * size);
-  for (std::size_t i = 0; i < length; ++i) {
-    float* const to = values + i * size;
-    std::fill_n(to, size, 0.0f);
-    float whole = 0;
-    for (std::size_t k = i < radius ? 0 : i - radius; k <= std::min(length - 1, i + radius); ++k) {
-      const float weight = weights[k + radius - i];
-      whole += weight;
-      for (std::size_t x = 0; x < size; ++x) to[x] += weight * from[k * size + x];
-    }
-    for (std::size_t x = 0; x < size; ++x) to[x] /= whole;
-  }
+  Plane sums(length);
+  for (std::size_t i = 0; i < length; ++i)
+    for (std::size_t k = i < radius ? 0 : i - radius; k <= std::min(length - 1, i + radius); ++k)
+      sums[i] += weights[k + radius - i];
+  return sums;
 }
 
+// Adds `weight` times the values that lie `step` behind (before, where it is negative) each place, where there are
+// some.
+void add_shifted(float* to, const float* from, std::size_t length, std::ptrdiff_t step, float weight) {
+  const auto end = static_cast<std::ptrdiff_t>(length);
+  for (std::ptrdiff_t i = std::max<std::ptrdiff_t>(0, -step); i < std::min(end, end - step); ++i)
+    to[i] += weight * from[i + step];
+}
+
+// Each pixel becomes the weighted mean of its neighbours that exist.
 void smooth(Plane& plane, std::uint32_t width, std::uint32_t height, double sigma) {
   const std::vector<float> weights = gaussian(sigma);
-  Plane from;
-  for (std::uint32_t y = 0; y < height; ++y) smooth_axis(&plane[std::size_t{y} * width], width, 1, weights, from);
-  smooth_axis(plane.data(), height, width, weights, from);
+  const auto radius = static_cast<std::ptrdiff_t>(weights.size() / 2);
+  const Plane in_row = sums_of_weights(width, weights), in_column = sums_of_weights(height, weights);
+  const auto weight = [&](std::ptrdiff_t step) { return weights[static_cast<std::size_t>(step + radius)]; };
+  Plane from(plane.size());
+  from.swap(plane);
+  for (std::uint32_t y = 0; y < height; ++y) {
+    const std::size_t row = std::size_t{y} * width;
+    for (std::ptrdiff_t step = -radius; step <= radius; ++step)
+      add_shifted(&plane[row], &from[row], width, step, weight(step));
+    for (std::uint32_t x = 0; x < width; ++x) plane[row + x] /= in_row[x];
+  }
+  from.assign(plane.size(), 0);
+  from.swap(plane);
+  for (std::ptrdiff_t y = 0; y < height; ++y) {
+    float* const row = &plane[static_cast<std::size_t>(y) * width];
+    for (std::ptrdiff_t k = std::max<std::ptrdiff_t>(0, y - radius);
+         k <= std::min<std::ptrdiff_t>(height - 1, y + radius); ++k)
+      add_shifted(row, &from[static_cast<std::size_t>(k) * width], width, 0, weight(k - y));
+    for (std::uint32_t x = 0; x < width; ++x) row[x] /= in_column[static_cast<std::size_t>(y)];
+  }
 }
 
 // Estimates without bias, each by itself as noisy as a pixel: squared error of the denoised picture and of the raw one,
