@@ -154,6 +154,12 @@ struct SplatMergeParameters {
 };
 static_assert(sizeof(SplatMergeParameters) == 8);
 
+// Stage kind "splat_smooth" (input "cache"); solo. One item: the same records, each blended with its neighbours.
+struct SplatSmoothParameters {
+  std::uint32_t reserved[2] = {};
+};
+static_assert(sizeof(SplatSmoothParameters) == 8);
+
 // Stage kind "splat_judge" (inputs "points" and "cache"); solo. One item, no records: what a look at a cache tells.
 struct SplatJudgeParameters {
   std::uint32_t samples = 0;  // as SplatPointParameters

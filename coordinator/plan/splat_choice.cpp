@@ -14,8 +14,9 @@ constexpr double kLeastSamples = 16, kMostSamples = 4096;
 // A time limit allows a cache as of so few samples, at least.
 constexpr double kLimitedSamples = 1, kFewerSamples = 0.8;
 
-// So is the cache where its records have a ray each, in a picture of which half the light is the cache's.
-constexpr double kRayNoise = 0.5;
+// So is the cache where its records have a ray each and are smoothed, in a picture of which half the light is the
+// cache's.
+constexpr double kRayNoise = 0.4;
 constexpr double kLeastRays = 64, kMostRays = 4096;
 // Interpolation is off by so much of the cache's light with an accuracy of 1; by the square of less.
 constexpr double kInterpolation = 0.34, kCacheShare = 0.5;

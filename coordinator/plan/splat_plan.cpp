@@ -40,6 +40,7 @@ constexpr int kFirst = 1;
 struct SplatSettings : SplatCounts {
   GivenSplatCounts given;
   std::uint32_t bounces, records, order;  // records: new ones, at most
+  bool smooth;
 };
 
 SplatSettings read_settings(const FrameSettings& settings) {
@@ -51,6 +52,7 @@ SplatSettings read_settings(const FrameSettings& settings) {
   s.bounces = whole_setting(settings, "splat.bounces").value_or(0);
   s.records = whole_setting(settings, "splat.new_records").value_or(0);
   s.order = whole_setting(settings, "splat.order").value_or(0);
+  s.smooth = flag_setting(settings, "splat.smooth").value_or(true);
   return s;
 }
 
@@ -139,7 +141,9 @@ class SplatPlan final : public GraphPlan {
   SplatGatherParameters gather_parameters(std::uint64_t records) const;
   Artifact ask_places();
   void take_places(Records& records, std::uint64_t given, const std::string& gather);
+  StageSpec of_all_records(const std::string& name, const char* kind) const;
   Artifact ask_merge();
+  Artifact ask_smoothing(const Artifact& cache);
   void shade(const Artifact& cache);
   void begin_lobes();
   void add_light(const std::vector<float>& picture);
@@ -241,10 +245,9 @@ void SplatPlan::make_cache() {
       if (errors_known_) graph_.announce(errors_known_);
       add_light({});
       own_stages_asked_ = true;
-    } else if (judges()) {
-      judge(ask_merge());
     } else {
-      shade(ask_merge());
+      const Artifact cache = ask_smoothing(ask_merge());
+      judges() ? judge(cache) : shade(cache);
     }
   });
 }
@@ -410,17 +413,28 @@ Artifact SplatPlan::ask_merge() {
   for (const Records& records : before_)
     if (records.gathered) inputs.push_back({numbered("records", inputs.size() - 1), records.gathered});
   if (own_.gathered) inputs.push_back({numbered("records", inputs.size() - 1), own_.gathered});
-  return graph_.add({.name = "splat.merge",
-                     .kind = "splat_merge",
-                     .items = 1,
-                     .solo = true,
-                     .scene_parts = kNoScene,
-                     .priority = kFirst,
-                     .output = {.record_bytes = CACHE_WORDS * 4,
-                                .counted = true,
-                                .most_records = low(own_.facts.records),
-                                .placement = Placement::retain}},
+  return graph_.add(of_all_records("splat.merge", "splat_merge"),
                     SplatMergeParameters{.records = low(own_.facts.records)}, std::move(inputs));
+}
+
+StageSpec SplatPlan::of_all_records(const std::string& name, const char* kind) const {
+  return {.name = name,
+          .kind = kind,
+          .items = 1,
+          .solo = true,
+          .scene_parts = kNoScene,
+          .priority = kFirst,
+          .output = {.record_bytes = CACHE_WORDS * 4,
+                     .counted = true,
+                     .most_records = low(own_.facts.records),
+                     .placement = Placement::retain}};
+}
+
+// A record at every point is asked for to see what it gathered.
+Artifact SplatPlan::ask_smoothing(const Artifact& cache) {
+  if (!splat_.smooth || splat_.accuracy == 0) return cache;
+  return graph_.add(of_all_records(of_this_cache("splat.smooth"), "splat_smooth"), SplatSmoothParameters{},
+                    {{"cache", cache}});
 }
 
 void SplatPlan::shade(const Artifact& cache) {
@@ -484,6 +498,8 @@ std::vector<std::string> SplatPlan::outline() const {
     lines.push_back("splat.select: where records are needed, solo");
     lines.push_back("splat.gather: light from " + std::to_string(strata_.count()) +
                     " directions at each record, split");
+    if (splat_.smooth && splat_.accuracy > 0)
+      lines.push_back("splat.smooth: records blended with their neighbours, as far as they are noisy, solo");
     if (judges()) lines.push_back("splat.judge: how far the cache is off, from itself, solo");
     lines.push_back("splat.shade: " + std::to_string(cache_.tiles()) + " tiles lit by the records near them, split");
     if (caches_lobes())
@@ -517,6 +533,9 @@ Method splat_method() {
           {"splat.gather_rays", whole, 0, SPLAT_MOST_RAYS / 2, "*",
            "rays of each record; 0: no cache, paths find all light"},
           {"splat.bounces", whole, 0, 1024, "0", "bounces of the cache's light; 0: until Russian roulette ends it"},
+          {"splat.smooth", flag, 0, 1, "1",
+           "1: each record takes part of what its neighbours say of its place, as far as records are noisy; 0: none "
+           "does"},
           {"splat.new_records", whole, 0, 1u << 24, "0",
            "new records of a frame, at most, beside those it begins with: the accuracy is coarsened until they "
            "suffice, "

@@ -7,7 +7,7 @@
 #include <optional>
 
 #include "scene/model/error.h"
-#include "worker/stages/splat/scalar.h"
+#include "worker/stages/splat/reading.h"
 #include "worker/stages/splat/stages.h"
 #include "worker/wavefront/input_rows.h"
 
@@ -17,9 +17,9 @@ namespace {
 // Points of each pixel that is looked at.
 constexpr std::uint32_t kAskedSamples = 4;
 
-using Color = std::array<double, 3>;
+using splat::Color;
 
-// What records say of a place, by eq. 1 and 8, as kernels/splat/shade.cl has it.
+// What records say of a place together.
 struct Reading {
   Color light{};   // irradiance
   Color noise{};   // of it: half the difference between halves of the records' rays
@@ -35,33 +35,17 @@ class Reader {
     Reading sum;
     Color squares{}, noises{}, weighed{};
     double weights = 0;
-    for (std::size_t k = 0; k < records_.size(); ++k) {
-      const CacheRecord& r = records_[k];
-      const float x = p[0] - r.position[0], y = p[1] - r.position[1], z = p[2] - r.position[2];
-      const float reach = r.accuracy * r.radius * (1 + SPLAT_SLACK);
-      if (!(x * x + y * y + z * z <= reach * reach)) continue;
-      const std::array<float, 3>& m = r.normal;
-      const float error = splat::splat_error(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], r.radius);
-      if (error > r.accuracy * (1 + SPLAT_SLACK) ||
-          splat::splat_is_hidden(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], SPLAT_MOST_DEPTH))
-        continue;
-      const float least = 1 / r.accuracy;
-      const double weight = std::max(1 / error - least, SPLAT_SLACK * least);
-      const std::array<double, 3> turn = {double{m[1]} * n[2] - double{m[2]} * n[1],
-                                          double{m[2]} * n[0] - double{m[0]} * n[2],
-                                          double{m[0]} * n[1] - double{m[1]} * n[0]};
+    for (const CacheRecord& record : records_) {
+      const double weight = splat::record_weight(record, p, n);
+      if (!(weight > 0)) continue;
+      const Color light = splat::record_light(record, p, n), noise = splat::record_noise(record);
       for (std::size_t c = 0; c < 3; ++c) {
-        const auto along = [c](const std::array<float, 9>& gradient, double a, double b, double d) {
-          return a * gradient[3 * c] + b * gradient[3 * c + 1] + d * gradient[3 * c + 2];
-        };
-        const double light =
-            r.irradiance[c] + along(r.rotation, turn[0], turn[1], turn[2]) + along(r.translation, x, y, z);
-        const double shown = std::max(light, 0.0), noise = double{r.noise()} * r.irradiance[c];
+        const double shown = std::max(light[c], 0.0);
         sum.light[c] += weight * shown;
-        sum.noise[c] += weight * noise;
+        sum.noise[c] += weight * noise[c];
         squares[c] += weight * shown * shown;
-        noises[c] += weight * noise * noise;
-        weighed[c] += weight * weight * noise * noise;
+        noises[c] += weight * noise[c] * noise[c];
+        weighed[c] += weight * weight * noise[c] * noise[c];
       }
       weights += weight;
     }
@@ -125,11 +109,8 @@ BatchResult judge_splat_cache(const StageTask& task) {
   std::memcpy(&p, task.parameters.data(), sizeof p);
   if (p.samples == 0 || p.samples > SPLAT_MOST_SAMPLES)
     throw Error::bad_input("stage splat_judge", "samples", "1 to 16", std::to_string(p.samples));
-  const InputRows cache(task, "cache", sizeof(CacheRecord));
-  std::vector<CacheRecord> records(cache.rows());
-  cache.visit(0, cache.rows(), [&](std::uint64_t first, std::span<const std::byte> piece) {
-    std::memcpy(&records[first], piece.data(), piece.size());
-  });
+  std::vector<CacheRecord> records;
+  append_records(task, "cache", records);
   const InputRows input(task, "points", sizeof(SplatPoint));
   const std::uint64_t pixels = input.rows() / p.samples, looked_at = std::min<std::uint64_t>(pixels, p.pixels);
   const std::uint32_t samples = std::min(p.samples, kAskedSamples);

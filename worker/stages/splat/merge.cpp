@@ -13,9 +13,8 @@
 #include "worker/wavefront/input_rows.h"
 
 namespace gleaner::worker {
-namespace {
 
-void append(const StageTask& task, const std::string& name, std::vector<CacheRecord>& records) {
+void append_records(const StageTask& task, const std::string& name, std::vector<CacheRecord>& records) {
   const InputRows input(task, name, sizeof(CacheRecord));
   const std::size_t before = records.size();
   records.resize(before + input.rows());
@@ -23,8 +22,6 @@ void append(const StageTask& task, const std::string& name, std::vector<CacheRec
     std::memcpy(&records[before + first], piece.data(), piece.size());
   });
 }
-
-}  // namespace
 
 BatchResult merge_splat_records(const StageTask& task) {
   kernels::SplatMergeParameters p;
@@ -34,7 +31,7 @@ BatchResult merge_splat_records(const StageTask& task) {
   std::memcpy(&p, task.parameters.data(), sizeof p);
   std::vector<CacheRecord> records;
   for (unsigned part = 0; task.inputs.contains("records." + std::to_string(part)); ++part)
-    append(task, "records." + std::to_string(part), records);
+    append_records(task, "records." + std::to_string(part), records);
   const InputRows places(task, "places", sizeof(SplatPoint));
   places.expect_rows(records.size());
   if (records.size() != p.records)

@@ -2,6 +2,9 @@
 // Stage kinds of radiance cache splatting (kernels/splat/). Each throws Error::bad_input on a malformed task,
 // cl::Error, Error::failed.
 
+#include <string>
+#include <vector>
+
 #include "worker/stages/splat/points.h"
 #include "worker/stages/stage.h"
 
@@ -13,9 +16,12 @@ BatchResult run_splat_extend_stage(const StageRun& run);
 BatchResult run_splat_gather_stage(const StageRun& run);
 BatchResult merge_splat_records(const StageTask& task);
 BatchResult judge_splat_cache(const StageTask& task);
+BatchResult smooth_splat_records(const StageTask& task);
 BatchResult run_splat_lobe_gather_stage(const StageRun& run);
 BatchResult run_splat_shade_stage(const StageRun& run);
 
+// Adds the records of an input to the others.
+void append_records(const StageTask& task, const std::string& name, std::vector<CacheRecord>& records);
 // Throws Error::bad_input for a number of samples of a pixel that is out of range.
 void check_splat_samples(const StageRun& run, std::uint32_t samples);
 // For an order of hemispherical harmonics that is out of range.

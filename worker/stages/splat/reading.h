@@ -1,0 +1,52 @@
+#pragma once
+// What records of a cache say of a place, on the host (Gautron et al. 2005, eq. 1, 2 and 8), as kernels/splat/shade.cl
+// has it.
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+
+#include "worker/stages/splat/points.h"
+#include "worker/stages/splat/scalar.h"
+
+namespace gleaner::worker::splat {
+
+using Color = std::array<double, 3>;
+
+// w - 1 / a at a place of normal n; 0: the record does not reach there. `stretch`: how many times as far as a picture
+// lets it.
+inline double record_weight(const CacheRecord& record, const std::array<float, 3>& p, const std::array<float, 3>& n,
+                            float stretch = 1) {
+  const float x = p[0] - record.position[0], y = p[1] - record.position[1], z = p[2] - record.position[2];
+  const float accuracy = stretch * record.accuracy, most = accuracy * (1 + SPLAT_SLACK), reach = most * record.radius;
+  if (!(x * x + y * y + z * z <= reach * reach)) return 0;
+  const std::array<float, 3>& m = record.normal;
+  const float error = splat_error(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], record.radius);
+  if (error > most || splat_is_hidden(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], SPLAT_MOST_DEPTH)) return 0;
+  const float least = 1 / accuracy;
+  return std::max(1 / error - least, SPLAT_SLACK * least);
+}
+
+// E' by the record's gradients, W/m^2; below 0 where they carry it too far.
+inline Color record_light(const CacheRecord& record, const std::array<float, 3>& p, const std::array<float, 3>& n) {
+  const std::array<float, 3>& m = record.normal;
+  Color light{};
+  for (std::size_t c = 0; c < 3; ++c) {
+    light[c] = record.irradiance[c];
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::size_t i = (k + 1) % 3, j = (k + 2) % 3;
+      light[c] += (double{m[i]} * n[j] - double{m[j]} * n[i]) * record.rotation[3 * c + k] +
+                  (double{p[k]} - record.position[k]) * record.translation[3 * c + k];
+    }
+  }
+  return light;
+}
+
+// Of what it says, as large as its noise, and of a sign of its own.
+inline Color record_noise(const CacheRecord& record) {
+  Color noise{};
+  for (std::size_t c = 0; c < 3; ++c) noise[c] = double{record.noise()} * record.irradiance[c];
+  return noise;
+}
+
+}  // namespace gleaner::worker::splat
