@@ -105,6 +105,16 @@ TEST(SplatSmooth, ASingleBrightRecordIsTakenBack) {
   EXPECT_LT(worker::smooth_cache(records)[odd].irradiance[0], 1.7 * truth);
 }
 
+// Light that falls on one record alone, and that both halves of its rays have seen.
+TEST(SplatSmooth, ASingleBrightRecordOfLittleNoiseStays) {
+  auto records = records_of(smooth_field, 0.05);
+  const std::size_t odd = 40 * 20 + 20;
+  for (float& light : records[odd].irradiance) light *= 3;
+  records[odd].spare[0] = 0.01f;
+  const double truth = smooth_field(records[odd].position[0], records[odd].position[1]);
+  EXPECT_GT(worker::smooth_cache(records)[odd].irradiance[0], 2.7 * truth);
+}
+
 // What lies in the mirror's depth, or on the other side of a wall, is no neighbour.
 TEST(SplatSmooth, OtherLevelsAndSidesAreNoNeighbours) {
   auto near = records_of(smooth_field, 0.1);
