@@ -100,7 +100,9 @@ GLEANER_SIZE(LinksParameters, 32);
 
 // Stage kind "links_make" (inputs "mesh", "probe"): an element's links, counted words: n elements, then n weights, two
 // to a word (the first in the low half) in units of 1 / 65535, or as floats. A weight is the share of the element's
-// cosine- weighted hemisphere in which it sees the other, at most 1 in sum.
+// cosine-weighted hemisphere in which it sees the other, at most 1 in sum. Ends are numbered front sides first, then
+// back sides: most vertices are seen from one side alone, and what a bounce looks up then lies closely.
+#define LINK_END(element, vertices) (((element) >> 1) + ((element)&1u) * (vertices))
 
 // Stage kinds "links_light" (inputs "mesh", "albedo": own items) and "links_gather" (inputs "links", "light", "albedo":
 // own items; "radiosity": whole): rows of RADIOSITY_WORDS.

@@ -30,7 +30,7 @@ kernel WIDE void links_hits(SCENE_PARAMETERS, global const uint* restrict mesh, 
   Mesh m = load_mesh(mesh);
   SeenElements seen = seen_elements(scene, &m, probe, rays, block, hit);
   for (uint k = 0; k < 3u; ++k) {
-    scatter_u(ends + k, to, seen.element[k]);
+    scatter_u(ends + k, to, LINK_END(seen.element[k], m.elements >> 1));
     scatter_f(weights + k, to, seen.weight[k]);
   }
 }

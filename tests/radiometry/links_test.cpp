@@ -530,7 +530,17 @@ TEST(Links, RefusesWhatIsOutOfRange) {
   refused("links.make", "mesh", rings + 1, 0);
   refused("links.make", "mesh", corners + CORNER_TRIANGLE, word(mesh, MESH_TRIANGLES));
   refused("links.make", "mesh", corners + CORNER_PLACE, CORNER_KINDS << 24);
-  refused("links.gather.1", "links", 0, elements);
+  // The first link of an element, which is read with 15 others, and the last.
+  std::uint32_t at = 0, most = 0;
+  for (const std::uint32_t words : {made.results.at("links.make").counts[0], made.results.at("links.make").counts[1]}) {
+    const std::uint32_t links = 2 * words / 3;
+    for (const std::uint32_t link : {0u, links - 1})
+      if (links) refused("links.gather.1", "links", at + link, elements);
+    at += words;
+    most = std::max(most, links);
+  }
+  EXPECT_GT(most % 16, 0u);
+  EXPECT_GT(most, 16u);
   refused("links.audit", nullptr, 1, 100);
   refused("links.audit", "points", POINT_TRIANGLE, word(mesh, MESH_TRIANGLES));
   refused("links.audit_points", nullptr, offsetof(kernels::VplPointParameters, points) / 4, 3);

@@ -45,11 +45,11 @@ cl::Buffer own_rows(const StageRun& run, cl::CommandQueue& queue, const char* na
 }
 
 // Of rows of RADIOSITY_WORDS what is looked up over links: what elements send, without the rest of their rows, which is
-// as much again.
+// as much again, by the numbers of links' ends. `rows`: of the elements from `first` on, of so many vertices.
 constexpr std::size_t kRowBytes = RADIOSITY_WORDS * 4, kSentBytes = (RADIOSITY_WORDS - RADIOSITY_SENT) * 4;
-void copy_sent(std::span<const std::byte> rows, std::byte* to) {
-  for (std::size_t at = 0; at < rows.size(); at += kRowBytes, to += kSentBytes)
-    std::memcpy(to, &rows[at + std::size_t{RADIOSITY_SENT} * 4], kSentBytes);
+void copy_sent(std::span<const std::byte> rows, std::uint64_t first, std::uint64_t vertices, std::byte* sent) {
+  for (std::size_t at = 0; at < rows.size(); at += kRowBytes, ++first)
+    std::memcpy(sent + LINK_END(first, vertices) * kSentBytes, &rows[at + std::size_t{RADIOSITY_SENT} * 4], kSentBytes);
 }
 
 cl::Buffer sent_by_all(const StageRun& run, cl::CommandQueue& queue, const char* name, std::uint64_t elements) {
@@ -59,7 +59,7 @@ cl::Buffer sent_by_all(const StageRun& run, cl::CommandQueue& queue, const char*
   auto* out = static_cast<std::byte*>(
       queue.enqueueMapBuffer(buffer, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, elements * kSentBytes));
   rows.visit(0, elements,
-             [&](std::uint64_t row, std::span<const std::byte> bytes) { copy_sent(bytes, out + row * kSentBytes); });
+             [&](std::uint64_t row, std::span<const std::byte> bytes) { copy_sent(bytes, row, elements / 2, out); });
   queue.enqueueUnmapMemObject(buffer, out);
   queue.finish();
   return buffer;
@@ -185,9 +185,10 @@ namespace {
 
 // What all elements send after a bounce, for the next one.
 void send(cl::CommandQueue& queue, const scene::Bytes& rows, const cl::Buffer& sent) {
+  const std::uint64_t elements = rows.size() / kRowBytes;
   auto* out = static_cast<std::byte*>(
-      queue.enqueueMapBuffer(sent, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, rows.size() / kRowBytes * kSentBytes));
-  copy_sent(rows, out);
+      queue.enqueueMapBuffer(sent, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, elements * kSentBytes));
+  copy_sent(rows, 0, elements / 2, out);
   queue.enqueueUnmapMemObject(sent, out);
   queue.finish();
 }
