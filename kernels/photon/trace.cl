@@ -6,6 +6,7 @@
 //     photon_trace_step  at a surface with a broad part: store a photon of the arriving flux
 //                        scatter with Russian roulette                              (kernels/transport/scattering.h)
 //                        class <- which part of the surface scattered it            (kernels/transport/parts.h)
+//     pack_paths         where many paths have ended                            (kernels/transport/pack_paths.h)
 //   until no path is left
 //
 // A path that arrives more often than it has slots keeps a random choice of its photons (reservoir sampling: Vitter
@@ -14,6 +15,7 @@
 #include "kernels/photon/pack.h"
 #include "kernels/photon_records.h"
 #include "kernels/transport/light_paths.h"
+#include "kernels/transport/pack_paths.h"
 #include "kernels/transport/parts.h"
 #include "kernels/wide.h"
 
@@ -65,8 +67,8 @@ FN LightPath load_light_path(global const float* paths, uint block, vu meta) {
 }
 
 // Adds power to a path's balance.
-FN void add_balance(global float* balance, uint count, vu slot, uint word, v3 power, vi active) {
-  vu at = pick_u((vu)count, slot, active) * BALANCE_WORDS + word;
+FN void add_balance(global float* balance, uint slots, vu slot, uint word, v3 power, vi active) {
+  vu at = pick_u((vu)slots, slot, active) * BALANCE_WORDS + word;
   scatter3(balance, at, add3(gather3(balance, at), power));
 }
 
@@ -85,7 +87,7 @@ FN vi stores_photon(const Vertex* v, const LightPath* p, global const PhotonTrac
 }
 
 // One photon a lane; how many photons the path has left goes to `arrivals`.
-FN void store_photon(global float* records, global uint* arrivals, uint count, LightPath* p, const Vertex* v,
+FN void store_photon(global float* records, global uint* arrivals, uint slots, LightPath* p, const Vertex* v,
                      v3 geometric, vf weight, vi stores) {
   // The place of the j-th: below it at random, and lost where that is no slot.
   vu random = hash_combine(hash_combine(p->key, p->sample), p->arrivals + 0x7265u);
@@ -93,7 +95,7 @@ FN void store_photon(global float* records, global uint* arrivals, uint count, L
                     p->arrivals >= PHOTON_PATH_SLOTS);
   vi kept = stores & (place < PHOTON_PATH_SLOTS);
   // Lanes with nothing to store do so behind the records.
-  vu at = pick_u((vu)count * PHOTON_PATH_SLOTS, p->slot * PHOTON_PATH_SLOTS + place, kept) * PHOTON_WORDS;
+  vu at = pick_u((vu)slots * PHOTON_PATH_SLOTS, p->slot * PHOTON_PATH_SLOTS + place, kept) * PHOTON_WORDS;
   vf w[PHOTON_WORDS];
   put_words3(w, PHOTON_POSITION, v->hit.p);
   put_words3(w, PHOTON_POWER, scale3(p->power, weight));
@@ -103,7 +105,7 @@ FN void store_photon(global float* records, global uint* arrivals, uint count, L
                             (min(p->depth, (vu)PHOTON_MOST_DEPTH) << PHOTON_DEPTH_SHIFT));
   scatter_words(records, 1u, at, w, PHOTON_WORDS);
   p->arrivals = min(p->arrivals + pick_u((vu)0u, (vu)1u, stores), (vu)255u);
-  scatter_u(arrivals, pick_u((vu)count, p->slot, stores), p->arrivals);
+  scatter_u(arrivals, pick_u((vu)slots, p->slot, stores), p->arrivals);
 }
 
 // The class after this scattering; parts are drawn at random, which the power makes up for.
@@ -133,18 +135,21 @@ FN vu next_class(const Scene* scene, const LightPath* p, const Vertex* v, const 
   return pick_u(class_, p->class_, v->passes);
 }
 
+// Paths, of which the first `count` lanes hold some. They store in slots of their own, of `slots`.
 kernel WIDE void photon_trace_step(global const PhotonTraceParameters* restrict parameters, SCENE_PARAMETERS,
-                                   uint count, global float* paths, global float* records, global uint* arrivals,
-                                   global float* balance, global uint* counters) {
+                                   uint count, uint slots, global float* paths, global float* records,
+                                   global uint* arrivals, global float* balance, global uint* counters) {
   uint block = (uint)get_global_id(0);
   if (block * LANES >= count) return;
   Scene scene_value = SCENE_FROM_PARAMETERS;
   const Scene* scene = &scene_value;
   vu meta = row_u(paths, PATH_ROWS, block, ROW_META);
+  vi alive = path_lanes(block, count, meta);
+  if (!any_lane(alive)) return;
+  meta = pick_u((vu)META_IDLE, meta, alive);
   LightPath p = load_light_path(paths, block, meta);
-  vi alive = (meta & META_IDLE) == 0u;
   vi active = take_hits(paths, block, meta);
-  if (parameters->balance) add_balance(balance, count, p.slot, BALANCE_ESCAPED, p.power, alive & none(active));
+  if (parameters->balance) add_balance(balance, slots, p.slot, BALANCE_ESCAPED, p.power, alive & none(active));
   if (!any_lane(active)) return;
   v3 arrived = p.power;
   LightVertex met =
@@ -156,7 +161,7 @@ kernel WIDE void photon_trace_step(global const PhotonTraceParameters* restrict 
 
   vf weight = correction * lit_share(&v, p.direction);
   vi stores = stores_photon(&v, &p, parameters) & finite3(scale3(p.power, weight)) & finite3(v.hit.p);
-  if (any_lane(stores)) store_photon(records, arrivals, count, &p, &v, geometric, weight, stores);
+  if (any_lane(stores)) store_photon(records, arrivals, slots, &p, &v, geometric, weight, stores);
 
   vi straight = no_lanes();
   BsdfSample scattered;
@@ -173,7 +178,7 @@ kernel WIDE void photon_trace_step(global const PhotonTraceParameters* restrict 
     vi stays = stores & none(next.alive) & (p.depth + 1u >= (vu)most) & ((vu)most != 0u);
     v3 lost = pick3(arrived, sub3(arrived, next.throughput), next.alive);
     lost = pick3(lost, sub3(arrived, scale3(p.power, weight)), stays);
-    add_balance(balance, count, p.slot, BALANCE_ABSORBED, lost, active);
+    add_balance(balance, slots, p.slot, BALANCE_ABSORBED, lost, active);
   }
   uint kept;
   rank_lanes(next.alive, &kept);

@@ -145,6 +145,11 @@ FN void set_path(global float* paths, uint block, const NextRay* ray, vu slot, v
 #endif
 }
 
+// Lanes of the first `count` that hold a path.
+FN vi path_lanes(uint block, uint count, vu meta) {
+  return ((vu)(block * LANES) + lane_index() < count) & ((meta & META_IDLE) == 0u);
+}
+
 // The paths of a block that met something. The block is idle from here on, until set_path() says otherwise.
 FN vi take_hits(global float* paths, uint block, vu meta) {
   vi hit = ((meta & META_IDLE) == 0u) & (row_u(paths, PATH_ROWS, block, ROW_GEOMETRY) != GLEANER_NONE);

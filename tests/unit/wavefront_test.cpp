@@ -9,6 +9,7 @@
 #include "scene/model/error.h"
 #include "worker/wavefront/host_threads.h"
 #include "worker/wavefront/input_rows.h"
+#include "worker/wavefront/joined_records.h"
 #include "worker/wavefront/kept_tables.h"
 
 namespace gleaner::test {
@@ -54,6 +55,34 @@ TEST(WorkQueue, GivesNothingAfterAThreadFailed) {
   EXPECT_TRUE(work.claim(16));
   work.stop();
   EXPECT_FALSE(work.claim(16));
+}
+
+// Item k yields k % 5 bytes; threads end in any order.
+TEST(JoinedRecords, AreInTheItemsOrder) {
+  constexpr std::uint64_t total = 10000;
+  scene::Bytes expected;
+  const auto yield = [](scene::Bytes& bytes, std::uint64_t item) {
+    bytes.insert(bytes.end(), item % 5, static_cast<std::byte>(item));
+  };
+  for (std::uint64_t k = 0; k < total; ++k) yield(expected, k);
+  for (const unsigned threads : {1u, 3u}) {
+    WorkQueue work(total, threads);
+    worker::JoinedRecords joined(total);
+    worker::run_threads(threads, [&](unsigned) {
+      std::vector<WorkQueue::Block> held;  // two blocks a turn, the later one first
+      for (;;) {
+        held = {work.claim(48), work.claim(48)};
+        for (auto block = held.rbegin(); block != held.rend(); ++block) {
+          if (!*block) continue;
+          scene::Bytes records;
+          for (std::uint64_t k = 0; k < block->count; ++k) yield(records, block->first + k);
+          joined.add(block->first, block->count, records);
+        }
+        if (!held[0]) return;
+      }
+    });
+    EXPECT_EQ(joined.take(), expected) << threads;
+  }
 }
 
 class OnDevice : public testing::Test {

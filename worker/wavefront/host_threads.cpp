@@ -30,16 +30,34 @@ std::array<cl_uint, 2> HostThread::read_device_counters() {
   return counted;
 }
 
+cl_uint HostThread::step_once(Kernel& step, cl::Buffer& paths, unsigned rows, std::uint32_t count,
+                              std::uint32_t capacity) {
+  rays_.closest(paths, single_rays(rows, count));
+  clear_device_counters();
+  launch(step, count, capacity);
+  const cl_uint alive = read_device_counters()[0];
+  counters.scatter += alive;
+  return alive;
+}
+
 void HostThread::step_in_place(Kernel& step, cl::Buffer& paths, unsigned rows, std::uint32_t count,
                                std::uint32_t capacity) {
   step.set("count", count);
+  while (step_once(step, paths, rows, count, capacity) != 0) {
+  }
+}
+
+void HostThread::step_packed(Kernel& step, Kernel& pack, std::array<cl::Buffer, 2> paths, unsigned rows,
+                             std::uint32_t count, std::uint32_t capacity) {
   for (;;) {
-    rays_.closest(paths, single_rays(rows, count));
-    clear_device_counters();
-    launch(step, count, capacity);
-    const cl_uint alive = read_device_counters()[0];
-    counters.scatter += alive;
+    step.set("paths", paths[0]).set("count", count);
+    const cl_uint alive = step_once(step, paths[0], rows, count, capacity);
     if (alive == 0) return;
+    if (alive > count / 4 * 3) continue;
+    pack.set("paths", paths[0]).set("packed", paths[1]).set("count", count);
+    launch(pack, count, capacity);
+    std::swap(paths[0], paths[1]);
+    count = alive;
   }
 }
 

@@ -51,6 +51,10 @@ class HostThread {
   // Moves paths in place, all of them at each step, until none is left: closest hits, then `step`, which adds the paths
   // that go on to the first device counter. Its parameters are set but for `count`.
   void step_in_place(Kernel& step, cl::Buffer& paths, unsigned rows, std::uint32_t count, std::uint32_t capacity);
+  // The same for paths that live long: those that are left are packed where they have become few. `pack`: the kernel
+  // pack_paths, whose buffers and `count` are not set. `step`: `paths` is not set. The paths stand in the first buffer.
+  void step_packed(Kernel& step, Kernel& pack, std::array<cl::Buffer, 2> paths, unsigned rows, std::uint32_t count,
+                   std::uint32_t capacity);
 
   // Two counters that kernels add to.
   const cl::Buffer& device_counters() const { return counters_buffer_; }
@@ -63,6 +67,9 @@ class HostThread {
   RayQueries rays_;
 
  private:
+  // Returns how many paths are left.
+  cl_uint step_once(Kernel& step, cl::Buffer& paths, unsigned rows, std::uint32_t count, std::uint32_t capacity);
+
   Workspace& workspace_;
   unsigned index_;
   cl::Buffer counters_buffer_;

@@ -55,20 +55,21 @@ class MakeThread : public LinkRayThread {
     queue_.enqueueReadBuffer(words_, CL_TRUE, 0, block.count * 4, counts);
     std::size_t all = 0;
     for (std::uint64_t k = 0; k < block.count; ++k) all += counts[k];
-    scene::Bytes links(all * 4);
-    std::byte* to = links.data();
+    links_.resize(all * 4);
+    std::byte* to = links_.data();
     for (std::uint64_t k = 0; k < block.count; ++k) {
       if (counts[k]) queue_.enqueueReadBuffer(packed_, CL_FALSE, k * directions_ * 24, std::size_t{counts[k]} * 4, to);
       to += std::size_t{counts[k]} * 4;
     }
     queue_.finish();
-    joined_.add(block.first, std::move(links));
+    joined_.add(block.first, block.count, links_);
   }
 
   JoinedRecords& joined_;
   std::uint32_t slots_;
   cl::Buffer ends_, weights_, table_, packed_, words_;
   Kernel link_, compress_;
+  scene::Bytes links_;
 };
 
 }  // namespace
@@ -82,7 +83,7 @@ BatchResult run_links_make_stage(const StageRun& run) {
   cl::CommandQueue queue = run.device.make_queue();
   batch.parameters = run.parameter_buffer(queue);
   WorkQueue work(run.count, host_threads(run.device));
-  JoinedRecords records;
+  JoinedRecords records(run.count);
   run_host_threads(work, result,
                    [&](unsigned index) { return std::make_unique<MakeThread>(batch, work, records, index); });
   result.records = records.take();

@@ -34,7 +34,9 @@ class PhotonThread : public HostThread {
         path_rows_(run.scene.path_rows()),
         emit_(run.device, program, "photon_emit"),
         step_(run.device, program, "photon_trace_step"),
+        pack_(run.device, program, "pack_paths"),
         paths_(take("paths", PathWave::bytes(capacity_, run.scene.path_rows()))),
+        spare_(take("next_paths", PathWave::bytes(capacity_, run.scene.path_rows()))),
         // Lanes with nothing to store do so behind the records.
         records_(take("photons", std::size_t{capacity_ + 1} * kPathBytes)),
         arrivals_(take("arrivals", std::size_t{capacity_ + 1} * 4)),
@@ -45,56 +47,53 @@ class PhotonThread : public HostThread {
     emit_.set("parameters", parameters).set("emission", run.scene.emission()).set("paths", paths_);
     run.scene.set_arguments(step_);
     step_.set("parameters", parameters)
-        .set("paths", paths_)
+        .set("slots", capacity_)
         .set("records", records_)
         .set("arrivals", arrivals_)
         .set("balance", balance_)
         .set("counters", device_counters());
+    pack_.set("capacity", capacity_).set("counters", device_counters());
   }
 
   void run(BatchResult& result) {
     while (const WorkQueue::Block block = work_.claim(capacity_)) {
       const auto count = static_cast<std::uint32_t>(block.count);
       queue_.enqueueFillBuffer(arrivals_, cl_uint{0}, 0, std::size_t{count} * 4);
-      if (balance_wanted_)
-        queue_.enqueueFillBuffer(balance_, cl_float{0}, 0, std::size_t{count + 1} * kBalanceWords * 4);
+      if (balance_wanted_) queue_.enqueueFillBuffer(balance_, cl_float{0}, 0, std::size_t{count} * kBalanceWords * 4);
       emit_.set_words("first", first_item_ + block.first).set("count", count);
       launch(emit_, count, capacity_);
       counters.scatter += count;
-      step_in_place(step_, paths_, path_rows_, count, capacity_);
+      step_packed(step_, pack_, {paths_, spare_}, path_rows_, count, capacity_);
       queue_.enqueueReadBuffer(arrivals_, CL_TRUE, 0, std::size_t{count} * 4, arrived_.data());
       if (balance_wanted_)
         queue_.enqueueReadBuffer(balance_, CL_TRUE, 0, std::size_t{count} * kBalanceWords * 4, balances_.data());
       // Most slots are empty: on a CPU device nothing is copied but what is in the others.
       void* const slots = queue_.enqueueMapBuffer(records_, CL_TRUE, CL_MAP_READ, 0, count * kPathBytes);
-      joined_.add(block.first, pack(static_cast<const std::byte*>(slots), count, &result.counts[block.first]));
+      pack(static_cast<const std::byte*>(slots), count, &result.counts[block.first]);
+      joined_.add(block.first, block.count, packed_);
       queue_.enqueueUnmapMemObject(records_, slots);
     }
   }
 
  private:
-  // Leaves each path only the slots that hold a photon. Those of a path that arrived more often carry the power of the
-  // photons that were dropped as well. `counts`: of the photons left of each path.
-  scene::Bytes pack(const std::byte* slots, std::uint32_t count, std::uint32_t* counts) const {
-    std::size_t rows = balance_wanted_ ? 2 * std::size_t{count} : 0;
-    for (std::uint32_t item = 0; item < count; ++item) rows += std::min(arrived_[item], PHOTON_PATH_SLOTS);
-    scene::Bytes records;
-    records.reserve(rows * kRowBytes);
+  // Packs what is in the slots. Photons of a path that arrived more often carry the power of those that were dropped as
+  // well. `counts`: of the photons left of each path.
+  void pack(const std::byte* slots, std::uint32_t count, std::uint32_t* counts) {
+    packed_.clear();
     for (std::uint32_t item = 0; item < count; ++item) {
       const std::uint32_t kept = std::min(arrived_[item], PHOTON_PATH_SLOTS);
       const std::byte* from = slots + item * kPathBytes;
-      const std::size_t at = records.size();
-      records.insert(records.end(), from, from + kept * kRowBytes);
+      const std::size_t at = packed_.size();
+      packed_.insert(packed_.end(), from, from + kept * kRowBytes);
       if (arrived_[item] > kept)
-        scale_power(&records[at], kept, static_cast<float>(arrived_[item]) / static_cast<float>(kept));
+        scale_power(&packed_[at], kept, static_cast<float>(arrived_[item]) / static_cast<float>(kept));
       if (balance_wanted_) {
         const float* balance = &balances_[item * kBalanceWords];
-        add_balance(records, balance, PHOTON_ABSORBED);
-        add_balance(records, balance + 3, PHOTON_ESCAPED);
+        add_balance(packed_, balance, PHOTON_ABSORBED);
+        add_balance(packed_, balance + 3, PHOTON_ESCAPED);
       }
       counts[item] = kept + (balance_wanted_ ? 2 : 0);
     }
-    return records;
   }
 
   static void scale_power(std::byte* rows, std::uint32_t count, float factor) {
@@ -119,10 +118,11 @@ class PhotonThread : public HostThread {
   bool balance_wanted_;
   std::uint32_t capacity_;
   unsigned path_rows_;
-  Kernel emit_, step_;
-  cl::Buffer paths_, records_, arrivals_, balance_;
+  Kernel emit_, step_, pack_;
+  cl::Buffer paths_, spare_, records_, arrivals_, balance_;
   std::vector<std::uint32_t> arrived_;
   std::vector<float> balances_;
+  scene::Bytes packed_;
 };
 
 }  // namespace
@@ -140,7 +140,7 @@ BatchResult run_photon_trace_stage(const StageRun& run) {
     return result;
   }
   result.counts.resize(run.count);
-  JoinedRecords joined;
+  JoinedRecords joined(run.count);
   run_split(run, "trace.cl", result,
             [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
               return std::make_unique<PhotonThread>(run, program, p, parameters, joined, work, index);
