@@ -20,7 +20,7 @@ struct PhotonPlace {
 // Along an axis; equal places keep the photons' order: the same division everywhere.
 inline bool is_before(const PhotonPlace& a, const PhotonPlace& b, unsigned axis) {
   return static_cast<unsigned>(a.at(axis) < b.at(axis)) |
-         (static_cast<unsigned>(a.at(axis) == b.at(axis)) & static_cast<unsigned>(a.photon() < b.photon()));
+         (static_cast<unsigned>(!(b.at(axis) < a.at(axis))) & static_cast<unsigned>(a.photon() < b.photon()));
 }
 
 // Divides `places` as std::nth_element does: what is before place `middle` (below their number) along the axis comes
@@ -38,10 +38,10 @@ inline void select_place(std::span<PhotonPlace> places, std::size_t middle, unsi
     const PhotonPlace pivot = places[last];
     std::size_t first_after = 0;
     for (std::size_t i = 0; i < last; ++i) {
-      const PhotonPlace place = places[i];
-      places[i] = places[first_after];
-      places[first_after] = place;
-      first_after += before(place, pivot);
+      // Compared where it lies: taken out of a vector register again, its words come late.
+      const unsigned is_first = is_before(places[i], pivot, axis);
+      std::swap(places[i], places[first_after]);
+      first_after += is_first;
     }
     std::swap(places[first_after], places[last]);
     if (first_after == middle) return;
