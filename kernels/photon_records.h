@@ -61,9 +61,10 @@ GLEANER_SIZE(PhotonTraceParameters, 32);
 
 // A photon map: rows of PHOTON_WORDS words. Row 0 is the header; then the nodes of a kd-tree in depth-first order, an
 // odd number of them; then its leaves, blocks of 16 photons that lie word by word (as rays do: kernels/rays.h).
-#define MAP_NODES 0u    // uint
-#define MAP_BLOCKS 1u   // uint
-#define MAP_PHOTONS 2u  // uint: those of the last block that are none lie far away and have no power
+#define MAP_NODES 0u     // uint
+#define MAP_BLOCKS 1u    // uint
+#define MAP_PHOTONS 2u   // uint: those of the last block that are none lie far away and have no power
+#define MAP_CAUSTICS 3u  // uint: how many of them are caustic
 // A node: the box about its photons; its left child follows it, its right child is where the left one's skip leads.
 #define NODE_LOWER 0u
 #define NODE_UPPER 3u

@@ -17,6 +17,8 @@ kernel void photon_read(global const float* restrict reads, uint count, SCENE_PA
   uint slot = ((global const uint*)read)[READ_SLOT];
   if (slot >= slot_count) return;
   MapPlace place = map_place(read);
+  // A search for what is nowhere goes through all photons within `most_radius`.
+  if (place.caustics && ((global const uint*)map)[MAP_CAUSTICS] == 0u) return;
   if (cut_blocks && !place.caustics && place.most_depth >= cut_depth) {
     float e[3];
     if (cut_irradiance(cut, cut_blocks, &place, e) > 0.0f) {

@@ -147,6 +147,8 @@ TEST(Photon, MapHoldsEveryPhoton) {
     const scene::Bytes map = map_of(trace.scene, photons, classes).records;
     const std::uint32_t nodes = word_of(map, 0, MAP_NODES), blocks = word_of(map, 0, MAP_BLOCKS);
     EXPECT_EQ(word_of(map, 0, MAP_PHOTONS), expected.size());
+    EXPECT_EQ(word_of(map, 0, MAP_CAUSTICS),
+              std::ranges::count_if(rows_of(photons), [](const Row& row) { return row.kind() == PHOTON_CAUSTIC; }));
     ASSERT_EQ(map.size() / sizeof(Row), 1 + nodes + std::size_t{blocks} * RAY_BLOCK);
     const auto photon = [&](std::uint32_t block, unsigned lane, unsigned word) {
       const std::size_t at = (std::size_t{block} * PHOTON_WORDS + word) * RAY_BLOCK + lane;

@@ -52,9 +52,11 @@ class MapBuilder {
   MapBuilder(std::vector<Photon> photons, std::uint32_t neighbours, unsigned threads)
       : photons_(std::move(photons)), neighbours_(std::max(neighbours, 1u)) {
     places_.reserve(photons_.size());
-    for (const Photon& photon : photons_)
+    for (const Photon& photon : photons_) {
       places_.push_back({{as_float(photon.words[0]), as_float(photon.words[1]), as_float(photon.words[2]),
                           as_float(static_cast<std::uint32_t>(places_.size()))}});
+      caustics_ += class_of(photon) == PHOTON_CAUSTIC;
+    }
     const std::size_t blocks = std::max<std::size_t>(1, blocks_of(places_.size()));
     nodes_.resize(2 * blocks - 1);
     rows_.resize((1 + nodes_.size() + blocks * RAY_BLOCK) * sizeof(Photon));
@@ -157,6 +159,7 @@ class MapBuilder {
     words[MAP_NODES] = static_cast<std::uint32_t>(nodes_.size());
     words[MAP_BLOCKS] = static_cast<std::uint32_t>(blocks);
     words[MAP_PHOTONS] = static_cast<std::uint32_t>(photons_.size());
+    words[MAP_CAUSTICS] = caustics_;
     for (std::size_t i = 0; i < nodes_.size(); ++i) {
       words = row(1 + i);
       for (unsigned k = 0; k < 3; ++k) {
@@ -183,6 +186,7 @@ class MapBuilder {
   }
 
   std::vector<Photon> photons_;
+  std::uint32_t caustics_ = 0;
   scene::Bytes rows_;
   std::size_t neighbours_;
   std::vector<PhotonPlace> places_;

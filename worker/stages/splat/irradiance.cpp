@@ -55,7 +55,11 @@ bool solve(std::array<std::array<double, 5>, 4>& m) {
 class Gradients {
  public:
   Gradients(const HemisphereGrid& grid, std::span<const HemisphereSample> samples, const Frame& frame)
-      : grid_(grid), samples_(samples), frame_(frame), directions_(samples.size()) {
+      : grid_(grid), samples_(samples), frame_(frame), directions_(samples.size()), turns_(2 * grid.azimuthal) {
+    for (std::uint32_t half = 0; half < turns_.size(); ++half) {
+      const double phi = 2 * kPi * (0.5 * half) / grid.azimuthal;
+      turns_[half] = {std::cos(phi), std::sin(phi)};
+    }
     for (std::size_t i = 0; i < samples.size(); ++i) {
       const double x = samples[i].x, y = samples[i].y;
       directions_[i] = {x, y, std::sqrt(std::max(0.0, 1 - x * x - y * y))};
@@ -94,9 +98,9 @@ class Gradients {
       for (std::uint32_t k = 0; k < grid_.azimuthal; ++k) {
         const std::size_t i = index(j, k);
         const double left = (double{samples_[i].radiance[color]} - fit.at(directions_[i])) * height * across;
-        const double phi = 2 * kPi * (k + 0.5) / grid_.azimuthal;
-        x -= left * std::sin(phi);
-        y += left * std::cos(phi);
+        const Turn& middle = turns_[2 * k + 1];
+        x -= left * middle.sine;
+        y += left * middle.cosine;
       }
     }
     return frame_.world(x, y);
@@ -114,22 +118,25 @@ class Gradients {
       for (std::uint32_t k = 0; k < grid_.azimuthal; ++k) {
         const std::size_t i = index(j, k);
         if (j > 0) {
-          const double phi = 2 * kPi * (k + 0.5) / grid_.azimuthal;
+          const Turn& middle = turns_[2 * k + 1];
           const double change = 2 * kPi / grid_.azimuthal * sin0 * cos2 * step(color, i, index(j - 1, k));
-          x += std::cos(phi) * change;
-          y += std::sin(phi) * change;
+          x += middle.cosine * change;
+          y += middle.sine * change;
         }
-        const double phi = 2 * kPi * k / grid_.azimuthal;
+        const Turn& edge = turns_[2 * k];
         const double change =
             cosine * height / sine * step(color, i, index(j, (k + grid_.azimuthal - 1) % grid_.azimuthal));
-        x -= std::sin(phi) * change;
-        y += std::cos(phi) * change;
+        x -= edge.sine * change;
+        y += edge.cosine * change;
       }
     }
     return frame_.world(x, y);
   }
 
  private:
+  struct Turn {
+    double cosine = 0, sine = 0;
+  };
   std::size_t index(std::uint32_t j, std::uint32_t k) const { return std::size_t{j} * grid_.azimuthal + k; }
   double theta(std::uint32_t ring) const { return std::asin(std::sqrt(ring / static_cast<double>(grid_.polar))); }
   double step(std::size_t color, std::size_t to, std::size_t from) const {
@@ -156,6 +163,7 @@ class Gradients {
   std::span<const HemisphereSample> samples_;
   const Frame& frame_;
   std::vector<Vec> directions_;
+  std::vector<Turn> turns_;  // by halves of an azimuthal stratum
 };
 
 }  // namespace
