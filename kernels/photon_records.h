@@ -191,12 +191,14 @@ struct PhotonClusterFacts {
 
 // Stage kind "photon_cluster_refine" (inputs "points", "records.0", "records.1", ..., of stage kind
 // "photon_cluster_gather", and, where there are such places already, "given"); solo. One item: places of more sample
-// points, 0 or more, where records that points read differ much, those given first.
+// points, 0 or more, where what points read of the records may be off most, those given first.
 struct PhotonClusterRefineParameters {
   std::uint32_t width = 0, height = 0, samples = 0;  // as SplatPointParameters
-  std::uint32_t most = 0;                            // places for what these points show
+  std::uint32_t most = 0;  // places for what these points show, those of the given that they show among them
+  float noise = 0;         // of a record, over its irradiance
+  std::uint32_t reserved[3] = {};
 };
-static_assert(sizeof(PhotonClusterRefineParameters) == 16);
+static_assert(sizeof(PhotonClusterRefineParameters) == 32);
 
 // Stage kind "photon_extend_refine" (inputs as "photon_cluster_refine", but no points); solo: the same for what a
 // camera sees, as "photon_extend".
@@ -204,7 +206,7 @@ struct PhotonExtendRefineParameters {
   SplatPointParameters points;
   PhotonClusterRefineParameters refine;
 };
-static_assert(sizeof(PhotonExtendRefineParameters) == 112);
+static_assert(sizeof(PhotonExtendRefineParameters) == 128);
 
 // Stage kind "photon_cluster_smooth" (inputs "records.0", "records.1", ..., of stage kind "photon_cluster_gather");
 // solo. One item: as many rows of the cache as there are records.

@@ -30,8 +30,9 @@ constexpr double kShrinkage = 2.0 / 3;
 constexpr std::uint32_t kGlobalPass = 0, kGuidePass = 1, kFirstPass = 2;
 // Turns of k-means.
 constexpr std::uint32_t kIterations = 6;
-// Samples that are added where records differ: one for so many clusters, at most.
-constexpr std::uint32_t kRefined = 4;
+// Rounds in which samples are added where their records may be off most, each of a third of the clusters at most. More
+// than one of them pays where records are less noisy than with so many rays.
+constexpr std::uint32_t kRefineRounds = 3, kRaysOfRounds = 384;
 // Photons of the estimates at a cut's nodes, rounds of its refinement, and the ratio of section 3.3.
 constexpr std::uint32_t kCutNeighbours = 24, kCutRounds = 4;
 constexpr float kCutRatio = 1.2f;
@@ -154,27 +155,23 @@ class PhotonPlan final : public GraphPlan {
     Artifact places, gathered;  // gathered: none where no place is new
     std::uint64_t count = 0;    // of places
   };
-  // What a camera needs beside the cameras before it.
-  struct CameraPlaces {
-    Places clusters, refined;
-  };
-
   void ask_clusters();
   PhotonClusterParameters cluster_parameters(std::uint32_t width, std::uint32_t height, std::uint32_t samples) const;
-  PhotonClusterRefineParameters refine_parameters(std::uint32_t width, std::uint32_t height,
-                                                  std::uint32_t samples) const;
+  PhotonClusterRefineParameters refine_parameters(std::uint32_t width, std::uint32_t height, std::uint32_t samples,
+                                                  std::size_t round) const;
   PhotonClusterFacts checked_places(const Artifact& places, std::uint64_t given) const;
   void gather_new(Places& places, std::uint64_t count, std::uint64_t given, const std::string& name, bool shared);
   std::vector<Artifact> places_and_light(std::size_t cameras) const;
   StageSpec shared_choice(const std::string& name, const char* kind) const;
   void extend(std::size_t camera);
-  void refine_camera(std::size_t camera);
-  void gather_own(const Artifact& points);
-  void refine_own(const Artifact& points);
+  void gather_own();
+  std::size_t rounds() const { return strata_.count() < kRaysOfRounds ? 1 : kRefineRounds; }
+  void refine_next();
+  Artifact ask_refinement(std::size_t camera, std::size_t round, std::vector<Graph::Input> inputs);
   // Those of the places that are new, as input "records.N".
   static void add_records(const Places& places, std::vector<Graph::Input>& inputs);
-  std::uint64_t refined() const;
-  void shade_clusters(const Artifact& points);
+  std::uint64_t refined() const { return refined_.empty() ? 0 : refined_.back().count; }
+  void shade_clusters();
   void show_clusters(std::vector<float> picture);
   void ask_caustics(std::uint32_t pass);
   void shade_caustics(std::uint32_t pass);
@@ -190,9 +187,13 @@ class PhotonPlan final : public GraphPlan {
   PixelCache cache_;
   Strata strata_;
   std::vector<scene::Camera> cameras_;  // whose sample points the picture begins with
-  std::vector<CameraPlaces> before_;    // of each of these
+  std::vector<Places> before_;          // of each of these, what it needs beside the cameras before it
   Artifact map_;                        // that samples' rays read
-  Places own_, own_refined_;
+  Artifact points_;                     // that the picture shows
+  Places own_;
+  std::vector<Places> refined_;       // kRefineRounds of each camera, of the picture alone where there is none
+  std::size_t gathered_cameras_ = 0;  // whose own places are gathered at; the picture counts for one
+  bool refining_ = false;
   PhotonClusterFacts clusters_;
   std::shared_ptr<Beside> beside_;  // the passes: the clusters' light
   Artifact first_caustics_;         // an event, where a target error waits for the first pass
@@ -361,13 +362,13 @@ void PhotonPlan::gather(const Artifact& map) {
 
 // Which points are gathered at depends on geometry alone: they are chosen while photons are traced.
 void PhotonPlan::ask_clusters() {
-  const Artifact points = cache_.ask_points(graph_, "photon.points", kFirst);
+  points_ = cache_.ask_points(graph_, "photon.points", kFirst);
   before_.resize(cameras_.size());
   for (std::size_t camera = 0; camera < cameras_.size(); ++camera) extend(camera);
   PhotonClusterParameters p = cluster_parameters(settings_.width, settings_.height, cache_.samples());
-  std::vector<Graph::Input> inputs = {{"points", points}};
+  std::vector<Graph::Input> inputs = {{"points", points_}};
   if (!before_.empty()) {
-    inputs.push_back({"given", before_.back().clusters.places});
+    inputs.push_back({"given", before_.back().places});
     // Cameras' pictures have fewer pixels than this one.
     const auto camera = cache_.camera_point_parameters(cameras_.back(), 0, SPLAT_LEVEL);
     p.kept_footprint *= static_cast<float>(settings_.width) / static_cast<float>(camera.width);
@@ -375,7 +376,7 @@ void PhotonPlan::ask_clusters() {
   own_.places = graph_.add(shared_choice("photon.clusters", "photon_cluster"), p, std::move(inputs));
   std::vector<Artifact> until = places_and_light(before_.size());
   until.push_back(own_.places);
-  graph_.when(std::move(until), [this, points] { gather_own(points); });
+  graph_.when(std::move(until), [this] { gather_own(); });
 }
 
 PhotonClusterParameters PhotonPlan::cluster_parameters(std::uint32_t width, std::uint32_t height,
@@ -393,8 +394,13 @@ PhotonClusterParameters PhotonPlan::cluster_parameters(std::uint32_t width, std:
 }
 
 PhotonClusterRefineParameters PhotonPlan::refine_parameters(std::uint32_t width, std::uint32_t height,
-                                                            std::uint32_t samples) const {
-  return {.width = width, .height = height, .samples = samples, .most = std::max(1u, photon_.clusters / kRefined)};
+                                                            std::uint32_t samples, std::size_t round) const {
+  const std::uint64_t most = std::uint64_t{photon_.clusters} * (round + 1) / kRefineRounds;
+  return {.width = width,
+          .height = height,
+          .samples = samples,
+          .most = std::max(1u, low(most)),
+          .noise = static_cast<float>(kRecordNoise / std::sqrt(strata_.count()))};
 }
 
 PhotonClusterFacts PhotonPlan::checked_places(const Artifact& places, std::uint64_t given) const {
@@ -432,23 +438,24 @@ void PhotonPlan::extend(std::size_t camera) {
   p.points = cache_.camera_point_parameters(cameras_[camera], camera, SPLAT_LEVEL);
   p.clusters = cluster_parameters(p.points.width, p.points.height, p.points.samples);
   std::vector<Graph::Input> inputs;
-  if (camera > 0) inputs.push_back({"given", before_[camera - 1].clusters.places});
-  before_[camera].clusters.places =
+  if (camera > 0) inputs.push_back({"given", before_[camera - 1].places});
+  before_[camera].places =
       graph_.add(shared_choice(numbered("photon.extend", camera), "photon_extend"), p, std::move(inputs));
   graph_.when(places_and_light(camera + 1), [this, camera] {
     gathered_ = checked_facts(map_);
-    const std::uint64_t given = camera > 0 ? before_[camera - 1].clusters.count : 0;
-    Places& clusters = before_[camera].clusters;
+    const std::uint64_t given = camera > 0 ? before_[camera - 1].count : 0;
+    Places& clusters = before_[camera];
     gather_new(clusters, checked_places(clusters.places, given).places, given, numbered("photon.extend_gather", camera),
                true);
-    refine_camera(camera);
+    gathered_cameras_ = camera + 1;
+    refine_next();
   });
 }
 
 // Sample points of so many cameras, and what their rays read.
 std::vector<Artifact> PhotonPlan::places_and_light(std::size_t cameras) const {
   std::vector<Artifact> all = {cut_ ? cut_ : map_};
-  for (std::size_t k = 0; k < cameras; ++k) all.push_back(before_[k].clusters.places);
+  for (std::size_t k = 0; k < cameras; ++k) all.push_back(before_[k].places);
   return all;
 }
 
@@ -460,69 +467,73 @@ StageSpec PhotonPlan::shared_choice(const std::string& name, const char* kind) c
   return spec;
 }
 
-// Where records that a point reads differ much, there are more.
-void PhotonPlan::refine_camera(std::size_t camera) {
-  PhotonExtendRefineParameters p{};
-  p.points = cache_.camera_point_parameters(cameras_[camera], camera, SPLAT_LEVEL);
-  p.refine = refine_parameters(p.points.width, p.points.height, p.points.samples);
-  std::vector<Graph::Input> inputs;
-  for (std::size_t k = 0; k <= camera; ++k) add_records(before_[k].clusters, inputs);
-  if (inputs.empty()) return;
-  Places* const last = camera > 0 ? &before_[camera - 1].refined : nullptr;
-  if (last && last->places) inputs.push_back({"given", last->places});
-  Places& refined = before_[camera].refined;
-  refined.places =
-      graph_.add(shared_choice(numbered("photon.extend_refine", camera), "photon_extend_refine"), p, std::move(inputs));
-  graph_.when({refined.places}, [this, camera, &refined, last] {
-    gather_new(refined, refined.places.record_count(), last ? last->count : 0, numbered("photon.refine_gather", camera),
-               true);
-  });
-}
-
 // What this frame shows and no camera before did. Of a frame that stands alone that is all.
-void PhotonPlan::gather_own(const Artifact& points) {
+void PhotonPlan::gather_own() {
   gathered_ = checked_facts(map_);
-  const std::uint64_t given = before_.empty() ? 0 : before_.back().clusters.count;
+  const std::uint64_t given = before_.empty() ? 0 : before_.back().count;
   clusters_ = checked_places(own_.places, given);
   if (clusters_.places == 0) return show_clusters({});
   gather_new(own_, clusters_.places, given, "photon.cluster_gather", false);
-  if (before_.empty()) refine_own(points);
-  std::vector<Artifact> until;
-  for (const CameraPlaces& before : before_)
-    if (before.refined.places) until.push_back(before.refined.places);
-  if (own_refined_.places) until.push_back(own_refined_.places);
-  graph_.when(std::move(until), [this, points] { shade_clusters(points); });
+  gathered_cameras_ = std::max<std::size_t>(gathered_cameras_, 1);
+  refine_next();
 }
 
-void PhotonPlan::refine_own(const Artifact& points) {
+// Cameras are refined one after the other, each in rounds that know what the rounds before have gathered. The picture
+// itself is, where it has no cameras. After all of it, the picture is shaded.
+void PhotonPlan::refine_next() {
+  const std::size_t number = refined_.size(), camera = number / rounds();
+  if (refining_) return;
+  if (number == rounds() * std::max<std::size_t>(1, before_.size())) {
+    if (clusters_.places > 0) shade_clusters();
+    return;
+  }
+  if (camera >= gathered_cameras_) return;
   std::vector<Graph::Input> inputs;
-  add_records(own_, inputs);
-  inputs.push_back({"points", points});
-  own_refined_.places =
-      graph_.add(cache_.choosing("photon.cluster_refine", "photon_cluster_refine", kFirst),
-                 refine_parameters(settings_.width, settings_.height, cache_.samples()), std::move(inputs));
-  graph_.when({own_refined_.places}, [this] {
-    gather_new(own_refined_, own_refined_.places.record_count(), 0, "photon.cluster_gather.1", false);
+  if (before_.empty()) add_records(own_, inputs);
+  for (std::size_t k = 0; k < before_.size() && k <= camera; ++k) add_records(before_[k], inputs);
+  for (const Places& refined : refined_) add_records(refined, inputs);
+  if (inputs.empty()) {  // nothing is seen
+    refined_.emplace_back();
+    return refine_next();
+  }
+  if (number > 0 && refined_.back().places) inputs.push_back({"given", refined_.back().places});
+  refining_ = true;
+  refined_.push_back({ask_refinement(camera, number % rounds(), std::move(inputs)), {}, 0});
+  graph_.when({refined_.back().places}, [this, number, camera] {
+    Places& refined = refined_[number];
+    const std::uint64_t given = number > 0 ? refined_[number - 1].count : 0;
+    const std::string name = before_.empty() ? numbered("photon.cluster_gather", number + 1)
+                                             : numbered(numbered("photon.refine_gather", camera), number % rounds());
+    gather_new(refined, refined.places.record_count(), given, name, !before_.empty());
+    refining_ = false;
+    refine_next();
   });
+}
+
+Artifact PhotonPlan::ask_refinement(std::size_t camera, std::size_t round, std::vector<Graph::Input> inputs) {
+  if (before_.empty()) {
+    inputs.push_back({"points", points_});
+    StageSpec spec = cache_.choosing(numbered("photon.cluster_refine", round), "photon_cluster_refine", kFirst);
+    return graph_.add(std::move(spec), refine_parameters(settings_.width, settings_.height, cache_.samples(), round),
+                      std::move(inputs));
+  }
+  PhotonExtendRefineParameters p{};
+  p.points = cache_.camera_point_parameters(cameras_[camera], camera, SPLAT_LEVEL);
+  p.refine = refine_parameters(p.points.width, p.points.height, p.points.samples, round);
+  return graph_.add(shared_choice(numbered(numbered("photon.extend_refine", camera), round), "photon_extend_refine"), p,
+                    std::move(inputs));
 }
 
 void PhotonPlan::add_records(const Places& places, std::vector<Graph::Input>& inputs) {
   if (places.gathered) inputs.push_back({numbered("records", inputs.size()), places.gathered});
 }
 
-std::uint64_t PhotonPlan::refined() const {
-  return before_.empty() ? own_refined_.count : before_.back().refined.count;
-}
-
 // All records as one cache.
-void PhotonPlan::shade_clusters(const Artifact& points) {
+void PhotonPlan::shade_clusters() {
   std::vector<Graph::Input> records;
-  for (const CameraPlaces& before : before_) {
-    add_records(before.clusters, records);
-    add_records(before.refined, records);
-  }
+  for (const Places& before : before_) add_records(before, records);
   add_records(own_, records);
-  add_records(own_refined_, records);
+  for (const Places& refined : refined_) add_records(refined, records);
   const Artifact cache = graph_.add({.name = "photon.cluster_smooth",
                                      .kind = "photon_cluster_smooth",
                                      .items = 1,
@@ -533,7 +544,7 @@ void PhotonPlan::shade_clusters(const Artifact& points) {
                                                 .most_records = low(clusters_.places + refined()),
                                                 .placement = Placement::retain}},
                                     PhotonClusterSmoothParameters{}, std::move(records));
-  const Artifact shaded = cache_.ask_shading(graph_, "photon.shade", kFirst, points, cache);
+  const Artifact shaded = cache_.ask_shading(graph_, "photon.shade", kFirst, points_, cache, true);
   cache_.preview(graph_, film_, shaded);
   graph_.when({shaded}, [this, shaded] { show_clusters(cache_.picture_of(shaded.records())); });
 }
@@ -669,8 +680,10 @@ std::vector<std::string> PhotonPlan::outline() const {
     lines.push_back("photon.cluster_gather: " + std::to_string(strata_.count()) +
                     " rays of each cluster's sample point, which read the map, split");
     if (cameras_.empty())
-      lines.push_back("photon.cluster_refine: sample points more where records differ, at most one for " +
-                      std::to_string(kRefined) + " clusters, solo");
+      lines.push_back(
+          "photon.cluster_refine: sample points more where their records may be off most, at most one for a "
+          "cluster, in " +
+          std::to_string(rounds()) + " rounds, solo");
     lines.push_back("photon.shade: " + std::to_string(cache_.tiles()) + " tiles lit by the samples near them, split");
   }
   if (has_caustics()) {

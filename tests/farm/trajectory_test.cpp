@@ -184,7 +184,7 @@ TEST(FarmTrajectory, LaterFramesKeepShadingClusters) {
   for (std::size_t k = 0; k < frames.size(); ++k) {
     const auto run = names(frames[k]["stages"], "name"), left_out = names(frames[k]["skips"], "what");
     for (const char* stage : {"photon.map.global", "photon.extend.0", "photon.extend.1", "photon.extend.2",
-                              "photon.extend_gather.0", "photon.extend_refine.2"}) {
+                              "photon.extend_gather.0", "photon.extend_refine.2.0"}) {
       EXPECT_EQ(std::ranges::count(run, stage), k == 0 ? 1 : 0) << stage << ", frame " << k + 1;
       EXPECT_EQ(std::ranges::count(left_out, std::string("stage ") + stage), k == 0 ? 0 : 1)
           << stage << ", frame " << k + 1;

@@ -45,7 +45,9 @@ const std::vector<StageKind>& stage_table() {
        {"kernels/photon/trace.cl"},
        {},
        // With both maps, and without clusters.
-       {{.file = "kernels/photon/gather.cl", .options = " -D PATH_FILTER=7"}, {.file = "kernels/photon/caustics.cl"}}},
+       {{.file = "kernels/photon/gather.cl", .options = " -D PATH_FILTER=7"},
+        {.file = "kernels/photon/caustics.cl"},
+        {.file = "kernels/splat/shade.cl", .options = " -D SPLAT_MEAN_GRADIENTS"}}},
       {"photon_map", run_photon_map_stage, {}, {{.name = "photons"}}},
       {"photon_gather",
        run_photon_gather_stage,

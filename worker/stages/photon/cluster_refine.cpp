@@ -1,14 +1,12 @@
-// Stage kind "photon_cluster_refine": where records that a point reads differ much (a window's bright reveal beside a
-// wall, a gap above a lamp), what it interpolates between them is neither. It becomes a sample point of its own, as
-// adaptive sampling subdivides where its samples differ. Solo, on the host.
+// Stage kinds "photon_cluster_refine" and "photon_extend_refine": more sample points where what records say of a point
+// may be off most (prediction.h), as adaptive sampling subdivides where its samples differ. Solo, on the host.
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 
 #include "kernels/photon_records.h"
 #include "scene/model/error.h"
-#include "worker/stages/photon/reach_grid.h"
+#include "worker/stages/photon/prediction.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/splat/stages.h"
 #include "worker/wavefront/counters.h"
@@ -19,112 +17,113 @@ namespace {
 
 using kernels::PhotonClusterRefineParameters;
 
-// The weighted standard deviation of the records that a point reads, over their mean: records of few rays differ by
-// 0.05.
-constexpr double kMostContrast = 0.4;
+// What is off by less than so many times the records' noise is left as it is.
+constexpr double kLeastOff = 1.2;
 // Of the mean of all records: what is darker than this part of it is not looked at so closely.
 constexpr double kDark = 0.05;
 // Pixels that are looked at.
 constexpr std::uint64_t kMostLooked = 1u << 16;
-// A sample stands for points within this part of its reach.
-constexpr float kOwn = 0.5f;
-double sum_of(const std::array<float, 3>& rgb) { return double{rgb[0]} + rgb[1] + rgb[2]; }
+// A new sample stands for what is nearer to it than this part of its distance to the nearest record, within bounds of
+// pixels: rounds of refinement halve gaps. Nearer than this many pixels to a record there is none.
+constexpr float kNearer = 0.5f, kLeastPixels = 1, kMostPixels = 4;
 
-// Of the records that a point reads.
-struct Spread {
-  double mean = 0, deviation = 0;
-  bool own = false;  // one of them was gathered for this point and those beside it
-};
-
-Spread spread_at(const std::vector<CacheRecord>& records, const ReachGrid& grid, const SplatPoint& point) {
-  double weights = 0, sum = 0, squares = 0;
-  const ClusterSample stray = stray_sample(point);
-  bool own = false;
-  grid.near(point.position, [&](std::uint32_t i) {
-    const CacheRecord& record = records[i];
-    const float reach = record.spare[0], turn = record.spare[1];
-    const PointOffset off = point_offset(record.position, record.normal, point);
-    if (off.hidden || off.distance > reach || off.turn > turn) return;
-    own = own || (reach <= stray.reach && off.distance <= kOwn * reach && off.turn <= kOwn * turn);
-    // Nearly as kernels/splat/shade.cl weighs it, whose radius is known after smoothing.
-    const double radius = std::min(record.radius, 10 * reach);
-    const double w = 1 / std::max(off.distance / radius + off.turn, 1e-3) - 1 / (reach / radius + turn);
-    if (!(w > 0)) return;
-    const double value = sum_of(record.irradiance);
-    weights += w;
-    sum += w * value;
-    squares += w * value * value;
-  });
-  if (!(weights > 0)) return {};
-  const double mean = sum / weights;
-  return {mean, std::sqrt(std::max(0.0, squares / weights - mean * mean)), own};
-}
-
+// A point that the pixels show, of each that is looked at the first.
 struct Candidate {
-  double off = 0;  // by what the picture may be
+  double off = 0;  // by what the picture may be off
+  float spacing = 0;
   std::uint32_t point = 0;
 };
 
-// The pixels' points where records differ, most important first.
-std::vector<Candidate> candidates(const PhotonClusterRefineParameters& p, std::span<const SplatPoint> points,
-                                  const std::vector<CacheRecord>& records) {
-  PointScreen screen{.width = p.width, .height = p.height, .samples = p.samples};
-  while (std::uint64_t{screen.columns()} * screen.rows() > kMostLooked) screen.step *= 2;
-  const ReachGrid grid = grid_of(records);
-  double dark = 0;
-  for (const CacheRecord& record : records) dark += sum_of(record.irradiance);
-  dark *= kDark / static_cast<double>(std::max<std::size_t>(1, records.size()));
-  std::vector<Candidate> found;
-  for (std::uint32_t y = 0; y < screen.rows(); ++y) {
-    check_wanted();
-    for (std::uint32_t x = 0; x < screen.columns(); ++x) {
-      const std::size_t first = screen.point_of(x * screen.step, y * screen.step);
-      for (std::size_t i = first; i < first + p.samples; ++i) {
-        if (!points[i].exists()) continue;
-        const Spread spread = spread_at(records, grid, points[i]);
-        if (!spread.own && spread.deviation > kMostContrast * (spread.mean + dark))
-          found.push_back({spread.deviation * sum_of(points[i].factor), static_cast<std::uint32_t>(i)});
-        break;
+class Refinement {
+ public:
+  Refinement(const PhotonClusterRefineParameters& p, std::span<const SplatPoint> points,
+             std::vector<ClusterSample> given)
+      : p_(p),
+        points_(points),
+        samples_(std::move(given)),
+        screen_({.width = p.width, .height = p.height, .samples = p.samples}) {
+    while (std::uint64_t{screen_.columns()} * screen_.rows() > kMostLooked) screen_.step *= 2;
+    for (std::uint32_t y = 0; y < screen_.rows(); ++y)
+      for (std::uint32_t x = 0; x < screen_.columns(); ++x) {
+        const auto first = screen_.point_of(x * screen_.step, y * screen_.step);
+        const auto of_pixel = points.subspan(first, p.samples);
+        if (const auto shown = std::ranges::find_if(of_pixel, &SplatPoint::exists); shown != of_pixel.end())
+          looked_.push_back(static_cast<std::uint32_t>(first + static_cast<std::size_t>(shown - of_pixel.begin())));
       }
-    }
   }
-  std::ranges::sort(
-      found, [](const Candidate& a, const Candidate& b) { return a.off != b.off ? a.off > b.off : a.point < b.point; });
-  return found;
-}
 
-// Samples for the candidates, after those that other cameras' points have. No more than `most` of them are for this
-// camera's points.
-std::vector<ClusterSample> choose(const std::vector<Candidate>& candidates, std::span<const SplatPoint> points,
-                                  std::uint32_t most, std::vector<ClusterSample> samples) {
-  std::vector<bool> counted(samples.size(), false);
-  std::uint32_t chosen = 0;
-  for (const Candidate& candidate : candidates) {
-    if (chosen >= most) break;
-    check_wanted();
-    const SplatPoint& point = points[candidate.point];
-    const auto stands =
-        std::ranges::find_if(samples, [&](const ClusterSample& sample) { return covers(sample, point, kOwn); });
-    if (stands == samples.end()) {
-      samples.push_back(stray_sample(point));
-      ++chosen;
-    } else if (const auto number = static_cast<std::size_t>(stands - samples.begin()); number < counted.size()) {
-      chosen += counted[number] ? 0 : 1;
-      counted[number] = true;
+  std::vector<ClusterSample> refined(const std::vector<CacheRecord>& records) && {
+    const std::size_t shown = shown_of_given();
+    const std::size_t given = samples_.size();
+    for (const Candidate& candidate : candidates(records)) {
+      if (shown + samples_.size() - given >= p_.most) break;
+      check_wanted();
+      const SplatPoint& point = points_[candidate.point];
+      const auto fresh = std::span(samples_).subspan(given);
+      if (std::ranges::any_of(fresh, [&](const ClusterSample& s) { return covers(s, point, 1 / kOverlap); })) continue;
+      ClusterSample sample = stray_sample(point);
+      sample.spacing = candidate.spacing;
+      sample.reach = kOverlap * candidate.spacing;
+      samples_.push_back(sample);
     }
+    return std::move(samples_);
   }
-  return samples;
-}
+
+ private:
+  // Of the samples that are given, how many stand for a point here.
+  std::size_t shown_of_given() const {
+    std::vector<bool> shown(samples_.size(), false);
+    const ReachGrid grid = grid_of(std::span<const ClusterSample>(samples_));
+    for (const std::uint32_t i : looked_)
+      grid.near(points_[i].position,
+                [&](std::uint32_t k) { shown[k] = shown[k] || covers(samples_[k], points_[i], 1 / kOverlap); });
+    return static_cast<std::size_t>(std::ranges::count(shown, true));
+  }
+
+  // Most important first.
+  std::vector<Candidate> candidates(const std::vector<CacheRecord>& records) const {
+    ClusterPrediction prediction(records, double{p_.noise});
+    double dark = 0;
+    for (const CacheRecord& record : records) dark += sum_of(record.irradiance);
+    dark *= kDark / static_cast<double>(std::max<std::size_t>(1, records.size()));
+    std::vector<Candidate> found;
+    for (const std::uint32_t i : looked_) {
+      check_wanted();
+      const SplatPoint& point = points_[i];
+      const Predicted predicted = prediction.at(point);
+      const float pixel = point.footprint * static_cast<float>(screen_.step);
+      if (!std::isfinite(predicted.nearest) || predicted.nearest < kNearer * pixel) continue;
+      if (predicted.off > kLeastOff * double{p_.noise} * (predicted.irradiance + dark))
+        found.push_back({.off = predicted.off * sum_of(point.factor),
+                         .spacing = std::clamp(kNearer * predicted.nearest, kLeastPixels * pixel, kMostPixels * pixel),
+                         .point = i});
+    }
+    std::ranges::sort(found, [](const Candidate& a, const Candidate& b) {
+      return a.off != b.off ? a.off > b.off : a.point < b.point;
+    });
+    return found;
+  }
+
+  static double sum_of(const std::array<float, 3>& rgb) { return double{rgb[0]} + rgb[1] + rgb[2]; }
+
+  const PhotonClusterRefineParameters& p_;
+  std::span<const SplatPoint> points_;
+  std::vector<ClusterSample> samples_;
+  PointScreen screen_;
+  std::vector<std::uint32_t> looked_;  // of points
+};
 
 BatchResult refine(const StageRun& run, const PhotonClusterRefineParameters& p, std::span<const SplatPoint> points) {
-  const std::vector<CacheRecord> records = read_cluster_records(run.task);
-  return sample_places(choose(candidates(p, points, records), points, p.most, read_samples(run.task, "given")));
+  Refinement refinement(p, points, read_samples(run.task, "given"));
+  return sample_places(std::move(refinement).refined(read_cluster_records(run.task)));
 }
 
 void check(const StageRun& run, const PhotonClusterRefineParameters& p) {
   check_splat_points(run, p.width, p.height, p.samples);
   if (p.most == 0 || p.most > 1u << 20)
     throw Error::bad_input(run.where(), "most", "1 to " + std::to_string(1u << 20), std::to_string(p.most));
+  if (!(p.noise >= 0) || !std::isfinite(p.noise))
+    throw Error::bad_input(run.where(), "noise", "0 or more", std::to_string(p.noise));
   run.check_range(1);
 }
 

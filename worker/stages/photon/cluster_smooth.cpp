@@ -249,12 +249,16 @@ std::vector<CacheRecord> read_cluster_records(const StageTask& task) {
   return records;
 }
 
-BatchResult smooth_photon_clusters(const StageTask& task) {
-  Smoothing smoothing(read_cluster_records(task));
+std::vector<CacheRecord> smoothed_records(std::vector<CacheRecord> records) {
+  Smoothing smoothing(std::move(records));
   smoothing.clamp_radii();
   smoothing.bound_leaks();
   smoothing.smooth_gradients();
-  const std::vector<CacheRecord> rows = smoothing.smoothed();
+  return smoothing.smoothed();
+}
+
+BatchResult smooth_photon_clusters(const StageTask& task) {
+  const std::vector<CacheRecord> rows = smoothed_records(read_cluster_records(task));
   BatchResult result;
   result.records.resize(rows.size() * sizeof(CacheRecord));
   std::memcpy(result.records.data(), rows.data(), result.records.size());

@@ -66,6 +66,9 @@ std::vector<ClusterSample> read_samples(const StageTask& task, const std::string
 // Throws Error::bad_input.
 std::vector<CacheRecord> read_cluster_records(const StageTask& task);
 
+// The same as points read them: each averaged with its neighbours, its radius and accuracy set (cluster_smooth.cpp).
+std::vector<CacheRecord> smoothed_records(std::vector<CacheRecord> records);
+
 // Distances to the next surface ahead of these places, m (nearness.h).
 using LookAhead = std::function<std::vector<float>(std::span<const SplatPoint>)>;
 
