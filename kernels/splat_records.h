@@ -112,9 +112,9 @@ GLEANER_SIZE(SplatLobeGatherParameters, 160);
 // of each of its pixels.
 typedef struct {
   gl_uint tiles;
-  gl_uint samples;         // as SplatPointParameters
-  gl_uint order;           // above 0: the cache is of incoming radiance, and input "lobes" has the points' lobes
-  gl_uint mean_gradients;  // 1: between a record and a point, light changes as the mean of the gradients at both says
+  gl_uint samples;  // as SplatPointParameters
+  gl_uint order;    // above 0: the cache is of incoming radiance, and input "lobes" has the points' lobes
+  gl_uint reserved;
 } SplatShadeParameters;
 GLEANER_SIZE(SplatShadeParameters, 16);
 

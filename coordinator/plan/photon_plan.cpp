@@ -544,7 +544,7 @@ void PhotonPlan::shade_clusters() {
                                                 .most_records = low(clusters_.places + refined()),
                                                 .placement = Placement::retain}},
                                     PhotonClusterSmoothParameters{}, std::move(records));
-  const Artifact shaded = cache_.ask_shading(graph_, "photon.shade", kFirst, points_, cache, true);
+  const Artifact shaded = cache_.ask_shading(graph_, "photon.shade", kFirst, points_, cache);
   cache_.preview(graph_, film_, shaded);
   graph_.when({shaded}, [this, shaded] { show_clusters(cache_.picture_of(shaded.records())); });
 }

@@ -127,12 +127,10 @@ StageSpec PixelCache::shading(const std::string& name, int priority) const {
 }
 
 Graph::Artifact PixelCache::ask_shading(Graph& graph, const std::string& name, int priority,
-                                        const Graph::Artifact& points, const Graph::Artifact& cache,
-                                        bool mean_gradients) const {
+                                        const Graph::Artifact& points, const Graph::Artifact& cache) const {
   SplatShadeParameters p{};
   p.tiles = static_cast<std::uint32_t>(tiles());
   p.samples = samples_;
-  p.mean_gradients = mean_gradients;
   return graph.add(shading(name, priority), p, {{"points", points, Extent::own_items}, {"cache", cache}});
 }
 

@@ -46,9 +46,9 @@ class PixelCache {
   // Stage "METHOD.points", or that of another word for `what` (kernels/splat_records.h).
   Graph::Artifact ask_points(Graph& graph, const std::string& name, int priority,
                              std::uint32_t free_scatterings = SPLAT_LEVEL, std::uint32_t what = SPLAT_LAYERS) const;
-  // Tiles of `points` lit by the records of `cache`; `mean_gradients`: as SplatShadeParameters.
+  // Tiles of `points` lit by the records of `cache`.
   Graph::Artifact ask_shading(Graph& graph, const std::string& name, int priority, const Graph::Artifact& points,
-                              const Graph::Artifact& cache, bool mean_gradients = false) const;
+                              const Graph::Artifact& cache) const;
   // Their `lobes`, by records of incoming radiance of this order.
   Graph::Artifact ask_lobe_shading(Graph& graph, const std::string& name, int priority, const Graph::Artifact& points,
                                    const Graph::Artifact& lobes, const Graph::Artifact& cache,

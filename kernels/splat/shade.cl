@@ -6,18 +6,12 @@
 // A point owns its sums, and takes records in their order: no two work-items add to one number. The paper's weight
 // jumps from 1 / a to nothing where a record ends, which shows as an edge; what exceeds 1 / a does not.
 //
-// With SPLAT_MEAN_GRADIENTS the gradient between a record and the point is the mean of the record's and of that at the
+// The gradient between a record and the point is not the record's (eq. 8) but the mean of that and of the one at the
 // point, which is the weighted mean of all records'. So light that changes quadratically is met: where it is concave,
 // each record's own gradient alone leads too high, and no mean of such values is right.
 #include "kernels/sampling.h"
 #include "kernels/splat/level.h"
 #include "kernels/splat/read.h"
-
-#ifdef SPLAT_MEAN_GRADIENTS
-#define OWN_GRADIENT 0.5f
-#else
-#define OWN_GRADIENT 1.0f
-#endif
 
 // Weighted sums of where a point lies to its records, and of their gradients, a colour after the other.
 typedef struct {
@@ -32,15 +26,11 @@ FN GradientSums no_gradients(void) {
   return sums;
 }
 
+// A record's light, changed by half of what its own gradient says.
 FN vf color_at(global const float* record, uint color, v3 turn, v3 away) {
   vf change = dot3(turn, vector_at(record, CACHE_ROTATION + 3u * color)) +
               dot3(away, vector_at(record, CACHE_TRANSLATION + 3u * color));
-  vf value = (vf)record[CACHE_IRRADIANCE + color] + OWN_GRADIENT * change;
-#ifdef SPLAT_MEAN_GRADIENTS
-  return value;  // their sum is bounded
-#else
-  return max_f(value, zero_f());
-#endif
+  return (vf)record[CACHE_IRRADIANCE + color] + 0.5f * change;
 }
 
 FN void add_gradients(GradientSums* sums, global const float* record, v3 turn, v3 away, vf weight) {
@@ -54,7 +44,7 @@ FN void add_gradients(GradientSums* sums, global const float* record, v3 turn, v
 
 // What the gradient at the point adds to the weighted sum of a colour.
 FN vf mean_gradient(const GradientSums* sums, uint color, vf weights) {
-  return OWN_GRADIENT * (dot3(sums->turn, sums->rotation[color]) + dot3(sums->away, sums->translation[color])) /
+  return 0.5f * (dot3(sums->turn, sums->rotation[color]) + dot3(sums->away, sums->translation[color])) /
          max_f(weights, (vf)1e-30f);
 }
 
@@ -73,9 +63,7 @@ kernel WIDE void splat_accumulate(global const float* restrict points, global co
   vi there = (point[SPLAT_FOOTPRINT] > zero_f()) & (lane < count);
   v3 sum = splat3(zero_f());
   vf weights = zero_f();
-#ifdef SPLAT_MEAN_GRADIENTS
   GradientSums gradients = no_gradients();
-#endif
   if (any_lane(there)) {
     v3 p = words3(point, SPLAT_POSITION), n = words3(point, SPLAT_NORMAL);
     vu level = level_of_point(as_vu(point[SPLAT_TABLE]));
@@ -88,17 +76,13 @@ kernel WIDE void splat_accumulate(global const float* restrict points, global co
       v3 turn = cross3(m, n);
       v3 value = make3(color_at(record, 0u, turn, d), color_at(record, 1u, turn, d), color_at(record, 2u, turn, d));
       sum = mad3(value, read.weight, sum);
-#ifdef SPLAT_MEAN_GRADIENTS
       add_gradients(&gradients, record, turn, d, read.weight);
-#endif
       weights += read.weight;
     }
   }
-#ifdef SPLAT_MEAN_GRADIENTS
   sum = make3(max_f(sum.x + mean_gradient(&gradients, 0u, weights), zero_f()),
               max_f(sum.y + mean_gradient(&gradients, 1u, weights), zero_f()),
               max_f(sum.z + mean_gradient(&gradients, 2u, weights), zero_f()));
-#endif
   vi lit = there & (weights > zero_f());
   v3 shown = scale3(mul3(sum, words3(point, SPLAT_FACTOR)), one_f() / pick(one_f(), weights, lit));
   vf words[4];

@@ -150,7 +150,7 @@ std::vector<float> shade(const std::vector<float>& record, const std::vector<Vec
     return bytes;
   };
   worker::Executor& on = executor(worker::TraceKind::automatic);
-  kernels::SplatShadeParameters p{.tiles = 1, .samples = 1, .order = kOrder, .mean_gradients = 0};
+  kernels::SplatShadeParameters p{.tiles = 1, .samples = 1, .order = kOrder, .reserved = 0};
   worker::StageTask task;
   task.kind = "splat_shade";
   task.scene = load(on, std::make_shared<const Scene>(scene::make_scene("cornell-box", {})));

@@ -47,7 +47,7 @@ const std::vector<StageKind>& stage_table() {
        // With both maps, and without clusters.
        {{.file = "kernels/photon/gather.cl", .options = " -D PATH_FILTER=7"},
         {.file = "kernels/photon/caustics.cl"},
-        {.file = "kernels/splat/shade.cl", .options = " -D SPLAT_MEAN_GRADIENTS"}}},
+        {.file = "kernels/splat/shade.cl"}}},
       {"photon_map", run_photon_map_stage, {}, {{.name = "photons"}}},
       {"photon_gather",
        run_photon_gather_stage,

@@ -88,7 +88,7 @@ void ClusterPrediction::read(const std::array<float, 3>& position, const std::ar
   for (Read& read : read_) read.weight /= weights;
 }
 
-// As kernels/splat/shade.cl with SPLAT_MEAN_GRADIENTS, of the colours' sum.
+// As kernels/splat/shade.cl, of the colours' sum.
 ClusterPrediction::Said ClusterPrediction::said() const {
   std::array<double, 3> rotation{}, translation{};
   for (const Read& read : read_) {

@@ -1,6 +1,6 @@
 #pragma once
-// What records of a cache say of a place, on the host (Gautron et al. 2005, eq. 1, 2 and 8), as kernels/splat/shade.cl
-// has it.
+// What single records of a cache say of a place, on the host (Gautron et al. 2005, eq. 2 and 8). They count as in
+// kernels/splat/shade.cl, which changes their light by the mean of all their gradients.
 
 #include <array>
 #include <cmath>

@@ -237,7 +237,7 @@ BatchResult run_splat_shade_stage(const StageRun& run) {
     const Lobes lobes{rows, table->buffer};
     shade(run.build("lobe_shade.cl", " -D SPLAT_ORDER=" + std::to_string(p.order)), &lobes);
   } else {
-    shade(run.build("shade.cl", p.mean_gradients ? " -D SPLAT_MEAN_GRADIENTS" : ""), nullptr);
+    shade(run.build("shade.cl"), nullptr);
   }
   result.counters.seconds = seconds_now() - start;
   return result;
