@@ -73,7 +73,7 @@ class Refinement {
   // Of the samples that are given, how many stand for a point here.
   std::size_t shown_of_given() const {
     std::vector<bool> shown(samples_.size(), false);
-    const ReachGrid grid = grid_of(std::span<const ClusterSample>(samples_));
+    const ReachGrid grid = grid_of(samples_);
     for (const std::uint32_t i : looked_)
       grid.near(points_[i].position,
                 [&](std::uint32_t k) { shown[k] = shown[k] || covers(samples_[k], points_[i], 1 / kOverlap); });

@@ -19,6 +19,7 @@
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/splat/points.h"
 #include "worker/stages/splat/scalar.h"
+#include "worker/stages/splat/stages.h"
 #include "worker/stages/vpl/rows.h"
 #include "worker/wavefront/input_rows.h"
 #include "worker/wavefront/wanted.h"
@@ -224,10 +225,7 @@ class Smoothing {
 void append_cluster_records(const StageTask& task, const std::string& name, std::vector<CacheRecord>& records) {
   const InputRows input(task, name, sizeof(CacheRecord));
   const std::size_t before = records.size();
-  records.resize(before + input.rows());
-  input.visit(0, input.rows(), [&](std::uint64_t first, std::span<const std::byte> piece) {
-    std::memcpy(&records[before + first], piece.data(), piece.size());
-  });
+  append_records(task, name, records);
   for (std::size_t i = 0; i < input.rows(); ++i) {
     const CacheRecord& record = records[before + i];
     float words[CACHE_WORDS];
@@ -258,12 +256,7 @@ std::vector<CacheRecord> smoothed_records(std::vector<CacheRecord> records) {
 }
 
 BatchResult smooth_photon_clusters(const StageTask& task) {
-  const std::vector<CacheRecord> rows = smoothed_records(read_cluster_records(task));
-  BatchResult result;
-  result.records.resize(rows.size() * sizeof(CacheRecord));
-  std::memcpy(result.records.data(), rows.data(), result.records.size());
-  result.counts = {static_cast<std::uint32_t>(rows.size())};
-  return result;
+  return cache_result(smoothed_records(read_cluster_records(task)));
 }
 
 }  // namespace gleaner::worker

@@ -46,13 +46,6 @@ void ReachGrid::enter(std::uint32_t number, const Entry& entry) {
       for (std::int64_t z = lower[2]; z <= upper[2]; ++z) cells_[key_of({x, y, z})].push_back(number);
 }
 
-ReachGrid grid_of(std::span<const CacheRecord> records) {
-  std::vector<ReachGrid::Entry> entries;
-  entries.reserve(records.size());
-  for (const CacheRecord& record : records) entries.push_back({record.position, record.spare[0]});
-  return ReachGrid(std::move(entries));
-}
-
 ReachGrid grid_of(std::span<const ClusterSample> samples) {
   std::vector<ReachGrid::Entry> entries;
   entries.reserve(samples.size());

@@ -45,8 +45,7 @@ class ReachGrid {
   std::vector<std::uint32_t> wide_;
 };
 
-// Of records that were gathered at clusters' samples, and of samples.
-ReachGrid grid_of(std::span<const CacheRecord> records);
+// Of samples.
 ReachGrid grid_of(std::span<const ClusterSample> samples);
 
 }  // namespace gleaner::worker

@@ -9,6 +9,7 @@
 #include "scene/model/error.h"
 #include "worker/stages/splat/reading.h"
 #include "worker/stages/splat/stages.h"
+#include "worker/stages/vpl/rows.h"
 #include "worker/wavefront/input_rows.h"
 
 namespace gleaner::worker {
@@ -102,11 +103,7 @@ kernels::SplatJudgeFacts judge_cache(std::span<const SplatPoint> points, std::ui
 }
 
 BatchResult judge_splat_cache(const StageTask& task) {
-  kernels::SplatJudgeParameters p;
-  if (task.parameters.size() != sizeof p)
-    throw Error::bad_input("stage splat_judge", "parameters", std::to_string(sizeof p) + " bytes",
-                           std::to_string(task.parameters.size()));
-  std::memcpy(&p, task.parameters.data(), sizeof p);
+  const auto p = host_parameters<kernels::SplatJudgeParameters>(task);
   if (p.samples == 0 || p.samples > SPLAT_MOST_SAMPLES)
     throw Error::bad_input("stage splat_judge", "samples", "1 to 16", std::to_string(p.samples));
   std::vector<CacheRecord> records;
@@ -125,8 +122,7 @@ BatchResult judge_splat_cache(const StageTask& task) {
   facts.sampling *= static_cast<double>(samples) / p.samples;
   BatchResult result;
   result.counts = {0};
-  result.facts.resize(sizeof facts);
-  std::memcpy(result.facts.data(), &facts, sizeof facts);
+  set_facts(result, facts);
   return result;
 }
 

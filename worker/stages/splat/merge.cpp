@@ -10,6 +10,7 @@
 #include "kernels/splat_records.h"
 #include "scene/model/error.h"
 #include "worker/stages/splat/stages.h"
+#include "worker/stages/vpl/rows.h"
 #include "worker/wavefront/input_rows.h"
 
 namespace gleaner::worker {
@@ -23,12 +24,16 @@ void append_records(const StageTask& task, const std::string& name, std::vector<
   });
 }
 
+BatchResult cache_result(const std::vector<CacheRecord>& records) {
+  BatchResult result;
+  result.records.resize(records.size() * sizeof(CacheRecord));
+  if (!records.empty()) std::memcpy(result.records.data(), records.data(), result.records.size());
+  result.counts = {static_cast<std::uint32_t>(records.size())};
+  return result;
+}
+
 BatchResult merge_splat_records(const StageTask& task) {
-  kernels::SplatMergeParameters p;
-  if (task.parameters.size() != sizeof p)
-    throw Error::bad_input("stage splat_merge", "parameters", std::to_string(sizeof p) + " bytes",
-                           std::to_string(task.parameters.size()));
-  std::memcpy(&p, task.parameters.data(), sizeof p);
+  const auto p = host_parameters<kernels::SplatMergeParameters>(task);
   std::vector<CacheRecord> records;
   for (unsigned part = 0; task.inputs.contains("records." + std::to_string(part)); ++part)
     append_records(task, "records." + std::to_string(part), records);
@@ -47,11 +52,7 @@ BatchResult merge_splat_records(const StageTask& task) {
       record.accuracy = place.factor[1];
     }
   });
-  BatchResult result;
-  result.records.resize(records.size() * sizeof(CacheRecord));
-  if (!records.empty()) std::memcpy(result.records.data(), records.data(), result.records.size());
-  result.counts = {p.records};
-  return result;
+  return cache_result(records);
 }
 
 }  // namespace gleaner::worker

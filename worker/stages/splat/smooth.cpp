@@ -10,17 +10,16 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstring>
 #include <optional>
 #include <tuple>
 #include <utility>
 #include <vector>
 
-#include "scene/model/error.h"
 #include "worker/stages/photon/reach_grid.h"
 #include "worker/stages/splat/reading.h"
 #include "worker/stages/splat/smooth.h"
 #include "worker/stages/splat/stages.h"
+#include "worker/stages/vpl/rows.h"
 #include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
@@ -194,18 +193,10 @@ std::vector<CacheRecord> smooth_cache(std::vector<CacheRecord> records) {
 }
 
 BatchResult smooth_splat_records(const StageTask& task) {
-  if (task.parameters.size() != sizeof(kernels::SplatSmoothParameters))
-    throw Error::bad_input("stage splat_smooth", "parameters",
-                           std::to_string(sizeof(kernels::SplatSmoothParameters)) + " bytes",
-                           std::to_string(task.parameters.size()));
+  host_parameters<kernels::SplatSmoothParameters>(task);
   std::vector<CacheRecord> records;
   append_records(task, "cache", records);
-  records = smooth_cache(std::move(records));
-  BatchResult result;
-  result.records.resize(records.size() * sizeof(CacheRecord));
-  if (!records.empty()) std::memcpy(result.records.data(), records.data(), result.records.size());
-  result.counts = {static_cast<std::uint32_t>(records.size())};
-  return result;
+  return cache_result(smooth_cache(std::move(records)));
 }
 
 }  // namespace gleaner::worker
