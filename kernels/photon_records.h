@@ -123,7 +123,7 @@ typedef struct {
   gl_uint cut_depth;
   gl_uint reserved;
 } PhotonClusterGatherParameters;
-GLEANER_SIZE(PhotonClusterGatherParameters, 160);
+GLEANER_SIZE(PhotonClusterGatherParameters, 176);
 
 // A place where a map is read: rows of 16 words.
 #define READ_WORDS 16u

@@ -58,6 +58,10 @@ GLEANER_SIZE(SplatPointParameters, 96);
 #define SPLAT_ACCURACY 10u  // a; of a shading cluster: the same for normals, as sqrt(1 - n.m)
 #define SPLAT_SPACING \
   11u  // m, of a shading cluster: how far its members lie apart; else the mean distance without bounds
+// Places of the cache have more words: rows of SPLAT_PLACE_WORDS words.
+#define SPLAT_PLACE_WORDS 20u
+#define SPLAT_NARROW 16u  // as CACHE_NARROW
+#define SPLAT_SHAPED 18u  // uint: 1: Hessians tell how far it reaches; 0: mean distances do
 
 // Stage kind "splat_gather" (input "places"). An item is a place; its record is a row of the cache.
 typedef struct {
@@ -65,14 +69,16 @@ typedef struct {
   gl_uint records;           // items of the stage
   gl_uint polar, azimuthal;  // strata of the hemisphere: azimuthal is a multiple of 16
   gl_uint first_place;       // row of the first item's place
+  gl_uint hessian;           // not 0: records get CACHE_HESSIAN
+  gl_uint reserved[3];
 } SplatGatherParameters;
-GLEANER_SIZE(SplatGatherParameters, 144);
+GLEANER_SIZE(SplatGatherParameters, 160);
 // Strata, at most.
 #define SPLAT_MOST_RAYS 65536u
 
 // A record of the cache: rows of CACHE_WORDS words. Gradients are vectors, a colour after the other: W/m^2 per radian
 // of rotation about their axis, and per metre.
-#define CACHE_WORDS 32u
+#define CACHE_WORDS 36u
 #define CACHE_POSITION 0u
 #define CACHE_NORMAL 3u
 #define CACHE_RADIUS 6u        // m: R_k
@@ -83,6 +89,12 @@ GLEANER_SIZE(SplatGatherParameters, 144);
 #define CACHE_LEVEL 29u        // uint: of its place
 #define CACHE_SPARE 30u
 #define CACHE_NOISE CACHE_SPARE  // of E_k, over it: half the difference between the means of its even and odd strata
+// The record reaches R_k across the vector a s + b t and R_k / sqrt(1 + a^2 + b^2) along it; s and t are the tangents
+// of its normal (basis3()). Zeros: equally far along both.
+#define CACHE_NARROW 32u
+// Of what was gathered with Hessians, until "splat_merge" puts CACHE_NARROW there: second derivatives of the irradiance
+// by s s, s t and t t, over it, 1/m^2. Of the mean of the colours.
+#define CACHE_HESSIAN 32u
 
 // Stage kind "splat_lobe_gather" (input "places"): incoming radiance. An item is a place; its record is a row of
 // RADIANCE_WORDS(order) words.
@@ -91,7 +103,7 @@ typedef struct {
   gl_uint order;  // of hemispherical harmonics: l < order
   gl_uint reserved[3];
 } SplatLobeGatherParameters;
-GLEANER_SIZE(SplatLobeGatherParameters, 160);
+GLEANER_SIZE(SplatLobeGatherParameters, 176);
 #define SPLAT_MOST_ORDER 10u
 
 // A record of incoming radiance: the words of a record of the cache, of which those of irradiance are not read, and
@@ -145,6 +157,13 @@ struct SplatSelectFacts {
   std::uint64_t points = 0, records = 0, given = 0, rounds = 0, probes = 0;
   double accuracy = 0;  // that the records were chosen with: above the one asked for where there were too many
 };
+
+// Stage kind "splat_shape" (inputs "places" and "records": what was gathered at these, with Hessians); solo. One item:
+// the same places, which reach as far as the Hessians say.
+struct SplatShapeParameters {
+  float least_radius = 0, most_radius = 0;  // of R_k, in pixels
+};
+static_assert(sizeof(SplatShapeParameters) == 8);
 
 // Stage kind "splat_merge" (inputs "places" and "records.0", "records.1", ...: what was gathered at them, in their
 // order); solo. One item: the cache, with the places' radii and accuracy.

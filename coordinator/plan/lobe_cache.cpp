@@ -11,8 +11,9 @@ void LobeCache::begin(const Settings& settings, std::function<void(std::vector<f
     return cache_.ask_points(graph_, name, settings_.priority, settings_.free_scatterings, what);
   };
   const Graph::Artifact points = find("splat.lobe_points", SPLAT_LOBES), lobes = find("splat.lobes", SPLAT_LOBE_ROWS);
-  const Graph::Artifact places = graph_.add(cache_.choosing("splat.lobe_select", "splat_select", settings_.priority),
-                                            settings_.select, {{"points", points}});
+  const Graph::Artifact places =
+      graph_.add(cache_.choosing("splat.lobe_select", "splat_select", settings_.priority, SPLAT_PLACE_WORDS),
+                 settings_.select, {{"points", points}});
   graph_.when({places}, [this, points, lobes, places] {
     const auto facts = places.facts<SplatSelectFacts>();
     records_ = facts.records;

@@ -145,14 +145,14 @@ Graph::Artifact PixelCache::ask_lobe_shading(Graph& graph, const std::string& na
                    {{"points", points, Extent::own_items}, {"lobes", lobes, Extent::own_items}, {"cache", cache}});
 }
 
-StageSpec PixelCache::choosing(const std::string& name, const char* kind, int priority) const {
+StageSpec PixelCache::choosing(const std::string& name, const char* kind, int priority, std::uint32_t words) const {
   return {.name = name,
           .kind = kind,
           .items = 1,
           .solo = true,
           .scene_parts = kSurfaces,
           .priority = priority,
-          .output = {.record_bytes = SPLAT_POINT_WORDS * 4,
+          .output = {.record_bytes = words * 4,
                      .counted = true,
                      .most_records = low(std::min<std::uint64_t>(points(), 0xffffffffu)),
                      .placement = Placement::retain}};

@@ -55,7 +55,8 @@ class PixelCache {
                                    std::uint32_t order) const;
 
   // The solo stage that chooses, among the points, where light is gathered.
-  StageSpec choosing(const std::string& name, const char* kind, int priority) const;
+  StageSpec choosing(const std::string& name, const char* kind, int priority,
+                     std::uint32_t words = SPLAT_POINT_WORDS) const;
   // The stage that gathers at so many places, and its parameters: filter and clamp are the method's.
   static StageSpec gathering(const std::string& name, const char* kind, int priority, std::uint64_t records,
                              const Strata& strata, std::uint32_t words = CACHE_WORDS);

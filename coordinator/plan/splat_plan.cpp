@@ -34,13 +34,17 @@ constexpr double kCacheShareOfLimit = 0.5, kMostOfLimit = 0.9;
 constexpr double kRayWork = 4.5;
 // Edge of the blocks of pixels that are visited side by side, in tiles.
 constexpr std::uint32_t kBlockTiles = 2;
+// Records whose Hessians shape the others are chosen by mean distances, with so many times the accuracy: some third of
+// what the whole cache would take. Both together are usually so many times these.
+constexpr float kFirstAccuracy = 1.75f;
+constexpr std::uint64_t kRecordsAFirst = 2;
 // The cache's stages wait for each other, paths for nothing: these fill what the others leave free.
 constexpr int kFirst = 1;
 
 struct SplatSettings : SplatCounts {
   GivenSplatCounts given;
   std::uint32_t bounces, records, order;  // records: new ones, at most
-  bool smooth;
+  bool smooth, hessian;
 };
 
 SplatSettings read_settings(const FrameSettings& settings) {
@@ -53,6 +57,7 @@ SplatSettings read_settings(const FrameSettings& settings) {
   s.records = whole_setting(settings, "splat.new_records").value_or(0);
   s.order = whole_setting(settings, "splat.order").value_or(0);
   s.smooth = flag_setting(settings, "splat.smooth").value_or(true);
+  s.hessian = flag_setting(settings, "splat.hessian").value_or(false);
   return s;
 }
 
@@ -76,6 +81,8 @@ class SplatPlan final : public GraphPlan {
         cameras_(splat_.accuracy > 0 ? PixelCache::begins_with(settings) : std::vector<scene::Camera>()) {
     skips_ = path_skips(scene.needs);
     if (splat_.order && !glossy_) skips_.push_back({"records of incoming radiance", "no material has a rough lobe", 1});
+    if (splat_.hessian && !shapes())
+      skips_.push_back({"Hessians of records", "records are shared with other pictures, or limited in number", 1});
     if (settings.depth == 1)
       skips_.push_back({"the cache", "a depth of 1 is direct light alone", 1});
     else if (!splat_.rays)
@@ -122,6 +129,11 @@ class SplatPlan final : public GraphPlan {
   // one of the depth counts mirrors and glass before the surface as well.
   std::uint32_t free_scatterings() const { return settings_.depth ? settings_.depth - depth() : SPLAT_LEVEL; }
   void make_cache();
+  void make_first_records(std::function<void()> then);
+  // Whether Hessians tell how far records reach. Those that pictures share would be shaped by what came first, and a
+  // limit of new ones says how many are chosen.
+  bool shapes() const { return splat_.hessian && splat_.accuracy > 0 && cameras_.empty() && !splat_.records; }
+  void add_own_records();
   // Whether the cache follows a time limit: what other frames begin with stays as it is.
   bool limited() const { return allowed_work_ && cameras_.empty(); }
   std::optional<double> limited_work() const;  // rays of each cache; none: no limit, or nothing is known
@@ -139,9 +151,11 @@ class SplatPlan final : public GraphPlan {
   SplatExtendParameters extend_parameters(std::size_t camera) const;
   void extend(std::size_t camera);
   SplatGatherParameters gather_parameters(std::uint64_t records) const;
-  Artifact ask_places();
-  void take_places(Records& records, std::uint64_t given, const std::string& gather);
-  StageSpec of_all_records(const std::string& name, const char* kind) const;
+  Artifact ask_places(float coarser, const std::string& name);
+  void take_facts(Records& records, std::uint64_t given);
+  void take_places(Records& records, std::uint64_t given, const std::string& gather_stage);
+  void gather(Records& records, const std::string& stage);
+  static StageSpec of_records(const std::string& name, const char* kind, std::uint64_t records);
   Artifact ask_merge();
   Artifact ask_smoothing(const Artifact& cache);
   void shade(const Artifact& cache);
@@ -158,7 +172,7 @@ class SplatPlan final : public GraphPlan {
   std::vector<float> light_;            // the caches' so far; RGB of each pixel
   std::uint32_t missing_ = 0;           // caches whose light is to come
   std::vector<scene::Camera> cameras_;  // whose records the picture begins with
-  std::vector<Records> before_;         // of each of these
+  std::vector<Records> before_;         // of each of these; or the first ones, by whose Hessians others are chosen
   Artifact points_;
   Records own_;
   unsigned caches_made_ = 0;
@@ -235,7 +249,35 @@ void SplatPlan::tell_fewer_rays(std::uint32_t than) {
 void SplatPlan::make_cache() {
   ++caches_made_;
   own_ = {};
-  own_.places = ask_places();
+  if (!shapes()) return add_own_records();
+  before_.clear();
+  make_first_records([this] { add_own_records(); });
+}
+
+// Few records, which reach as far as their Hessians say.
+void SplatPlan::make_first_records(std::function<void()> then) {
+  const Artifact places = ask_places(kFirstAccuracy, of_this_cache("splat.first_select"));
+  graph_.when({places}, [this, places, then = std::move(then)] {
+    Records first;
+    first.places = places;
+    take_facts(first, 0);
+    if (first.facts.records > 0) {
+      fit_rays(kRecordsAFirst * first.facts.records);
+      gather(first, of_this_cache("splat.first_gather"));
+      const SplatSelectParameters bounds = select_parameters(settings_.width, settings_.height, cache_.samples());
+      StageSpec spec = of_records(of_this_cache("splat.shape"), "splat_shape", first.facts.records);
+      spec.output.record_bytes = SPLAT_PLACE_WORDS * 4;
+      first.places = graph_.add(
+          std::move(spec), SplatShapeParameters{.least_radius = bounds.least_radius, .most_radius = bounds.most_radius},
+          {{"places", places}, {"records", first.gathered}});
+      before_ = {first};
+    }
+    then();
+  });
+}
+
+void SplatPlan::add_own_records() {
+  own_.places = ask_places(1, of_this_cache("splat.select"));
   std::vector<Artifact> all = {own_.places};
   for (const Records& records : before_) all.push_back(records.places);
   graph_.when(std::move(all), [this] {
@@ -356,7 +398,7 @@ SplatExtendParameters SplatPlan::extend_parameters(std::size_t camera) const {
 void SplatPlan::extend(std::size_t camera) {
   std::vector<Graph::Input> given;
   if (camera > 0) given.push_back({"given", before_[camera - 1].places});
-  StageSpec spec = cache_.choosing(numbered("splat.extend", camera), "splat_extend", kFirst);
+  StageSpec spec = cache_.choosing(numbered("splat.extend", camera), "splat_extend", kFirst, SPLAT_PLACE_WORDS);
   spec.output.most_records = 0xffffffffu;
   spec.output.reusable = true;
   before_[camera].places = graph_.add(std::move(spec), extend_parameters(camera), std::move(given));
@@ -367,15 +409,16 @@ void SplatPlan::extend(std::size_t camera) {
   });
 }
 
-Artifact SplatPlan::ask_places() {
+Artifact SplatPlan::ask_places(float coarser, const std::string& name) {
   SplatSelectParameters p = select_parameters(settings_.width, settings_.height, cache_.samples());
+  p.accuracy *= coarser;
   std::vector<Graph::Input> inputs = {{"points", points_}};
+  StageSpec spec = cache_.choosing(name, "splat_select", kFirst, SPLAT_PLACE_WORDS);
   if (!before_.empty()) {
     inputs.push_back({"given", before_.back().places});
-    p.keep_accuracy = 1;
+    p.keep_accuracy = shapes() ? 0 : 1;
+    spec.output.most_records = 0xffffffffu;
   }
-  StageSpec spec = cache_.choosing(of_this_cache("splat.select"), "splat_select", kFirst);
-  if (!before_.empty()) spec.output.most_records = 0xffffffffu;
   spec.output.reusable = true;  // other lights shine on the same places
   return graph_.add(std::move(spec), p, std::move(inputs));
 }
@@ -388,21 +431,33 @@ SplatGatherParameters SplatPlan::gather_parameters(std::uint64_t records) const 
   return p;
 }
 
-// What was chosen is known: light is gathered at the places that are new.
-void SplatPlan::take_places(Records& records, std::uint64_t given, const std::string& gather) {
+// What was chosen is known.
+void SplatPlan::take_facts(Records& records, std::uint64_t given) {
   const auto facts = records.facts = records.places.facts<SplatSelectFacts>();
   records.places.check_facts(facts.records == records.places.record_count() && facts.given == given &&
                                  facts.records >= given && facts.accuracy >= 0 && std::isfinite(facts.accuracy),
                              std::to_string(facts.records) + " records, " + std::to_string(facts.given) +
                                  " of them given, at an accuracy of " + std::to_string(facts.accuracy) + ", and " +
                                  std::to_string(records.places.record_count()) + " places");
-  const std::uint64_t added = facts.records - facts.given;
+}
+
+void SplatPlan::take_places(Records& records, std::uint64_t given, const std::string& gather_stage) {
+  take_facts(records, given);
+  const std::uint64_t added = records.facts.records - records.facts.given;
   if (added == 0) return;
-  if (&records == &own_) fit_rays(added);
+  if (&records == &own_ && !shapes()) fit_rays(added);
+  gather(records, gather_stage);
+}
+
+// Light is gathered at the places that are new.
+void SplatPlan::gather(Records& records, const std::string& stage) {
+  const SplatSelectFacts& facts = records.facts;
+  const std::uint64_t added = facts.records - facts.given;
   SplatGatherParameters p = gather_parameters(added);
   p.first_place = low(facts.given);
-  StageSpec spec = PixelCache::gathering(gather, "splat_gather", kFirst, added, strata_);
-  spec.output.reusable = &records != &own_;
+  p.hessian = shapes() && &records != &own_;
+  StageSpec spec = PixelCache::gathering(stage, "splat_gather", kFirst, added, strata_);
+  spec.output.reusable = &records != &own_ && !shapes();
   records.gathered = graph_.add(std::move(spec), p, {{"places", records.places}});
 }
 
@@ -413,11 +468,11 @@ Artifact SplatPlan::ask_merge() {
   for (const Records& records : before_)
     if (records.gathered) inputs.push_back({numbered("records", inputs.size() - 1), records.gathered});
   if (own_.gathered) inputs.push_back({numbered("records", inputs.size() - 1), own_.gathered});
-  return graph_.add(of_all_records("splat.merge", "splat_merge"),
+  return graph_.add(of_records(of_this_cache("splat.merge"), "splat_merge", own_.facts.records),
                     SplatMergeParameters{.records = low(own_.facts.records)}, std::move(inputs));
 }
 
-StageSpec SplatPlan::of_all_records(const std::string& name, const char* kind) const {
+StageSpec SplatPlan::of_records(const std::string& name, const char* kind, std::uint64_t records) {
   return {.name = name,
           .kind = kind,
           .items = 1,
@@ -426,15 +481,15 @@ StageSpec SplatPlan::of_all_records(const std::string& name, const char* kind) c
           .priority = kFirst,
           .output = {.record_bytes = CACHE_WORDS * 4,
                      .counted = true,
-                     .most_records = low(own_.facts.records),
+                     .most_records = low(records),
                      .placement = Placement::retain}};
 }
 
 // A record at every point is asked for to see what it gathered.
 Artifact SplatPlan::ask_smoothing(const Artifact& cache) {
   if (!splat_.smooth || splat_.accuracy == 0) return cache;
-  return graph_.add(of_all_records(of_this_cache("splat.smooth"), "splat_smooth"), SplatSmoothParameters{},
-                    {{"cache", cache}});
+  return graph_.add(of_records(of_this_cache("splat.smooth"), "splat_smooth", own_.facts.records),
+                    SplatSmoothParameters{}, {{"cache", cache}});
 }
 
 void SplatPlan::shade(const Artifact& cache) {
@@ -472,6 +527,7 @@ std::string SplatPlan::parameters_json() const {
       splat["cameras"] = cameras_.size();
       splat["new_records"] = own_.facts.records - own_.facts.given;
     }
+    if (shapes()) splat["first_records"] = own_.facts.given;
     if (caches_lobes()) splat["order"] = splat_.order, splat["lobe_records"] = lobes_.records();
     if (splat_.accuracy > 0) splat["accuracy"] = own_.facts.accuracy;
     if (judged_ && judged_->mean > 0) {
@@ -495,6 +551,8 @@ std::vector<std::string> SplatPlan::outline() const {
     if (!cameras_.empty())
       lines.push_back("splat.extend, splat.gather: records of " + std::to_string(cameras_.size()) +
                       " cameras, those of one beside what the ones before it have; made once for all pictures");
+    if (shapes())
+      lines.push_back("splat.first_select, first_gather, shape: few records, whose Hessians say how far they reach");
     lines.push_back("splat.select: where records are needed, solo");
     lines.push_back("splat.gather: light from " + std::to_string(strata_.count()) +
                     " directions at each record, split");
@@ -536,6 +594,10 @@ Method splat_method() {
           {"splat.smooth", flag, 0, 1, "1",
            "1: each record takes part of what its neighbours say of its place, as far as records are noisy; 0: none "
            "does"},
+          {"splat.hessian", flag, 0, 1, "0",
+           "1: second derivatives of the light say how far a record reaches, along each tangent its own way; 0: the "
+           "mean distance to the surfaces about it does. Pictures that share records, and splat.new_records, keep the "
+           "latter"},
           {"splat.new_records", whole, 0, 1u << 24, "0",
            "new records of a frame, at most, beside those it begins with: the accuracy is coarsened until they "
            "suffice, "

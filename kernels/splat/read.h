@@ -10,6 +10,15 @@ FN v3 vector_at(global const float* record, uint word) {
   return uniform3(record[word], record[word + 1u], record[word + 2u]);
 }
 
+// Of places by `d` from a record of normal `m`: `across` of splat_error().
+FN vf across_of(global const float* record, v3 d, v3 m) {
+  float along_s = record[CACHE_NARROW], along_t = record[CACHE_NARROW + 1u];
+  if (along_s == 0.0f && along_t == 0.0f) return zero_f();
+  v3 s, t;
+  basis3(m, &s, &t);
+  return along_s * dot3(d, s) + along_t * dot3(d, t);
+}
+
 // A record as the lanes' points see it.
 typedef struct {
   v3 from;    // it to the point, m
@@ -23,7 +32,8 @@ FN RecordRead read_record(global const float* record, v3 p, v3 n, vu level, vi t
   RecordRead read;
   float accuracy = record[CACHE_ACCURACY];
   v3 d = sub3(p, vector_at(record, CACHE_POSITION)), m = vector_at(record, CACHE_NORMAL);
-  vf error = splat_error(d.x, d.y, d.z, n.x, n.y, n.z, m.x, m.y, m.z, (vf)record[CACHE_RADIUS]);
+  vf error =
+      splat_error(d.x, d.y, d.z, n.x, n.y, n.z, m.x, m.y, m.z, (vf)record[CACHE_RADIUS], across_of(record, d, m));
   read.counts = there & (level == ((global const uint*)record)[CACHE_LEVEL]) &
                 (error <= (vf)(accuracy * (1.0f + SPLAT_SLACK))) &
                 none(splat_is_hidden(d.x, d.y, d.z, n.x, n.y, n.z, m.x, m.y, m.z, SPLAT_MOST_DEPTH));

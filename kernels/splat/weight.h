@@ -12,9 +12,11 @@
 #define SPLAT_SLACK 1e-3f
 
 // 1 / w of eq. 2. (x, y, z): from the record to the point; (nx, ny, nz): the point's normal, (mx, my, mz): the
-// record's. 1 - n.m is half of |n - m|^2, which does not cancel.
-FN vf splat_error(vf x, vf y, vf z, vf nx, vf ny, vf nz, vf mx, vf my, vf mz, vf radius) {
-  vf away = sqrt(x * x + y * y + z * z) / radius;
+// record's. 1 - n.m is half of |n - m|^2, which does not cancel. `across`: how much farther the point counts as along
+// the axis of a record that reaches less far there, the product of (x, y, z) and that (CACHE_NARROW), m; 0: it reaches
+// equally far along both tangents.
+FN vf splat_error(vf x, vf y, vf z, vf nx, vf ny, vf nz, vf mx, vf my, vf mz, vf radius, vf across) {
+  vf away = sqrt(x * x + y * y + z * z + across * across) / radius;
   vf dx = nx - mx, dy = ny - my, dz = nz - mz;
   return max_f(away + sqrt((dx * dx + dy * dy + dz * dz) * 0.5f), (vf)SPLAT_LEAST_ERROR);
 }

@@ -246,6 +246,13 @@ TEST(Splat, RecordsDoNotDependOnBatches) {
       {"splat.points", "splat.select", "splat.gather", "splat.shade"});
 }
 
+TEST(Splat, ShapedRecordsDoNotDependOnBatches) {
+  expect_same_in_batches(square_frame("splat", scene::make_scene("cornell-glass", {}), {}, 32, 4,
+                                      {{"splat.gather_rays", "64"}, {"splat.hessian", "1"}}),
+                         {"splat.first_select", "splat.first_gather", "splat.shape", "splat.select", "splat.gather",
+                          "splat.merge", "splat.shade"});
+}
+
 TEST(Splat, RecordsOfLobesDoNotDependOnBatches) {
   Scene scene = scene::make_scene("cornell-glossy", {});
   for (auto& material : scene.materials)

@@ -45,7 +45,7 @@ BatchResult run_photon_cluster_gather_stage(const StageRun& run) {
         return std::make_unique<RecordThread<PhotonGatherThread>>(places, part, run.workspace, work, index, p.estimate,
                                                                   *map, cut);
       },
-      record_maker(cluster_record));
+      record_maker<SplatPoint>(cluster_record));
 }
 
 }  // namespace gleaner::worker

@@ -3,6 +3,7 @@
 
 #include "scene/model/error.h"
 #include "worker/stages/path_stage.h"
+#include "worker/stages/splat/hessian.h"
 #include "worker/stages/splat/radiance.h"
 #include "worker/stages/splat/record_gather.h"
 #include "worker/stages/splat/stages.h"
@@ -32,7 +33,16 @@ void check_splat_order(const StageRun& run, std::uint32_t order) {
 }
 
 BatchResult run_splat_gather_stage(const StageRun& run) {
-  return gather(run, run.parameters<kernels::SplatGatherParameters>(), "gather.cl", record_maker(cache_record));
+  const auto p = run.parameters<kernels::SplatGatherParameters>();
+  if (!p.hessian) return gather(run, p, "gather.cl", record_maker<SplatPlace>(cache_record));
+  check_record_parameters(run, p);
+  const IrradianceHessian hessian({p.polar, p.azimuthal});
+  return gather(run, p, "gather.cl", record_maker<SplatPlace>([&](const auto& place, const auto& grid, auto samples) {
+                  CacheRecord record = cache_record(place, grid, samples);
+                  const TangentMatrix bends = hessian.relative(samples);
+                  for (std::size_t k = 0; k < bends.size(); ++k) record.hessian[k] = static_cast<float>(bends[k]);
+                  return record;
+                }));
 }
 
 BatchResult run_splat_lobe_gather_stage(const StageRun& run) {
@@ -40,7 +50,7 @@ BatchResult run_splat_lobe_gather_stage(const StageRun& run) {
   check_splat_order(run, p.order);
   const std::size_t words = RADIANCE_WORDS(p.order);
   return gather(run, p.records, "lobe_gather.cl",
-                {words * 4, [&](const auto& place, const auto& grid, auto samples, std::byte* to) {
+                {words * 4, sizeof(SplatPlace), [&](const auto& place, const auto& grid, auto samples, std::byte* to) {
                    make_radiance_record(place, grid, samples, p.order, {reinterpret_cast<float*>(to), words});
                  }});
 }

@@ -5,6 +5,8 @@
 #include <numbers>
 #include <vector>
 
+#include "worker/stages/splat/tangent_frame.h"
+
 namespace gleaner::worker {
 namespace {
 
@@ -13,17 +15,6 @@ constexpr double kPi = std::numbers::pi;
 // No gradient per metre exceeds this over R_k, times the irradiance: how fast it can change where all surfaces about
 // are as far away as in the mean (the split sphere of Ward, Rubinstein & Clear 1988).
 constexpr double kSplitSphere = 4 / kPi;
-
-// Duff et al. 2017, as basis3().
-struct Frame {
-  explicit Frame(const std::array<float, 3>& normal) : n{normal[0], normal[1], normal[2]} {
-    const double sign = n[2] >= 0 ? 1 : -1, a = -1 / (sign + n[2]), b = n[0] * n[1] * a;
-    s = {1 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]};
-    t = {b, sign + n[1] * n[1] * a, -n[1]};
-  }
-  Vec world(double x, double y) const { return {x * s[0] + y * t[0], x * s[1] + y * t[1], x * s[2] + y * t[2]}; }
-  Vec n, s{}, t{};
-};
 
 // Radiance as a linear function of the direction, a + b.w, that fits the samples best. What it leaves is small where
 // light changes slowly, and so is the noise of what is summed over it.
@@ -54,7 +45,7 @@ bool solve(std::array<std::array<double, 5>, 4>& m) {
 
 class Gradients {
  public:
-  Gradients(const HemisphereGrid& grid, std::span<const HemisphereSample> samples, const Frame& frame)
+  Gradients(const HemisphereGrid& grid, std::span<const HemisphereSample> samples, const TangentFrame& frame)
       : grid_(grid), samples_(samples), frame_(frame), directions_(samples.size()), turns_(2 * grid.azimuthal) {
     for (std::uint32_t half = 0; half < turns_.size(); ++half) {
       const double phi = 2 * kPi * (0.5 * half) / grid.azimuthal;
@@ -161,7 +152,7 @@ class Gradients {
 
   HemisphereGrid grid_;
   std::span<const HemisphereSample> samples_;
-  const Frame& frame_;
+  const TangentFrame& frame_;
   std::vector<Vec> directions_;
   std::vector<Turn> turns_;  // by halves of an azimuthal stratum
 };
@@ -176,7 +167,7 @@ CacheRecord cache_record(const SplatPoint& place, const HemisphereGrid& grid,
   record.radius = place.factor[0];
   record.accuracy = place.factor[1];
   record.level = place.level();
-  const Frame frame(place.normal);
+  const TangentFrame frame(place.normal);
   const Gradients gradients(grid, samples, frame);
   record.spare[CACHE_NOISE - CACHE_SPARE] = static_cast<float>(gradients.noise());
   for (std::size_t color = 0; color < 3; ++color) {

@@ -37,19 +37,20 @@ BatchResult merge_splat_records(const StageTask& task) {
   std::vector<CacheRecord> records;
   for (unsigned part = 0; task.inputs.contains("records." + std::to_string(part)); ++part)
     append_records(task, "records." + std::to_string(part), records);
-  const InputRows places(task, "places", sizeof(SplatPoint));
+  const InputRows places(task, "places", sizeof(SplatPlace));
   places.expect_rows(records.size());
   if (records.size() != p.records)
     throw Error::bad_input("stage splat_merge", "records", std::to_string(p.records), std::to_string(records.size()));
   places.visit(0, records.size(), [&](std::uint64_t first, std::span<const std::byte> piece) {
-    for (std::size_t at = 0; at < piece.size(); at += sizeof(SplatPoint)) {
-      SplatPoint place;
+    for (std::size_t at = 0; at < piece.size(); at += sizeof(SplatPlace)) {
+      SplatPlace place;
       std::memcpy(&place, piece.data() + at, sizeof place);
       const std::uint64_t row = first + at / sizeof place;
       CacheRecord& record = records[row];
-      if (place.position != record.position) places.fail(row, "position", "that of its record", "another");
-      record.radius = place.factor[0];
-      record.accuracy = place.factor[1];
+      if (place.point.position != record.position) places.fail(row, "position", "that of its record", "another");
+      record.radius = place.point.factor[0];
+      record.accuracy = place.point.factor[1];
+      record.hessian = {place.narrow[0], place.narrow[1], 0};
     }
   });
   return cache_result(records);

@@ -26,6 +26,14 @@ struct SplatPoint {
 };
 static_assert(sizeof(SplatPoint) == SPLAT_POINT_WORDS * 4);
 
+// A row of "splat_select". Of its point, `factor` has the radius, the accuracy and the mean distance.
+struct SplatPlace {
+  SplatPoint point;
+  std::array<float, 2> narrow;
+  std::uint32_t shaped, reserved;
+};
+static_assert(sizeof(SplatPlace) == SPLAT_PLACE_WORDS * 4);
+
 struct CacheRecord {
   std::array<float, 3> position, normal;
   float radius;
@@ -34,7 +42,10 @@ struct CacheRecord {
   float accuracy;
   std::uint32_t level;
   std::array<float, 2> spare;
-  float noise() const { return spare[0]; }  // CACHE_NOISE
+  std::array<float, 3> hessian;  // CACHE_HESSIAN, or CACHE_NARROW and nothing
+  float reserved;
+  float noise() const { return spare[0]; }                                  // CACHE_NOISE
+  std::array<float, 2> narrow() const { return {hessian[0], hessian[1]}; }  // of a merged record
 };
 static_assert(sizeof(CacheRecord) == CACHE_WORDS * 4);
 

@@ -8,10 +8,24 @@
 
 #include "worker/stages/splat/points.h"
 #include "worker/stages/splat/scalar.h"
+#include "worker/stages/splat/tangent_frame.h"
 
 namespace gleaner::worker::splat {
 
 using Color = std::array<double, 3>;
+
+// CACHE_NARROW in the world.
+inline TangentFrame::Vec narrow_of(const std::array<float, 3>& normal, const std::array<float, 2>& narrow) {
+  return TangentFrame(normal).world(double{narrow[0]}, double{narrow[1]});
+}
+
+// Of a place by `d` from a record: `across` of splat_error().
+inline float across_of(const std::array<float, 3>& normal, const std::array<float, 2>& narrow,
+                       const std::array<float, 3>& d) {
+  if (narrow[0] == 0 && narrow[1] == 0) return 0;
+  const TangentFrame::Vec axis = narrow_of(normal, narrow);
+  return static_cast<float>(d[0] * axis[0] + d[1] * axis[1] + d[2] * axis[2]);
+}
 
 // w - 1 / a at a place of normal n; 0: the record does not reach there. `stretch`: how many times as far as a picture
 // lets it.
@@ -21,7 +35,8 @@ inline double record_weight(const CacheRecord& record, const std::array<float, 3
   const float accuracy = stretch * record.accuracy, most = accuracy * (1 + SPLAT_SLACK), reach = most * record.radius;
   if (!(x * x + y * y + z * z <= reach * reach)) return 0;
   const std::array<float, 3>& m = record.normal;
-  const float error = splat_error(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], record.radius);
+  const float error =
+      splat_error(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], record.radius, across_of(m, record.narrow(), {x, y, z}));
   if (error > most || splat_is_hidden(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], SPLAT_MOST_DEPTH)) return 0;
   const float least = 1 / accuracy;
   return std::max(1 / error - least, SPLAT_SLACK * least);

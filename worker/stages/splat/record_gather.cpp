@@ -16,13 +16,14 @@ using kernels::SplatGatherParameters;
 constexpr std::uint32_t kMostPaths = 1u << 19;
 constexpr std::size_t kSlotBytes = FILTERED_SLOT_WORDS * 4;
 
-std::vector<SplatPoint> read_places(const StageRun& run, const SplatGatherParameters& p) {
-  const InputRows input(run.task, "places", sizeof(SplatPoint));
+std::vector<SplatPoint> read_places(const StageRun& run, const SplatGatherParameters& p, std::size_t row_bytes) {
+  const InputRows input(run.task, "places", row_bytes);
   input.expect_rows(std::uint64_t{p.first_place} + p.records);
   std::vector<SplatPoint> rows(run.count);
   const std::uint64_t first_row = p.first_place + run.first;
   input.visit(first_row, run.count, [&](std::uint64_t first, std::span<const std::byte> piece) {
-    std::memcpy(&rows[first - first_row], piece.data(), piece.size());
+    for (std::size_t at = 0; at < piece.size(); at += row_bytes)
+      std::memcpy(&rows[first - first_row + at / row_bytes], piece.data() + at, sizeof(SplatPoint));
   });
   for (std::size_t i = 0; i < rows.size(); ++i) {
     const SplatPoint& place = rows[i];
@@ -96,7 +97,7 @@ BatchResult gather_records(const StageRun& run, const SplatGatherParameters& p, 
   const double start = seconds_now();
   const HemisphereGrid grid{p.polar, p.azimuthal};
   cl::CommandQueue queue = run.device.make_queue();
-  const std::vector<SplatPoint> rows = read_places(run, p);
+  const std::vector<SplatPoint> rows = read_places(run, p, maker.place_bytes);
   PlaceTable places{.buffer = run.workspace.take("splat.places", (rows.size() + 1) * sizeof(SplatPoint))};
   queue.enqueueWriteBuffer(places.buffer, CL_TRUE, 0, rows.size() * sizeof(SplatPoint), rows.data());
   BatchResult result;

@@ -51,15 +51,16 @@ using MakeRecordThread = std::function<std::unique_ptr<SampleThread>(const Place
                                                                      WorkQueue& work, unsigned index)>;
 // Makes a record of a place and of what its rays found.
 struct RecordMaker {
-  std::size_t bytes = 0;  // of a record
+  std::size_t bytes = 0;        // of a record
+  std::size_t place_bytes = 0;  // of a row of the places, which begins with a SplatPoint
   std::function<void(const SplatPoint& place, const HemisphereGrid& grid, std::span<const HemisphereSample> samples,
                      std::byte* record)>
       make;
 };
-// Of a function that returns it.
-template <typename Make>
+// Of a function that returns it, and rows of places of this type.
+template <typename Place, typename Make>
 RecordMaker record_maker(Make make) {
-  return {sizeof(CacheRecord), [make](const auto& place, const auto& grid, auto samples, std::byte* to) {
+  return {sizeof(CacheRecord), sizeof(Place), [make](const auto& place, const auto& grid, auto samples, std::byte* to) {
             const CacheRecord record = make(place, grid, samples);
             std::memcpy(to, &record, sizeof record);
           }};

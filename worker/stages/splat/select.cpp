@@ -3,7 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "worker/stages/splat/scalar.h"
+#include "worker/stages/splat/reading.h"
+#include "worker/stages/splat/shape.h"
 #include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
@@ -16,6 +17,9 @@ constexpr std::uint32_t kGroupTiles = 8;
 // pi / 2 times as fast, but there light changes fastest: for as many records, 3/2 errs least
 // (docs/explanation/splat.md).
 constexpr float kMostSlope = 1.5f;
+
+// Given places shape those within so many times their reach.
+constexpr float kShapeStretch = 3;
 
 using Vec = std::array<float, 3>;
 
@@ -120,7 +124,8 @@ class Selector {
     float widest = 0;  // of the pixels that it lights: no less than at its own place, where the picture shows that
     each_covered(place, [&](std::size_t i) { widest = std::max(widest, points_[i].footprint); });
     if (widest > 0) place.point.footprint = std::min(place.point.footprint, widest);
-    place.radius = std::min(place.radius, bounded(place.point, place.mean));
+    if (!place.shaped) place.radius = std::min(place.radius, bounded(place.point, place.mean));
+    shaped_ = shaped_ || place.shaped;
     made_.places.push_back(place);
     cover(place, 1);
   }
@@ -135,14 +140,56 @@ class Selector {
       const float most = mean + kMostSlope * distance(place.point.position, point.position);
       if (place.mean <= most) continue;
       place.mean = most;
-      const float radius = std::min(place.radius, bounded(place.point, most));
-      if (radius == place.radius) continue;
+      const RecordShape shape = place.shaped
+                                    ? within_bounds(place, {place.radius, place.narrow})
+                                    : RecordShape{std::min(place.radius, bounded(place.point, most)), place.narrow};
+      if (shape.radius == place.radius && shape.narrow == place.narrow) continue;
       cover(place, -1);
-      place.radius = radius;
+      place.radius = shape.radius;
+      place.narrow = shape.narrow;
       cover(place, 1);
     }
-    made_.places.push_back({point, mean, bounded(point, mean)});
+    Selection::Place place{.point = point, .mean = mean, .radius = bounded(point, mean)};
+    if (shaped_) shape(place);
+    made_.places.push_back(place);
     cover(made_.places.back(), 1);
+  }
+
+  ShapeBounds bounds_of(const Selection::Place& place) const {
+    return shape_bounds(settings_.least_radius, settings_.most_radius, place.point.footprint, place.mean);
+  }
+
+  RecordShape within_bounds(const Selection::Place& place, const RecordShape& shape) const {
+    const ShapeBounds bounds = bounds_of(place);
+    if (double{shape.radius} <= bounds.most) return shape;
+    return shape_of(in_plane(place.point.normal, metric_of(place.point.normal, shape)), bounds);
+  }
+
+  // As the given places about it are shaped, where there are any.
+  void shape(Selection::Place& place) const {
+    const SplatPoint& point = place.point;
+    const Vec &p = point.position, &n = point.normal;
+    WorldMatrix sum{};
+    double weights = 0;
+    for (const Selection::Place& other : made_.places) {
+      if (!other.shaped || other.point.level() != point.level()) continue;
+      const Vec &center = other.point.position, &m = other.point.normal;
+      const float accuracy = kShapeStretch * settings_.accuracy;
+      if (distance(center, p) > accuracy * other.radius) continue;
+      const float x = p[0] - center[0], y = p[1] - center[1], z = p[2] - center[2];
+      const float error = splat::splat_error(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], other.radius,
+                                             splat::across_of(m, other.narrow, {x, y, z}));
+      if (!(error < accuracy)) continue;
+      const double weight = 1 / double{error} - 1 / double{accuracy};
+      const WorldMatrix metric = metric_of(m, {other.radius, other.narrow});
+      for (std::size_t k = 0; k < sum.size(); ++k) sum[k] += weight * metric[k];
+      weights += weight;
+    }
+    if (!(weights > 0)) return;
+    for (double& value : sum) value /= weights;
+    const RecordShape shape = shape_of(in_plane(n, sum), bounds_of(place));
+    place.radius = shape.radius;
+    place.narrow = shape.narrow;
   }
 
   void cover(const Selection::Place& place, int change) {
@@ -165,6 +212,8 @@ class Selector {
   void each_covered_of(std::uint32_t tile, const Selection::Place& place, Call call) const {
     const Vec &center = place.point.position, &m = place.point.normal;
     const float reach = settings_.accuracy * place.radius, reach2 = reach * reach;
+    const std::array<double, 3> narrow = splat::narrow_of(m, place.narrow);
+    const bool round = place.narrow[0] == 0 && place.narrow[1] == 0;
     for (std::size_t i = std::size_t{tile} * tile_points_; i < (std::size_t{tile} + 1) * tile_points_; ++i) {
       const Surface& point = surfaces_[i];
       const float x = point.position[0] - center[0], y = point.position[1] - center[1],
@@ -172,7 +221,9 @@ class Selector {
       // Eq. 4.
       if (!(x * x + y * y + z * z <= reach2) || points_[i].level() != place.point.level()) continue;
       const Vec& n = point.normal;
-      if (splat::splat_error(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], place.radius) > settings_.accuracy) continue;
+      const float across = round ? 0 : static_cast<float>(x * narrow[0] + y * narrow[1] + z * narrow[2]);
+      if (splat::splat_error(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], place.radius, across) > settings_.accuracy)
+        continue;
       if (splat::splat_is_hidden(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], SPLAT_MOST_DEPTH * (1 - SPLAT_SLACK)))
         continue;
       call(i);
@@ -193,6 +244,7 @@ class Selector {
   std::vector<Group> groups_;
   std::vector<Block> blocks_;
   Selection made_;
+  bool shaped_ = false;  // given places are
 };
 
 }  // namespace

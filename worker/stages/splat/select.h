@@ -28,8 +28,10 @@ struct SelectSettings {
 struct Selection {
   struct Place {
     SplatPoint point{};
-    float mean = 0;    // the harmonic mean distance, without bounds, m
-    float radius = 0;  // R_k, m
+    float mean = 0;                 // the harmonic mean distance, without bounds, m
+    float radius = 0;               // R_k, m
+    std::array<float, 2> narrow{};  // CACHE_NARROW
+    bool shaped = false;            // Hessians tell the radius: neighbours' mean distances do not change it
   };
   std::vector<Place> places;  // those that were given, in their order, and the new ones
   std::uint64_t points = 0, rounds = 0, probes = 0;
@@ -40,7 +42,8 @@ struct Selection {
 using ProbePoints = std::function<std::vector<float>(std::span<const std::uint32_t> points)>;
 
 // `points`: of whole tiles, as kernels/splat_records.h has them. Radii of `given` places may shrink: where this picture
-// shows them from nearer by, or a new record finds a surface that their rays missed.
+// shows them from nearer by, or a new record finds a surface that their rays missed. Where they are shaped, new places
+// near them are shaped like them.
 Selection select_places(const SelectSettings& settings, std::span<const SplatPoint> points,
                         std::span<const Selection::Place> given, const ProbePoints& probe);
 

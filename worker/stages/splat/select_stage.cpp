@@ -119,20 +119,20 @@ std::vector<Selection::Place> given_places(const StageRun& run, float* accuracy)
   std::vector<Selection::Place> places;
   *accuracy = 0;
   if (!run.task.inputs.contains("given")) return places;
-  const InputRows input(run.task, "given", sizeof(SplatPoint));
+  const InputRows input(run.task, "given", sizeof(SplatPlace));
   places.reserve(input.rows());
   input.visit(0, input.rows(), [&](std::uint64_t first, std::span<const std::byte> piece) {
-    for (std::size_t at = 0; at < piece.size(); at += sizeof(SplatPoint)) {
-      Selection::Place place;
-      std::memcpy(&place.point, piece.data() + at, sizeof place.point);
-      place.radius = place.point.factor[0];
-      place.mean = place.point.factor[2];
+    for (std::size_t at = 0; at < piece.size(); at += sizeof(SplatPlace)) {
+      SplatPlace row;
+      std::memcpy(&row, piece.data() + at, sizeof row);
+      const Selection::Place place{row.point, row.point.factor[2], row.point.factor[0], row.narrow, row.shaped != 0};
       *accuracy = std::max(*accuracy, place.point.factor[1]);
-      bool sound = place.point.exists() && place.radius > 0 && place.mean > 0;
+      bool sound = place.point.exists() && place.radius > 0 && place.mean > 0 && std::isfinite(place.narrow[0]) &&
+                   std::isfinite(place.narrow[1]);
       for (std::size_t k = 0; k < 3; ++k)
         sound = sound && std::isfinite(place.point.position[k]) && std::isfinite(place.point.normal[k]) &&
                 std::isfinite(place.point.factor[k]);
-      if (!sound) input.fail(first + at / sizeof(SplatPoint), "radius", "a place with its distances", "another");
+      if (!sound) input.fail(first + at / sizeof(SplatPlace), "radius", "a place with its distances", "another");
       places.push_back(place);
     }
   });
@@ -142,7 +142,9 @@ std::vector<Selection::Place> given_places(const StageRun& run, float* accuracy)
 Selection every_point(const std::vector<SplatPoint>& points) {
   Selection selection;
   for (const SplatPoint& point : points)
-    if (point.exists()) selection.places.push_back({point, kOwnRadius * point.footprint, kOwnRadius * point.footprint});
+    if (point.exists())
+      selection.places.push_back(
+          {.point = point, .mean = kOwnRadius * point.footprint, .radius = kOwnRadius * point.footprint});
   selection.points = selection.places.size();
   selection.whole = true;
   return selection;
@@ -202,11 +204,11 @@ void choose_places(const StageRun& run, const SplatSelectParameters& p, const st
   float given_accuracy = 0;
   const std::vector<Selection::Place> given = given_places(run, &given_accuracy);
   const Selection selection = select(run, p, points, given, given_accuracy, &facts.accuracy, result);
-  result.records.resize(selection.places.size() * sizeof(SplatPoint));
+  result.records.resize(selection.places.size() * sizeof(SplatPlace));
   std::byte* to = result.records.data();
   for (const Selection::Place& place : selection.places) {
-    SplatPoint row = place.point;
-    row.factor = {place.radius, static_cast<float>(facts.accuracy), place.mean};
+    SplatPlace row{.point = place.point, .narrow = place.narrow, .shaped = place.shaped, .reserved = 0};
+    row.point.factor = {place.radius, static_cast<float>(facts.accuracy), place.mean};
     std::memcpy(to, &row, sizeof row);
     to += sizeof row;
   }

@@ -14,6 +14,7 @@ BatchResult run_splat_points_stage(const StageRun& run);
 BatchResult run_splat_select_stage(const StageRun& run);
 BatchResult run_splat_extend_stage(const StageRun& run);
 BatchResult run_splat_gather_stage(const StageRun& run);
+BatchResult shape_splat_places(const StageTask& task);
 BatchResult merge_splat_records(const StageTask& task);
 BatchResult judge_splat_cache(const StageTask& task);
 BatchResult smooth_splat_records(const StageTask& task);
