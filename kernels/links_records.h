@@ -53,7 +53,8 @@ namespace gleaner::kernels {
 #define HANGING_PART 3u  // float: of the way from the one to the other
 
 // With the inputs "coarse", a mesh, and "probe", what links_probe found of it: triangles are divided on where
-// irradiance bends, that is where it is not what a triangle interpolates.
+// irradiance bends, that is where it is not what a triangle interpolates. With the input "divided", a mesh of the same
+// triangles in another pose, each is divided as there, and `vertices` is not read.
 typedef struct {
   // Wanted: triangles are divided until there are about so many; 0: none is.
   gl_uint vertices;

@@ -70,6 +70,7 @@ SessionCall::SessionCall(Farm& farm, BlobStore& blobs, const pb::SessionOpen& op
       denoise_first_(open.settings().denoise().empty() ? Denoise::off : from_proto(open.settings()).denoise),
       denoise_refined_(open.settings().denoise().empty() ? Denoise::fast : denoise_first_),
       base_(base_of(blobs, open)),
+      rest_bounds_(scene::bounds_of(*base_)),
       posed_(base_),
       scene_(base_),
       changed_(steady_now()) {
@@ -100,6 +101,7 @@ void SessionCall::describe(const scene::FrameState& state) {
   posed_.show(state, request_.scene_name);
   shown_ = summarize(*posed_.scene());
   FrameScene& shown = request_.scenes.front();
+  shown_.rest_bounds = rest_bounds_;
   shown_.lineage = lineage_of(shown.scene_blob, *base_, state);
   shown.summary = shown_;
   state_ = std::move(bytes);

@@ -70,6 +70,7 @@ class SessionCall {
   const coordinator::Denoise denoise_first_, denoise_refined_;
   std::set<std::string> given_;  // settings of the request
   std::shared_ptr<const scene::Scene> base_;
+  scene::Bounds rest_bounds_;
 
   // Of the state that was rendered last.
   scene::PosedScene posed_;

@@ -95,6 +95,7 @@ class StreamSession final : public WorkerSession {
       out.set_scene_blob(work->scene_blob);
       out.set_bvh_blob(work->bvh_blob);
       out.set_state_blob(work->state_blob);
+      out.set_at_rest(work->at_rest);
     });
   }
 

@@ -112,6 +112,7 @@ SceneSummary Farm::Impl::summary_of(const Frame& frame) {
   const std::string origin = job.request.scene_name + ", frame " + std::to_string(frame_at(job.request, frame.place));
   const scene::FrameState state = scene::parse_frame_state(*fetch(shown.state_blob), origin);
   SceneSummary summary = summarize(scene::posed(*base, state, origin));
+  summary.rest_bounds = shown.summary.bounds;
   summary.lineage = lineage_of(shown.scene_blob, *base, state);
   return summary;
 }

@@ -61,6 +61,7 @@ FrameScene decode_scene(const json& value) {
   scene.summary.lights = value.at("lights").get<std::uint64_t>();
   value.at("lower").get_to(scene.summary.bounds.lower);
   value.at("upper").get_to(scene.summary.bounds.upper);
+  scene.summary.rest_bounds = scene.summary.bounds;
   return scene;
 }
 

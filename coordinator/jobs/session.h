@@ -85,6 +85,7 @@ struct StageWork {
   std::string artifact;  // id of what the stage makes
   StageOutput output;
   std::string scene_blob, bvh_blob, state_blob;  // ids; see FrameScene
+  bool at_rest = false;                          // the scene is the base of a frame's state, and is shown without it
 };
 
 // The farm's way to one worker. Calls come with the farm locked: they queue what is to be said and return.

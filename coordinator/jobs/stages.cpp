@@ -144,7 +144,8 @@ std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Frame>&
   work->output = spec.output;
   work->scene_blob = frame->scene.scene_blob;
   work->bvh_blob = frame->scene.bvh_blob;
-  work->state_blob = frame->scene.state_blob;
+  work->at_rest = spec.at_rest && !frame->scene.state_blob.empty();
+  if (!work->at_rest) work->state_blob = frame->scene.state_blob;
   auto stage = std::make_shared<RunningStage>();
   stage->frame = frame;
   stage->spec = spec;

@@ -119,10 +119,11 @@ class LinksPlan final : public GraphPlan {
           "--method links: expected a scene of copies, found one with instances, whose vertices are one for all "
           "places");
     skips_ = path_skips(scene.needs);
+    posed_ = !scene.lineage.geometry.empty();
     triangles_ = static_cast<double>(scene.triangles);
     double diagonal = 0;
     for (std::size_t k = 0; k < 3; ++k)
-      diagonal = std::hypot(diagonal, double{scene.bounds.upper[k]} - scene.bounds.lower[k]);
+      diagonal = std::hypot(diagonal, double{scene.rest_bounds.upper[k]} - scene.rest_bounds.lower[k]);
     wave_ = diagonal > 0 ? static_cast<float>(kWavesOfScene / diagonal) : 0.0f;
     // Each vertex of a scattering on a light's way is a bounce, but for the one that the camera sees.
     most_bounces_ = links_.bounces ? links_.bounces : kMostBounces;
@@ -149,9 +150,13 @@ class LinksPlan final : public GraphPlan {
 
   void begin() override;
   void make_links();
-  Artifact ask_mesh(const std::string& name, std::uint32_t vertices, std::vector<Graph::Input> inputs);
+  // Which scene a mesh's triangles are of: the frame's, or its base at rest.
+  enum class Pose { shown, rest };
+  Artifact ask_mesh(const std::string& name, Pose pose, std::uint32_t vertices, std::vector<Graph::Input> inputs);
   void probe(const Artifact& coarse);
-  Artifact ask_probe(const std::string& name, const Artifact& mesh, std::uint32_t directions);
+  std::string divided_mesh() const { return of_these_links(posed_ ? "rest_mesh" : "mesh"); }
+  void pose(const Artifact& divided);
+  Artifact ask_probe(const std::string& name, Pose pose, const Artifact& mesh, std::uint32_t directions);
   void link(const LinksMeshFacts& facts);
   void gather(std::uint32_t bounce);
   void exchange();
@@ -179,6 +184,7 @@ class LinksPlan final : public GraphPlan {
   std::uint32_t most_bounces_ = 0, elements_ = 0;
   std::uint64_t link_words_ = 0;
   double triangles_ = 0;  // of the scene
+  bool posed_ = false;    // other triangles are shown than the base at rest has
   bool linked_ = false;   // the mesh is known
   float wave_ = 0;        // 1/m
   LinksMeshFacts mesh_facts_{};
@@ -209,13 +215,19 @@ void LinksPlan::make_links() {
   linked_ = false;
   mesh_ = probe_ = albedo_ = made_ = light_ = sent_ = {};
   if (!links_.refine || links_.vertices == 0) {
-    mesh_ = ask_mesh(of_these_links("mesh"), links_.vertices, {});
-    graph_.when({mesh_}, [this] { link(checked_facts(mesh_)); });
+    pose(ask_mesh(divided_mesh(), Pose::rest, links_.vertices, {}));
     return;
   }
   // Half of the vertices lie evenly, and show where the others are needed.
-  const Artifact coarse = ask_mesh(of_these_links("coarse_mesh"), std::max(1u, links_.vertices / 2), {});
+  const Artifact coarse = ask_mesh(of_these_links("coarse_mesh"), Pose::rest, std::max(1u, links_.vertices / 2), {});
   graph_.when({coarse}, [this, coarse] { probe(coarse); });
+}
+
+// Triangles are divided as they are at rest, so that a vertex of what moves or deforms stays the same from frame to
+// frame, and no frame but the first looks for where irradiance bends. `divided`: the mesh at rest.
+void LinksPlan::pose(const Artifact& divided) {
+  mesh_ = posed_ ? ask_mesh(of_these_links("mesh"), Pose::shown, 0, {{"divided", divided}}) : divided;
+  graph_.when({mesh_}, [this] { link(checked_facts(mesh_)); });
 }
 
 // All that the links take. Before the mesh is known it is expected to have the vertices that were asked for, or as many
@@ -229,12 +241,14 @@ double LinksPlan::own_work() const {
   return elements * (probes + links_.directions + links_.light_samples + 1 + bounces) + static_cast<double>(pixels());
 }
 
-Artifact LinksPlan::ask_mesh(const std::string& name, std::uint32_t vertices, std::vector<Graph::Input> inputs) {
+Artifact LinksPlan::ask_mesh(const std::string& name, Pose pose, std::uint32_t vertices,
+                             std::vector<Graph::Input> inputs) {
   StageSpec mesh{.name = name,
                  .kind = "links_mesh",
                  .items = 1,
                  .solo = true,
                  .scene_parts = kGeometry,
+                 .at_rest = pose == Pose::rest,
                  .priority = kFirst,
                  .output = reusable(retained_words(0xffffffffu))};
   return graph_.add(std::move(mesh), LinksMeshParameters{vertices, {}}, std::move(inputs));
@@ -244,22 +258,22 @@ void LinksPlan::probe(const Artifact& coarse) {
   const LinksMeshFacts facts = checked_facts(coarse);
   if (facts.divided == 0) {
     // Nothing is measured where no triangle is divided.
-    mesh_ = coarse;
-    link(facts);
+    pose(coarse);
     return;
   }
   elements_ = 2 * facts.vertices;
-  const Artifact probed = ask_probe(of_these_links("coarse_probe"), coarse, kProbeDirections);
-  mesh_ = ask_mesh(of_these_links("mesh"), links_.vertices, {{"coarse", coarse}, {"probe", probed}});
-  graph_.when({mesh_}, [this] { link(checked_facts(mesh_)); });
+  const Artifact probed = ask_probe(of_these_links("coarse_probe"), Pose::rest, coarse, kProbeDirections);
+  pose(ask_mesh(divided_mesh(), Pose::rest, links_.vertices, {{"coarse", coarse}, {"probe", probed}}));
 }
 
-Graph::Artifact LinksPlan::ask_probe(const std::string& name, const Artifact& mesh, std::uint32_t directions) {
+Graph::Artifact LinksPlan::ask_probe(const std::string& name, Pose pose, const Artifact& mesh,
+                                     std::uint32_t directions) {
   LinksParameters p = element_parameters();
   p.directions = directions;
   p.wave = wave_;
-  return graph_.add(elements(name, "links_probe", kShapes, reusable(retained(PROBE_WORDS * 4)), directions), p,
-                    {{"mesh", mesh}});
+  StageSpec probe = elements(name, "links_probe", kShapes, reusable(retained(PROBE_WORDS * 4)), directions);
+  probe.at_rest = pose == Pose::rest;
+  return graph_.add(std::move(probe), p, {{"mesh", mesh}});
 }
 
 LinksParameters LinksPlan::element_parameters() const {
@@ -295,7 +309,7 @@ void LinksPlan::link(const LinksMeshFacts& facts) {
     film_.add_pass({});
     return;
   }
-  probe_ = ask_probe(of_these_links("probe"), mesh_, kInsideDirections);
+  probe_ = ask_probe(of_these_links("probe"), Pose::shown, mesh_, kInsideDirections);
   LinksParameters p = element_parameters();
   p.samples = kAlbedoSamples;
   albedo_ = graph_.add(

@@ -25,7 +25,7 @@ SceneSummary summarize(const scene::Scene& scene) {
   summary.needs = scene::needs_of(scene);
   summary.triangles = scene.triangle_count();
   summary.lights = scene.lights.size();
-  summary.bounds = scene::bounds_of(scene);
+  summary.bounds = summary.rest_bounds = scene::bounds_of(scene);
   summary.matrices = scene.rig.matrices;
   summary.morph_weights = scene.rig.morph_weights;
   for (std::uint32_t material : scene.triangle_material) {

@@ -129,6 +129,7 @@ struct SceneSummary {
   scene::SceneNeeds needs;
   std::uint64_t triangles = 0, emissive_triangles = 0, lights = 0;
   scene::Bounds bounds;
+  scene::Bounds rest_bounds;                      // of the base at rest; where there is no state, the same
   std::uint32_t matrices = 0, morph_weights = 0;  // that a state of it has, where it is a base
   SceneLineage lineage{};                         // names what is made of it (artifact_id); the farm fills it in
 };

@@ -71,6 +71,9 @@ struct SceneLineage {
   SceneLineage(const char* blob) : base(blob) {}
   bool operator==(const SceneLineage&) const = default;
 
+  // Of the base at rest.
+  SceneLineage at_rest() const { return base; }
+
   // Equal for two scenes whose parts are.
   std::string of(unsigned parts) const {
     if (parts == kNoScene) return {};
@@ -107,10 +110,11 @@ struct StageSpec {
   std::uint32_t tile = 1;              // batches begin and end at multiples of it (or at `items`)
   bool solo = false;                   // runs whole on one worker
   unsigned scene_parts = kWholeScene;  // that it reads
-  bool denoises = false;               // workers that have a denoiser get it, while there are any
-  int priority = 0;                    // of the frame's stages that wait, the highest goes first; equal: the oldest
-  Bytes parameters{};                  // little-endian struct of the kind's header in kernels/
-  double work = 0;                     // predicted cost of all items, in samples of a path tracer; 0: one an item
+  bool at_rest = false;   // reads the scene as the base of its state is at rest: frames share what it makes
+  bool denoises = false;  // workers that have a denoiser get it, while there are any
+  int priority = 0;       // of the frame's stages that wait, the highest goes first; equal: the oldest
+  Bytes parameters{};     // little-endian struct of the kind's header in kernels/
+  double work = 0;        // predicted cost of all items, in samples of a path tracer; 0: one an item
   std::vector<StageInput> inputs{};
   StageOutput output;
 };

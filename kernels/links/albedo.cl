@@ -21,7 +21,7 @@ kernel WIDE void links_albedo_samples(global const LinksParameters* restrict par
   vi active = (vi)(element < m.elements ? all_lanes() : no_lanes());
   if (!any_lane(active)) return;
   vu sample = (vu)(first_lane % samples) + lane_index();
-  vu key = element_key(parameters->seed_low, parameters->seed_high, element, 0x41u);
+  vu key = element_key(parameters, &m, element, 0x41u);
   RingPoint at = random_ring_point(&m, element, 1.0f, key, sample);
   Vertex v = element_surface(scene, &at, element, active);
   v3 albedo = own_albedo(&v);

@@ -40,8 +40,7 @@ kernel WIDE void links_audit_rays(global const LinksParameters* restrict paramet
   // All lanes are at one point.
   uint back = any_lane(active & (dot3(h.normal, normal) < zero_f())) ? 1u : 0u;
   Vertex from = element_surface(scene, &at, back, active);
-  vu key =
-      element_key(parameters->seed_low, parameters->seed_high, 4u * (first + number / 2u) + 2u * half_of_rays, 0x55u);
+  vu key = named_key(parameters, (vu)(2u * (first + number / 2u) + half_of_rays), 0x55u);
   vu ray = (vu)(first_lane % directions) + lane_index();
   send_ray(scene, &from, grid_direction(ray, side, key), active, rays, block);
 }
@@ -65,10 +64,7 @@ kernel WIDE void links_audit_hits(global const LinksParameters* restrict paramet
   v3 sent = splat3(zero_f()), indirect = splat3(zero_f());
   Connection c = no_connection();
   SeenElements elements;
-  elements.hit.primitive = (vu)GLEANER_NONE;
-#ifdef NEED_INSTANCES
-  elements.hit.hit.instance = (vu)GLEANER_NONE;
-#endif
+  elements.hit = no_vertex();
   if (any_lane(hit)) {
     Mesh m = load_mesh(mesh);
     elements = seen_elements(scene, &m, probe, rays, block, hit);
@@ -85,8 +81,7 @@ kernel WIDE void links_audit_hits(global const LinksParameters* restrict paramet
     indirect = pick3(splat3(zero_f()), mul3(indirect, albedo), hit);
 #ifdef NEED_LIGHTS
     uint number = first_lane / parameters->directions;
-    vu key = element_key(parameters->seed_low, parameters->seed_high, 4u * (first + number / 2u) + 2u * (number & 1u),
-                         0x56u);
+    vu key = named_key(parameters, (vu)(2u * (first + number / 2u) + (number & 1u)), 0x56u);
     c = light_connection(scene, &elements.hit, key, (vu)(first_lane % parameters->directions) + lane_index(), hit,
                          counters);
     c.contribution = pick3(splat3(zero_f()), mul3(c.contribution, scale3(albedo, weight)), c.connected);

@@ -27,17 +27,13 @@ kernel WIDE void links_light_rays(global const LinksParameters* restrict paramet
   vu slot = (vu)first_lane + lane_index();
   for (uint k = 0; k < SLOT_WORDS; ++k) store_f(slots + (ulong)SLOT_WORDS * first_lane + k * LANES, 0, zero_f());
   Connection c = no_connection();
-  Vertex v;
-  v.primitive = (vu)GLEANER_NONE;
-#ifdef NEED_INSTANCES
-  v.hit.instance = (vu)GLEANER_NONE;
-#endif
+  Vertex v = no_vertex();
 #ifdef NEED_LIGHTS
   Mesh m = load_mesh(mesh);
   vi active = (vi)(element < m.elements ? all_lanes() : no_lanes());
   if (any_lane(active)) {
     vu sample = (vu)(first_lane % samples) + lane_index();
-    vu key = element_key(parameters->seed_low, parameters->seed_high, element, 0x4cu);
+    vu key = element_key(parameters, &m, element, 0x4cu);
     RingPoint at = random_ring_point(&m, element, 1.0f, key, sample);
     v = element_surface(scene, &at, element, active);
     c = light_connection(scene, &v, key, sample, active, counters);

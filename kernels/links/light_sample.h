@@ -19,6 +19,16 @@ FN Connection no_connection(void) {
   return c;
 }
 
+// Of no surface: what write_connection() reads of a vertex that asks for no light.
+FN Vertex no_vertex(void) {
+  Vertex v;
+  v.primitive = (vu)GLEANER_NONE;
+#ifdef NEED_INSTANCES
+  v.hit.instance = (vu)GLEANER_NONE;
+#endif
+  return v;
+}
+
 #ifdef NEED_LIGHTS
 // What a light sample adds to the irradiance of the layer, and the shadow ray that asks for it.
 FN Connection light_connection(const Scene* scene, const Vertex* v, vu key, vu sample, vi active,

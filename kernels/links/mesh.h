@@ -149,9 +149,22 @@ FN v3 own_albedo(const Vertex* v) {
   return albedo;
 }
 
-// Random numbers of an element: key, and its sample's.
-FN vu element_key(uint seed_low, uint seed_high, uint element, uint purpose) {
-  return hash_combine(hash_combine(hash_combine((vu)seed_low, (vu)seed_high), (vu)(element >> 1)), (vu)purpose);
+// Names a vertex by the first node that it is of: by triangle, and place in the triangle. Where that is divided alike,
+// the vertex keeps its name when its scene moves, though others come or go before it in the list.
+FN vu vertex_name(const Mesh* mesh, uint vertex) {
+  global const uint* corner = mesh->corners + (ulong)CORNER_WORDS * mesh->rings[vertex];
+  uint place = corner[CORNER_PLACE];
+  float step = as_float(corner[CORNER_STEP]);
+  vu name = hash_combine((vu)corner[CORNER_TRIANGLE], (vu)as_uint((float)(place & CORNER_GRID_MASK) * step));
+  return hash_combine(name, (vu)as_uint((float)((place >> 12) & CORNER_GRID_MASK) * step));
+}
+
+// Random numbers of an element, of both sides of a vertex alike, or of whatever else has a name: key, and its sample's.
+FN vu named_key(global const LinksParameters* p, vu name, uint purpose) {
+  return hash_combine(hash_combine(hash_combine((vu)p->seed_low, (vu)p->seed_high), name), (vu)purpose);
+}
+FN vu element_key(global const LinksParameters* p, const Mesh* mesh, uint element, uint purpose) {
+  return named_key(p, vertex_name(mesh, element >> 1), purpose);
 }
 
 FN RingPoint random_ring_point(const Mesh* mesh, uint element, float reach, vu key, vu sample) {

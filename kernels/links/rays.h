@@ -24,7 +24,7 @@ kernel WIDE void links_rays(global const LinksParameters* restrict parameters, S
   Mesh m = load_mesh(mesh);
   vi active = (vi)(element < m.elements ? all_lanes() : no_lanes());
   vu ray = (vu)(first_lane % directions) + lane_index();
-  vu key = element_key(parameters->seed_low, parameters->seed_high, element, 0x47u);
+  vu key = element_key(parameters, &m, element, 0x47u);
   RingPoint at = random_ring_point(&m, element, LINK_REACH, key, ray);
   Vertex from = element_surface(scene, &at, element, active);
   send_ray(scene, &from, grid_direction(ray, side, key), active, rays, block);

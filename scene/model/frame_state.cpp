@@ -174,14 +174,41 @@ PosedScene::Changes PosedScene::show(const FrameState& state, const std::string&
   return changes;
 }
 
+PosedScene::Changes PosedScene::show_rest() {
+  Changes changes;
+  if (!state_) return changes;
+  for (const PosedMesh& mesh : base_->rig.meshes) {
+    add_meshes_of(mesh, changes.meshes);
+    const auto take_back = [&](const std::vector<float>& from, std::vector<float>& to) {
+      if (!from.empty())
+        std::copy_n(&from[std::size_t{3} * mesh.first_vertex], std::size_t{3} * mesh.vertex_count,
+                    &to[std::size_t{3} * mesh.first_vertex]);
+    };
+    take_back(base_->positions, mutable_->positions);
+    take_back(base_->normals, mutable_->normals);
+  }
+  mutable_->instances = base_->instances;
+  mutable_->lights = base_->lights;
+  mutable_->materials = base_->materials;
+  mutable_->albedo_tables = base_->albedo_tables;
+  changes.lights = changes.materials = true;
+  state_.reset();
+  return changes;
+}
+
+// The scene's meshes that hold a posed mesh's triangles, at the end of `moved`.
+void PosedScene::add_meshes_of(const PosedMesh& mesh, std::vector<std::uint32_t>& moved) const {
+  for (const std::uint32_t m : meshes_of(*base_, mesh))
+    if (base_->meshes[m].triangle_count > 0 && (moved.empty() || moved.back() != m)) moved.push_back(m);
+}
+
 // A mesh's vertices follow from its matrices and weights: where these are what they were, it stands.
 std::vector<std::uint32_t> PosedScene::pose(const FrameState& state, const std::string& origin, unsigned threads) {
   const Rig& rig = base_->rig;
   std::vector<std::uint32_t> moved;
   for (const PosedMesh& mesh : rig.meshes) {
     if (is_same_pose(mesh, *state_, state)) continue;
-    for (const std::uint32_t m : meshes_of(*base_, mesh))
-      if (base_->meshes[m].triangle_count > 0 && (moved.empty() || moved.back() != m)) moved.push_back(m);
+    add_meshes_of(mesh, moved);
     in_runs(mesh.vertex_count, threads, [&](std::size_t first, std::size_t count) {
       pose_vertices(rig, mesh, state, first, count, mutable_->positions, mutable_->normals);
     });

@@ -60,6 +60,8 @@ class PosedScene {
   };
   // Posing is shared among so many threads. Throws as posed(); then the scene must not be used any more.
   Changes show(const FrameState& state, const std::string& origin, unsigned threads = 1);
+  // Shows the base as its arrays have it again.
+  Changes show_rest();
 
   // Without a rig. Changed by show().
   const std::shared_ptr<const Scene>& scene() const { return shown_; }
@@ -68,6 +70,7 @@ class PosedScene {
  private:
   std::vector<std::uint32_t> pose(const FrameState& state, const std::string& origin, unsigned threads);
   void place(const FrameState& state, const std::string& origin);
+  void add_meshes_of(const PosedMesh& mesh, std::vector<std::uint32_t>& moved) const;
 
   std::shared_ptr<const Scene> base_;
   std::shared_ptr<Scene> mutable_;

@@ -146,7 +146,8 @@ class BlockRunner final : public worker::Runner {
                  std::shared_ptr<const scene::Bvh>) override {
     scenes_.insert(id);
   }
-  worker::MotionReport load_frame(const std::string& id, const std::string&, const scene::FrameState&) override {
+  worker::MotionReport load_frame(const std::string& id, const std::string&,
+                                  const std::optional<scene::FrameState>&) override {
     scenes_.insert(id);
     return {};
   }

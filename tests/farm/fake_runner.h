@@ -67,7 +67,8 @@ class FakeRunner final : public worker::Runner {
                  std::shared_ptr<const scene::Bvh> bvh) override {
     load_scene(id, std::move(scene), std::move(bvh));
   }
-  worker::MotionReport load_frame(const std::string& id, const std::string&, const scene::FrameState&) override {
+  worker::MotionReport load_frame(const std::string& id, const std::string&,
+                                  const std::optional<scene::FrameState>&) override {
     scenes_.insert(id);
     return {};
   }

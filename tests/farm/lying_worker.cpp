@@ -37,7 +37,7 @@ class LyingRunner final : public worker::Runner {
     honest_->load_base(id, std::move(scene), std::move(bvh));
   }
   worker::MotionReport load_frame(const std::string& id, const std::string& base,
-                                  const scene::FrameState& state) override {
+                                  const std::optional<scene::FrameState>& state) override {
     return honest_->load_frame(id, base, state);
   }
   worker::BatchResult run(const worker::StageTask& task, std::uint64_t first, std::uint64_t count) override {

@@ -426,6 +426,33 @@ LinksStages links_stages(const json& report) {
   return stages;
 }
 
+// What moves is divided as it is at rest: vertices stay what they are, and only the first frame looks for where
+// irradiance bends.
+TEST(FarmMovingScenes, LinksDivideWhatMovesOnce) {
+  const scene::Scene base = moving_box();
+  JobRequest request = request_of(base);
+  request.settings.method = "links";
+  for (const char* refine : {"1", "0"}) {
+    request.settings.set = {
+        {"links.vertices", "700"}, {"links.directions", "64"}, {"links.bounces", "2"}, {"links.refine", refine}};
+    const std::vector<scene::FrameState> states = {moved_by(0.1), moved_by(0.2), moved_by(0.15)};
+    const std::vector<json> frames = reports(base, states, request, 1);
+    ASSERT_EQ(frames.size(), states.size());
+    std::set<std::string> at_rest = {"links.rest_mesh"};
+    if (*refine == '1') at_rest.insert({"links.coarse_mesh", "links.coarse_probe"});
+    for (std::size_t k = 0; k < frames.size(); ++k) {
+      const LinksStages stages = links_stages(frames[k]);
+      EXPECT_EQ(stages.reused, k > 0 ? at_rest : std::set<std::string>{}) << "frame " << k + 1;
+      EXPECT_TRUE(stages.run.contains("links.mesh") && stages.run.contains("links.make")) << "frame " << k + 1;
+      EXPECT_EQ(frames[k]["parameters"]["links"]["vertices"], frames[0]["parameters"]["links"]["vertices"]);
+      EXPECT_GT(frames[k]["parameters"]["links"]["triangles_divided"], 10);
+      EXPECT_EQ(pixels(base, {states[k]}, request, 2)[0], frames[k]["pixels_sha256"]) << "frame " << k + 1 << " alone";
+    }
+    EXPECT_NE(frames[0]["pixels_sha256"], frames[1]["pixels_sha256"]);
+    EXPECT_EQ(pixels(base, states, request, 3), names(frames, "pixels_sha256"));
+  }
+}
+
 // Links follow from shapes alone: while lights, what glows, colours or the camera change, light flows over them anew.
 TEST(FarmMovingScenes, LinksServeEveryLight) {
   scene::Scene base = scene::make_scene("cornell-box", {});

@@ -218,6 +218,23 @@ TEST_P(Frames, DoNotDependOnThoseBefore) {
   }
 }
 
+// Whatever was shown before, a base at rest is the scene as it came.
+TEST_P(Frames, AtRestAreTheBase) {
+  const auto on = worker_with_base(), plain = worker_with_base();
+  plain->load_scene("plain", base_, bvh_of(*plain, *base_));
+  const scene::Bytes expected = records(*plain, "plain");
+  const auto at_rest = [&](const std::string& id) {
+    on->load_frame(id, "base", std::nullopt);
+    return records(*on, id);
+  };
+  EXPECT_EQ(at_rest("first") == expected, true);
+  for (std::size_t pose = 0; pose < kPoses.size(); ++pose) {
+    const scene::Bytes posed = frame(*on, pose);
+    EXPECT_EQ(at_rest("rest " + std::to_string(pose)) == expected, true) << "after pose " << pose;
+    EXPECT_EQ(frame(*on, pose) == posed, true) << "pose " << pose << " again";
+  }
+}
+
 // What stands is not followed; what is followed is refitted, or rebuilt where it was torn.
 TEST_P(Frames, FollowWhatMovesAlone) {
   const auto on = worker_with_base();

@@ -3,7 +3,9 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <cstdint>
+#include <cstdio>
 #include <cstring>
 #include <map>
 #include <memory>
@@ -95,6 +97,16 @@ inline Sample means_of(Frame frame, const std::string& channel, unsigned seeds) 
     sample.add(mean_of(render(frame).film, channel));
   }
   return sample;
+}
+
+// Two estimates of one mean, which may differ by so large a share of it beside their noise, and are not too noisy to
+// prove anything.
+inline void expect_means_meet(const Sample& sample, const Sample& truth, const std::string& what, double share) {
+  const double error = std::hypot(truth.standard_error(), sample.standard_error());
+  std::printf("  %s: %.5f +- %.5f, reference %.5f +- %.5f\n", what.c_str(), sample.mean, sample.standard_error(),
+              truth.mean, truth.standard_error());
+  EXPECT_LT(std::abs(sample.mean - truth.mean), 4 * error + share * truth.mean) << what;
+  EXPECT_LT(error, 0.01 * truth.mean) << what << ": too noisy to prove anything";
 }
 
 }  // namespace gleaner::test

@@ -105,6 +105,11 @@ TEST(ArtifactName, NamesThePartsOfTheSceneThatAStageReads) {
   scene::FrameState same = painted;
   same.materials[0] = base.materials[0];
   EXPECT_EQ(named(same, kWholeScene), named(none, kWholeScene));
+  // What is made of the base at rest serves every state.
+  StageSpec resting = sample();
+  resting.at_rest = true;
+  for (const scene::FrameState& state : {none, moved, lit, painted, glowing})
+    EXPECT_EQ(artifact_id(lineage_of(scene_a, base, state), resting), artifact_id(scene_a, sample()));
   // Which of the parts it is makes a difference.
   scene::FrameState weighed;
   weighed.morph_weights = {1, 0, 0, 2, 0, 1, 0, 0, 0, 0, 1, 0};

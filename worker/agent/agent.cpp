@@ -401,21 +401,24 @@ struct Agent::Impl {
   // a state that the runner did not hold.
   std::string prepare_scene(const pb::Lease& lease, std::optional<MotionReport>& shown) {
     const std::string& id = lease.scene_blob();
-    if (lease.state_blob().empty()) {
+    if (lease.state_blob().empty() && !lease.at_rest()) {
       if (!runner->holds_scene(id)) {
         auto [scene, bvh] = fetch_scene(lease);
         runner->load_scene(id, std::move(scene), std::move(bvh));
       }
       return id;
     }
-    const std::string name = id + "+" + lease.state_blob();
+    // At rest it is the scene itself.
+    const std::string name = lease.at_rest() ? id : id + "+" + lease.state_blob();
     if (runner->holds_scene(name)) return name;
     if (!runner->holds_base(id)) {
       auto [scene, bvh] = fetch_scene(lease);
       runner->load_base(id, std::move(scene), std::move(bvh));
     }
-    shown = runner->load_frame(
-        name, id, scene::parse_frame_state(*inputs.blob(lease.state_blob()), "state blob " + lease.state_blob()));
+    std::optional<scene::FrameState> state;
+    if (!lease.at_rest())
+      state = scene::parse_frame_state(*inputs.blob(lease.state_blob()), "state blob " + lease.state_blob());
+    shown = runner->load_frame(name, id, state);
     return name;
   }
 

@@ -32,7 +32,8 @@ class DeviceRunner final : public Runner {
                  std::shared_ptr<const scene::Bvh> bvh) override {
     executor_.load_base(id, std::move(scene), std::move(bvh));
   }
-  MotionReport load_frame(const std::string& id, const std::string& base, const scene::FrameState& state) override {
+  MotionReport load_frame(const std::string& id, const std::string& base,
+                          const std::optional<scene::FrameState>& state) override {
     return executor_.load_frame(id, base, state);
   }
   BatchResult run(const StageTask& task, std::uint64_t first, std::uint64_t count) override {

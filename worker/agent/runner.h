@@ -20,7 +20,8 @@ class Runner {
   virtual bool holds_base(const std::string& id) const = 0;
   virtual void load_base(const std::string& id, std::shared_ptr<const scene::Scene> scene,
                          std::shared_ptr<const scene::Bvh> bvh) = 0;
-  virtual MotionReport load_frame(const std::string& id, const std::string& base, const scene::FrameState& state) = 0;
+  virtual MotionReport load_frame(const std::string& id, const std::string& base,
+                                  const std::optional<scene::FrameState>& state) = 0;
   virtual BatchResult run(const StageTask& task, std::uint64_t first, std::uint64_t count) = 0;
 };
 

@@ -151,7 +151,8 @@ std::list<Executor::Impl::HeldScene>::iterator Executor::Impl::place_of_frame(Ba
   return scenes.begin();
 }
 
-MotionReport Executor::load_frame(const std::string& id, const std::string& base_id, const scene::FrameState& state) {
+MotionReport Executor::load_frame(const std::string& id, const std::string& base_id,
+                                  const std::optional<scene::FrameState>& state) {
   if (holds_scene(id)) return {};
   const auto base = std::ranges::find(impl_->bases, base_id, &Impl::Base::id);
   if (base == impl_->bases.end()) throw Error::failed("base " + base_id + " was not loaded");
@@ -162,9 +163,11 @@ MotionReport Executor::load_frame(const std::string& id, const std::string& base
     const std::size_t held = impl_->scenes.size();
     place = impl_->place_of_frame(*base, id);
     const double placed = seconds_now();
-    const scene::PosedScene::Changes changes = (*place)->posed->show(state, "scene " + id, host_threads(impl_->device));
+    scene::PosedScene& shown = *(*place)->posed;
+    const scene::PosedScene::Changes changes =
+        state ? shown.show(*state, "scene " + id, host_threads(impl_->device)) : shown.show_rest();
     const double posed = seconds_now();
-    MotionReport report = (*place)->on_device->show((*place)->posed->scene(), changes.meshes);
+    MotionReport report = (*place)->on_device->show(shown.scene(), changes.meshes);
     report.load_seconds = impl_->scenes.size() > held ? placed - start : 0;
     report.pose_seconds = posed - placed;
     (*place)->id = id;

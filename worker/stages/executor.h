@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "scene/model/blob.h"
@@ -40,8 +41,9 @@ class Executor {
                  std::shared_ptr<const scene::Bvh> bvh);
   // The base as the state shows it becomes the scene `id`, kept as load_scene() does; another frame of the base may
   // have to give its place to it. Throws Error::bad_input where the state does not fit, Error::failed where the base is
-  // not held. Tells what it took: nothing where the scene is held.
-  MotionReport load_frame(const std::string& id, const std::string& base, const scene::FrameState& state);
+  // not held. Tells what it took: nothing where the scene is held. No state: the base at rest, as its arrays have it.
+  MotionReport load_frame(const std::string& id, const std::string& base,
+                          const std::optional<scene::FrameState>& state);
 
   // From now on kernels are timed, at some cost; what those that ran since the last call took, by name.
   void profile_kernels();

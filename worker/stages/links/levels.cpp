@@ -122,7 +122,7 @@ std::vector<std::uint32_t> refined_levels(const TriangleRows& triangles, std::ui
   double left = static_cast<double>(wanted);
   for (std::uint64_t t = 0; t < triangles.count; ++t) {
     check_wanted();
-    levels[t] = coarse.words[MESH_HEADER + MESH_TRIANGLE_WORDS * t + 1];
+    levels[t] = coarse.level(t);
     error[t] = area(triangles.rows + t * triangles.words) * bend_of(coarse, t, probe);
     left -= vertices_of(levels[t]);
     push(t);

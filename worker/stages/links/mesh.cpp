@@ -151,6 +151,15 @@ MeshTables mesh_tables(const StageRun& run, const char* rows, unsigned words) {
 namespace {
 
 std::vector<std::uint32_t> levels_of(const StageRun& run, const TriangleRows& triangles, std::uint32_t wanted) {
+  if (run.task.inputs.contains("divided")) {
+    const HostMesh divided = read_mesh(run.task, "divided");
+    if (divided.layout.triangles != triangles.count)
+      throw Error::bad_input(run.where(), "input divided", std::to_string(triangles.count) + " triangles",
+                             std::to_string(divided.layout.triangles));
+    std::vector<std::uint32_t> levels(triangles.count);
+    for (std::uint64_t t = 0; t < triangles.count; ++t) levels[t] = divided.level(t);
+    return levels;
+  }
   if (!run.task.inputs.contains("coarse")) return even_levels(triangles, wanted);
   const HostMesh coarse = read_mesh(run.task, "coarse");
   const std::vector<float> probe = input_rows(run.task, "probe", PROBE_WORDS);

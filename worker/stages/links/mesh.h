@@ -51,6 +51,7 @@ struct TriangleRows {
 struct HostMesh {
   MeshLayout layout;
   std::vector<std::uint32_t> words;
+  std::uint32_t level(std::uint64_t triangle) const { return words[MESH_HEADER + MESH_TRIANGLE_WORDS * triangle + 1]; }
 };
 // Checked as mesh_to_device() does.
 HostMesh read_mesh(const StageTask& task, const char* input);
