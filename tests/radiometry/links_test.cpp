@@ -7,6 +7,7 @@
 
 #include "kernels/links_records.h"
 #include "kernels/vpl_records.h"
+#include "scene/library/builder.h"
 #include "scene/library/library.h"
 #include "scene/model/error.h"
 #include "tests/radiometry/rendered_frame.h"
@@ -422,6 +423,58 @@ TEST(Links, EdgesHaveNoCracks) {
     }
   }
   EXPECT_GT(between, mesh.hanging);
+}
+
+// A room whose back wall is two triangles on the left and 2 cells x cells of them on the right, seen closely where they
+// meet. A block before it bends the light.
+Scene seamed_room(std::uint32_t cells) {
+  scene::SceneBuilder b("seamed-room");
+  const std::uint32_t white = b.material("white", scene::lambert({0.7, 0.7, 0.7}));
+  const std::uint32_t lamp = b.material("lamp", scene::emitter({17, 12, 4}));
+  b.mesh("walls");
+  b.quad({-1, 0, 1}, {1, 0, 1}, {1, 0, -1}, {-1, 0, -1}, white);
+  b.quad({-1, 2, -1}, {1, 2, -1}, {1, 2, 1}, {-1, 2, 1}, white);
+  b.quad({-1, 0, 1}, {-1, 0, -1}, {-1, 2, -1}, {-1, 2, 1}, white);
+  b.quad({1, 0, -1}, {1, 0, 1}, {1, 2, 1}, {1, 2, -1}, white);
+  b.mesh("two triangles");
+  b.quad({-1, 0, -1}, {0, 0, -1}, {0, 2, -1}, {-1, 2, -1}, white);
+  b.mesh("cells");
+  b.grid(cells, cells,
+         [&](std::uint32_t i, std::uint32_t j) {
+           return scene::Vec{double(i) / cells, 2.0 * j / cells, -1};
+         },
+         white, {.smooth = false});
+  b.mesh("block");
+  b.box({0, 0.4, -0.7}, {0.25, 0.4, 0.15}, 0.3, white);
+  b.mesh("lamp");
+  b.quad({-0.24, 1.99, -0.19}, {0.24, 1.99, -0.19}, {0.24, 1.99, 0.19}, {-0.24, 1.99, 0.19}, lamp);
+  b.orthographic_camera("seam", {0, 1.2, 0.5}, {0, 0, -1}, {0, 1, 0}, 0.3, 0.3, 64, 64);
+  return b.finish();
+}
+
+// Corners of a fine mesh on the edge of a triangle that is divided less: the light is one where they meet. From the
+// column of pixels on the one side to that on the other it changes no more than beside them.
+TEST(Links, MeshesThatMeetHaveNoCracks) {
+  for (const char* vertices : {"0", "2000"}) {
+    const Rendered made = render(frame_of(seamed_room(24), "seam", 64, 16,
+                                          {{"links.vertices", vertices},
+                                           {"links.refine", "0"},
+                                           {"links.directions", "64"},
+                                           {"links.light_samples", "64"}}));
+    const std::vector<float> shown = made.floats("links.shade");
+    const auto step = [&](std::size_t column) {
+      double squares = 0;
+      for (std::size_t row = 0; row < 64; ++row)
+        squares += std::pow(shown[3 * (64 * row + column) + 4] - shown[3 * (64 * row + column) + 1], 2);
+      return std::sqrt(squares / 64);
+    };
+    const double across = step(31), beside = std::max(step(30), step(32));
+    const double mean = std::accumulate(shown.begin(), shown.end(), 0.0) / static_cast<double>(shown.size());
+    std::printf("  %s vertices: across the seam %.4f of the mean, beside it %.4f\n", vertices, across / mean,
+                beside / mean);
+    EXPECT_LT(across, 1.5 * beside) << vertices;
+    EXPECT_GT(word(made.results.at("links.mesh"), MESH_HANGING), 10u);
+  }
 }
 
 // --- The house ---

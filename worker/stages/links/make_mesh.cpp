@@ -9,61 +9,16 @@
 
 #include "kernels/scene_layout.h"
 #include "scene/model/error.h"
+#include "worker/stages/links/geometry.h"
+#include "worker/stages/links/hanging.h"
 #include "worker/stages/links/mesh.h"
 #include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
 namespace {
 
-using Vec = std::array<double, 3>;
-
-// Nodes at one place are one vertex where their normals agree to half a degree.
-constexpr double kSameNormal = 0.99996;
 // Nodes are numbered in 32 bits, as are words of the mesh.
 constexpr std::uint64_t kMostNodes = std::uint64_t{1} << 28;
-
-Vec operator+(const Vec& a, const Vec& b) { return {a[0] + b[0], a[1] + b[1], a[2] + b[2]}; }
-Vec operator-(const Vec& a, const Vec& b) { return {a[0] - b[0], a[1] - b[1], a[2] - b[2]}; }
-Vec operator*(const Vec& a, double s) { return {a[0] * s, a[1] * s, a[2] * s}; }
-double dot(const Vec& a, const Vec& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-Vec cross(const Vec& a, const Vec& b) {
-  return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
-}
-Vec unit(const Vec& a) {
-  const double l = std::sqrt(dot(a, a));
-  return l > 0 ? a * (1 / l) : a;
-}
-Vec vec(const float* p) { return {p[0], p[1], p[2]}; }
-
-struct Triangle {
-  explicit Triangle(const float* row)
-      : p{vec(row + TRIANGLE_P0), vec(row + TRIANGLE_P1), vec(row + TRIANGLE_P2)},
-        n{vec(row + TRIANGLE_N0), vec(row + TRIANGLE_N1), vec(row + TRIANGLE_N2)} {
-    std::memcpy(&material, row + TRIANGLE_MATERIAL, 4);
-    const Vec normal = cross(p[1] - p[0], p[2] - p[0]);
-    area = 0.5 * std::sqrt(dot(normal, normal));
-    geometric = unit(normal);
-  }
-  Vec normal_at(double b1, double b2) const {
-    const Vec normal = n[0] * (1 - b1 - b2) + n[1] * b1 + n[2] * b2;
-    return dot(normal, normal) > 1e-12 ? unit(normal) : geometric;
-  }
-
-  std::array<Vec, 3> p, n;
-  std::uint32_t material = 0;
-  double area = 0;
-  Vec geometric{};
-};
-
-// Place k of n between two corners: the same float for every triangle that has this edge.
-std::array<float, 3> on_edge(Vec a, Vec b, std::uint32_t k, std::uint32_t n) {
-  if (b < a) {
-    std::swap(a, b);
-    k = n - k;
-  }
-  const Vec p = k == n ? b : a + (b - a) * (static_cast<double>(k) / n);
-  return {static_cast<float>(p[0]), static_cast<float>(p[1]), static_cast<float>(p[2])};
-}
 
 // Vertices by place, material and normal.
 class VertexTable {
@@ -96,14 +51,7 @@ class VertexTable {
     std::uint32_t vertex, material, next;
     Vec normal;
   };
-  struct Hash {
-    std::size_t operator()(const std::array<std::uint32_t, 3>& key) const {
-      std::uint64_t h = 0x9e3779b97f4a7c15ull;
-      for (const std::uint32_t word : key) h = (h ^ word) * 0xff51afd7ed558ccdull, h ^= h >> 32;
-      return h;
-    }
-  };
-  std::unordered_map<std::array<std::uint32_t, 3>, std::uint32_t, Hash> heads_;
+  std::unordered_map<std::array<std::uint32_t, 3>, std::uint32_t, WordsHash> heads_;
   std::vector<Shared> shared_;
   std::vector<Place> places_;
 };
@@ -140,54 +88,6 @@ void add_nodes(const Triangle& triangle, std::uint32_t level, VertexTable& table
     }
 }
 
-// The lowest level of the triangles at an edge, by its ends.
-class EdgeLevels {
- public:
-  EdgeLevels(const TriangleRows& triangles, const std::vector<std::uint32_t>& levels) {
-    for (std::uint64_t t = 0; t < triangles.count; ++t)
-      for (unsigned k = 0; k < 3; ++k) {
-        const auto [place, added] = levels_.try_emplace(key(triangles.rows + t * triangles.words, k), levels[t]);
-        if (!added) place->second = std::min(place->second, levels[t]);
-      }
-  }
-  // Of the edge from corner k to the next one.
-  std::uint32_t at(const float* row, unsigned k) const { return levels_.at(key(row, k)); }
-
- private:
-  using Key = std::array<float, 6>;
-  static Key key(const float* row, unsigned k) {
-    const float *a = row + TRIANGLE_P0 + 3 * k, *b = row + TRIANGLE_P0 + 3 * ((k + 1) % 3);
-    if (std::lexicographical_compare(b, b + 3, a, a + 3)) std::swap(a, b);
-    return {a[0] + 0.0f, a[1] + 0.0f, a[2] + 0.0f, b[0] + 0.0f, b[1] + 0.0f, b[2] + 0.0f};
-  }
-  struct Hash {
-    std::size_t operator()(const Key& key) const {
-      std::uint64_t h = 0x9e3779b97f4a7c15ull;
-      for (const float x : key) h = (h ^ std::bit_cast<std::uint32_t>(x)) * 0xff51afd7ed558ccdull, h ^= h >> 32;
-      return h;
-    }
-  };
-  std::unordered_map<Key, std::uint32_t, Hash> levels_;
-};
-
-// Vertices of one triangle that hang on its edges, as words of the mesh.
-void add_hanging(const float* row, std::uint32_t level, const EdgeLevels& edges, const std::uint32_t* nodes,
-                 std::vector<std::uint32_t>& hanging) {
-  const std::uint32_t n = 1u << level;
-  for (unsigned k = 0; k < 3; ++k) {
-    const std::uint32_t step = 1u << (level - edges.at(row, k));
-    const auto node = [&](std::uint32_t m) {
-      const std::uint32_t i = k == 0 ? m : k == 1 ? n - m : 0, j = k == 0 ? 0 : k == 1 ? m : n - m;
-      return nodes[node_number(i, j, n)];
-    };
-    for (std::uint32_t m = 0; m < n && step > 1; ++m)
-      if (m % step)
-        hanging.insert(hanging.end(),
-                       {node(m), node(m - m % step), node(m - m % step + step),
-                        std::bit_cast<std::uint32_t>(static_cast<float>(m % step) / static_cast<float>(step))});
-  }
-}
-
 }  // namespace
 
 std::vector<std::uint32_t> make_links_mesh(const TriangleRows& input, const std::vector<std::uint32_t>& levels,
@@ -201,17 +101,16 @@ std::vector<std::uint32_t> make_links_mesh(const TriangleRows& input, const std:
 
   MeshLayout layout{.triangles = triangles};
   VertexTable table;
-  const EdgeLevels edges(input, levels);
-  std::vector<std::uint32_t> nodes, first_node(triangles), hanging;
+  std::vector<std::uint32_t> nodes, first_node(triangles);
   nodes.reserve(total);
   for (std::uint64_t t = 0; t < triangles; ++t) {
     check_wanted();
     first_node[t] = static_cast<std::uint32_t>(nodes.size());
     add_nodes(Triangle(rows + t * words), levels[t], table, nodes);
-    add_hanging(rows + t * words, levels[t], edges, &nodes[first_node[t]], hanging);
     layout.corners += 3 * (std::uint64_t{1} << (2 * levels[t]));
     facts->divided += levels[t] > 0;
   }
+  const std::vector<std::uint32_t> hanging = hanging_vertices({input, levels, first_node, nodes});
   layout.nodes = nodes.size();
   layout.vertices = table.count();
   layout.hanging = hanging.size() / HANGING_WORDS;
