@@ -452,20 +452,26 @@ TEST(Photon, MeanGradientsMeetLightThatBends) {
   const auto records = records_on_plane(light, [](double x, double y) {
     return std::array<double, 2>{0.3 - 0.2 * x, -0.1 * y};
   });
-  worker::ClusterPrediction prediction(records, 0);
+  const worker::ClusterPrediction prediction(records, 0);
+  std::vector<worker::ClusterPrediction::Read> reads;
   double worst = 0;
   for (const auto& [x, y] : {std::pair{0.5, 0.5}, {0.3, -0.8}, {-1.5, 0.1}, {2.45, 1.7}})
-    worst = std::max(worst, std::abs(prediction.at(point_on_plane(x, y)).irradiance / 3 - light(x, y)));
+    worst = std::max(worst, std::abs(prediction.at(point_on_plane(x, y), reads).irradiance / 3 - light(x, y)));
   std::printf("  off by %.5f of 10, by own gradients alone it would be %.3f\n", worst, 0.15 / 4);
   EXPECT_LT(worst, 0.01);
 }
 
 // What tells of errors: records that differ from what others say of them, and surfaces that are near. Not noise, and
 // not what lies next to a record.
+double off_by(const std::vector<worker::CacheRecord>& records, double noise, double x, double y) {
+  std::vector<worker::ClusterPrediction::Read> reads;
+  return worker::ClusterPrediction(records, noise).at(point_on_plane(x, y), reads).off / 3;
+}
+
 TEST(Photon, ErrorsArePredicted) {
   const auto flat = [](double, double) { return std::array<double, 2>{}; };
   const auto off = [](const std::vector<worker::CacheRecord>& records, double x, double y) {
-    return worker::ClusterPrediction(records, 0.03).at(point_on_plane(x, y)).off / 3;
+    return off_by(records, 0.03, x, y);
   };
   auto records = records_on_plane([](double, double) { return 10; }, flat);
   for (auto& record : records) record.radius = 100;  // nothing is near
@@ -485,7 +491,7 @@ TEST(Photon, ErrorsArePredicted) {
   EXPECT_GT(of_dark, 0.1);
   EXPECT_GT(of_near, 0.1);
   // Records are so noisy that their differences tell nothing; a residual beside its own, small noise still does.
-  EXPECT_GT(worker::ClusterPrediction(dark, 0.5).at(point_on_plane(0.5, 0.5)).off / 3, 0.05);
+  EXPECT_GT(off_by(dark, 0.5, 0.5, 0.5), 0.05);
   EXPECT_LT(off(dark, 0.05, 0), of_dark / 4);
   EXPECT_LT(off(near, 0.05, 0), of_near / 4);
   EXPECT_LT(off(dark, 4.5, 4.5), 0.02);
@@ -514,13 +520,14 @@ TEST(Photon, PointsReadWhatIsPredicted) {
   task.inputs["points"] = std::make_shared<const scene::Bytes>(std::move(bytes));
   const worker::BatchResult shaded =
       executor(worker::TraceKind::automatic).run(task, 0, made.specs.at("photon.shade").items);
-  worker::ClusterPrediction prediction(records, 0.03);
+  const worker::ClusterPrediction prediction(records, 0.03);
+  std::vector<worker::ClusterPrediction::Read> reads;
   std::size_t looked = 0, different = 0;
   for (std::size_t i = 0; i < points.size(); ++i) {
     if (!points[i].exists()) continue;
     std::array<float, 3> rgb{};
     std::memcpy(rgb.data(), shaded.records.data() + i * sizeof rgb, sizeof rgb);
-    const double seen = double{rgb[0]} + rgb[1] + rgb[2], told = prediction.at(points[i]).irradiance;
+    const double seen = double{rgb[0]} + rgb[1] + rgb[2], told = prediction.at(points[i], reads).irradiance;
     ++looked;
     different += std::abs(seen - told) <= 1e-3 * told ? 0 : 1;
   }

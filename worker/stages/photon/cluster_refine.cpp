@@ -1,5 +1,6 @@
 // Stage kinds "photon_cluster_refine" and "photon_extend_refine": more sample points where what records say of a point
-// may be off most (prediction.h), as adaptive sampling subdivides where its samples differ. Solo, on the host.
+// may be off most (prediction.h), as adaptive sampling subdivides where its samples differ. Solo, on the host's
+// threads.
 
 #include <algorithm>
 #include <cmath>
@@ -10,7 +11,9 @@
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/splat/stages.h"
 #include "worker/wavefront/counters.h"
+#include "worker/wavefront/host_threads.h"
 #include "worker/wavefront/wanted.h"
+#include "worker/wavefront/work_queue.h"
 
 namespace gleaner::worker {
 namespace {
@@ -21,8 +24,8 @@ using kernels::PhotonClusterRefineParameters;
 constexpr double kLeastOff = 1.2;
 // Of the mean of all records: what is darker than this part of it is not looked at so closely.
 constexpr double kDark = 0.05;
-// Pixels that are looked at.
-constexpr std::uint64_t kMostLooked = 1u << 16;
+// Pixels that are looked at, and how many of them a thread takes at once.
+constexpr std::uint64_t kMostLooked = 1u << 16, kLooked = 256;
 // A new sample stands for what is nearer to it than this part of its distance to the nearest record, within bounds of
 // pixels: rounds of refinement halve gaps. Nearer than this many pixels to a record there is none.
 constexpr float kNearer = 0.5f, kLeastPixels = 1, kMostPixels = 4;
@@ -37,10 +40,11 @@ struct Candidate {
 class Refinement {
  public:
   Refinement(const PhotonClusterRefineParameters& p, std::span<const SplatPoint> points,
-             std::vector<ClusterSample> given)
+             std::vector<ClusterSample> given, unsigned threads)
       : p_(p),
         points_(points),
         samples_(std::move(given)),
+        threads_(threads),
         screen_({.width = p.width, .height = p.height, .samples = p.samples}) {
     while (std::uint64_t{screen_.columns()} * screen_.rows() > kMostLooked) screen_.step *= 2;
     for (std::uint32_t y = 0; y < screen_.rows(); ++y)
@@ -82,26 +86,38 @@ class Refinement {
 
   // Most important first.
   std::vector<Candidate> candidates(const std::vector<CacheRecord>& records) const {
-    ClusterPrediction prediction(records, double{p_.noise});
+    const ClusterPrediction prediction(records, double{p_.noise});
     double dark = 0;
     for (const CacheRecord& record : records) dark += sum_of(record.irradiance);
     dark *= kDark / static_cast<double>(std::max<std::size_t>(1, records.size()));
-    std::vector<Candidate> found;
-    for (const std::uint32_t i : looked_) {
-      check_wanted();
-      const SplatPoint& point = points_[i];
-      const Predicted predicted = prediction.at(point);
-      const float pixel = point.footprint * static_cast<float>(screen_.step);
-      if (!std::isfinite(predicted.nearest) || predicted.nearest < kNearer * pixel) continue;
-      if (predicted.off > kLeastOff * double{p_.noise} * (predicted.irradiance + dark))
-        found.push_back({.off = predicted.off * sum_of(point.factor),
-                         .spacing = std::clamp(kNearer * predicted.nearest, kLeastPixels * pixel, kMostPixels * pixel),
-                         .point = i});
-    }
-    std::ranges::sort(found, [](const Candidate& a, const Candidate& b) {
-      return a.off != b.off ? a.off > b.off : a.point < b.point;
+    std::vector<std::vector<Candidate>> found(threads_);
+    WorkQueue work(looked_.size(), threads_, kLooked);
+    run_threads(threads_, [&](unsigned thread) {
+      std::vector<ClusterPrediction::Read> reads;
+      while (const WorkQueue::Block block = work.claim(kLooked))
+        for (const std::uint32_t i : std::span(looked_).subspan(block.first, block.count)) {
+          const Candidate candidate = candidate_at(i, prediction.at(points_[i], reads), dark);
+          if (candidate.off > 0) found[thread].push_back(candidate);
+        }
     });
-    return found;
+    check_wanted();
+    std::vector<Candidate> all;
+    for (const std::vector<Candidate>& part : found) all.insert(all.end(), part.begin(), part.end());
+    // Points are numbered, so that who found which does not matter.
+    std::ranges::sort(
+        all, [](const Candidate& a, const Candidate& b) { return a.off != b.off ? a.off > b.off : a.point < b.point; });
+    return all;
+  }
+
+  // `off` is 0 where the point is told well enough, or nothing reaches it.
+  Candidate candidate_at(std::uint32_t number, const Predicted& predicted, double dark) const {
+    const SplatPoint& point = points_[number];
+    const float pixel = point.footprint * static_cast<float>(screen_.step);
+    if (!std::isfinite(predicted.nearest) || predicted.nearest < kNearer * pixel) return {};
+    if (!(predicted.off > kLeastOff * double{p_.noise} * (predicted.irradiance + dark))) return {};
+    return {.off = predicted.off * sum_of(point.factor),
+            .spacing = std::clamp(kNearer * predicted.nearest, kLeastPixels * pixel, kMostPixels * pixel),
+            .point = number};
   }
 
   static double sum_of(const std::array<float, 3>& rgb) { return double{rgb[0]} + rgb[1] + rgb[2]; }
@@ -109,12 +125,13 @@ class Refinement {
   const PhotonClusterRefineParameters& p_;
   std::span<const SplatPoint> points_;
   std::vector<ClusterSample> samples_;
+  unsigned threads_;
   PointScreen screen_;
   std::vector<std::uint32_t> looked_;  // of points
 };
 
 BatchResult refine(const StageRun& run, const PhotonClusterRefineParameters& p, std::span<const SplatPoint> points) {
-  Refinement refinement(p, points, read_samples(run.task, "given"));
+  Refinement refinement(p, points, read_samples(run.task, "given"), host_threads(run.device));
   return sample_places(std::move(refinement).refined(read_cluster_records(run.task)));
 }
 

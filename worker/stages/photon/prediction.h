@@ -21,9 +21,7 @@ class ClusterPrediction {
  public:
   // `records`: as they were gathered (read_cluster_records()). `noise`: of each, over its irradiance.
   ClusterPrediction(const std::vector<CacheRecord>& records, double noise);
-  Predicted at(const SplatPoint& point);
 
- private:
   // A record as a point reads it.
   struct Read {
     std::uint32_t record;
@@ -31,13 +29,18 @@ class ClusterPrediction {
     double distance;                 // m
     std::array<double, 3> to, turn;  // from the record, m; n_record x n
   };
+  // Thread-safe. `reads`: a thread's own, whose memory is used again.
+  Predicted at(const SplatPoint& point, std::vector<Read>& reads) const;
+
+ private:
   struct Said {
     double irradiance = 0, deviation = 0;  // the latter: of what the records say, each by its gradients
     double distance = 0;                   // m: of the records in the mean
   };
 
-  void read(const std::array<float, 3>& position, const std::array<float, 3>& normal, std::uint32_t all_but);
-  Said said() const;
+  void read(const std::array<float, 3>& position, const std::array<float, 3>& normal, std::uint32_t all_but,
+            std::vector<Read>& reads) const;
+  Said said(std::span<const Read> reads) const;
 
   // A record's irradiance and gradients, of the colours' sum.
   struct Sums {
@@ -48,8 +51,13 @@ class ClusterPrediction {
   double noise_;
   std::vector<CacheRecord> records_;  // smoothed
   std::vector<Sums> sums_;            // of these
+  // Where a record is, m, and the squared distance from which on no point reads it.
+  struct Extent {
+    std::array<float, 3> position;
+    float squared_reach;
+  };
+  std::vector<Extent> extents_;
   ReachGrid grid_;
-  std::vector<Read> read_;
   struct LeftOut {
     double residual = 0;  // what the others say of the record's place, less what was gathered there; without noise
     double distance = 0;  // m: of these, in the mean
