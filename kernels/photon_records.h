@@ -47,8 +47,8 @@ namespace gleaner::kernels {
 // powerful for it.
 #define PHOTON_PATH_SLOTS 16u
 
-// Stage kind "photon_trace". An item is a light path; its records are the photons it leaves, 0 to PHOTON_PATH_SLOTS,
-// and two rows more where a balance is asked for.
+// Stage kind "photon_trace" (input "emission", or none: an emission guide). An item is a light path; its records are
+// the photons it leaves, 0 to PHOTON_PATH_SLOTS, and two rows more where a balance is asked for.
 typedef struct {
   gl_uint items_low, items_high;  // paths of the whole stage: a photon's power is the flux of its path over these
   gl_uint most_depth;             // a photon's scatterings, at most; GLEANER_NONE: until Russian roulette ends its path
@@ -56,8 +56,27 @@ typedef struct {
   gl_uint pass;
   gl_uint seed_low, seed_high;
   gl_uint balance;  // 1: each path also tells what of its power was absorbed and what left the scene
+  gl_uint pilot;    // 1: photons tell what their paths began with, in the place of their power
+  gl_uint reserved[3];
 } PhotonTraceParameters;
-GLEANER_SIZE(PhotonTraceParameters, 32);
+GLEANER_SIZE(PhotonTraceParameters, 48);
+
+// A pilot's photon: the numbers, times 65,536, that its path began with (kernels/transport/light_paths.h).
+#define PILOT_LIGHT 3u      // uint: light, u0 << 16
+#define PILOT_POINT 4u      // uint: u1, d0 << 16
+#define PILOT_DIRECTION 5u  // uint: d1
+
+// An emission guide: how densely light paths' five numbers (light, u0, u1, d0, d1) lie in the unit cube. A tree, rows
+// of GUIDE_WORDS words, the root first: a row halves its box along an axis, or is a cell, in which they lie evenly.
+#define GUIDE_WORDS 16u
+#define GUIDE_NUMBERS 5u
+#define GUIDE_AXIS 0u     // uint: of the numbers; GLEANER_NONE: a cell
+#define GUIDE_CHILD 1u    // uint: the row of the lower half, the upper one's is the next; behind the row itself
+#define GUIDE_SHARE 2u    // of the row's paths that the lower half has: above 0, below 1
+#define GUIDE_DENSITY 3u  // of a cell: 1 as without a guide
+#define GUIDE_LOWER 4u    // of a cell, five
+#define GUIDE_EXTENT 9u   // of a cell, five
+#define GUIDE_MOST_ROWS 8191u
 
 // A photon map: rows of PHOTON_WORDS words. Row 0 is the header; then the nodes of a kd-tree in depth-first order, an
 // odd number of them; then its leaves, blocks of 16 photons that lie word by word (as rays do: kernels/rays.h).
@@ -230,6 +249,25 @@ struct PhotonCutFacts {
   std::uint64_t nodes = 0;   // of the cut
   std::uint64_t opened = 0;  // by refinement
   double radius = 0;         // m: the median
+};
+
+// Stage kind "photon_guide" (inputs "points" and "photons", those of a pilot); solo. One item: the rows of an emission
+// guide. Photons are of use where they lie near what is seen, or near what is read from there.
+struct PhotonGuideParameters {
+  std::uint32_t width = 0, height = 0, samples = 0;  // as SplatPointParameters
+  std::uint32_t paths = 0;                           // of the pilot
+  std::uint32_t classes = 0;                         // of photons: PHOTON_CLASS_BIT each
+  std::uint32_t gathers = 0;                         // 1: photons are read where rays from the points end; 0: at these
+  float near = 0;                                    // m
+  std::uint32_t seed_low = 0, seed_high = 0;
+  std::uint32_t reserved[3] = {};
+};
+static_assert(sizeof(PhotonGuideParameters) == 48);
+
+struct PhotonGuideFacts {
+  std::uint64_t useful = 0;  // paths of the pilot that left a photon of use
+  std::uint64_t cells = 0;
+  double most = 0;  // the largest density
 };
 
 struct PhotonMapFacts {

@@ -27,7 +27,7 @@ constexpr double kMostRadius = 0.05;
 // Knaus & Zwicker 2011: of the variance of caustics' density, what a pass adds falls, and its bias shrinks, by this.
 constexpr double kShrinkage = 2.0 / 3;
 // The guide's photons are those of a pass that is none.
-constexpr std::uint32_t kGlobalPass = 0, kGuidePass = 1, kFirstPass = 2;
+constexpr std::uint32_t kGlobalPass = 0, kGuidePass = 1, kFirstPass = 2, kPilotPass = 1u << 31;
 // Turns of k-means.
 constexpr std::uint32_t kIterations = 6;
 // Rounds in which samples are added where their records may be off most, each of a third of the clusters at most. More
@@ -40,12 +40,15 @@ constexpr float kCutRatio = 1.2f;
 constexpr float kKeptFootprint = 2;
 // Noise of a sample's record of one ray, over its light, as pixels share it.
 constexpr double kRecordNoise = 0.5;
+// Photons this near to what is seen or read are of use, over the diagonal of the scene's bounds.
+constexpr double kGuideNear = 0.01;
 // Maps wait for each other, paths that read none for nothing: these fill what the others leave free.
 constexpr int kFirst = 1;
 
 struct PhotonSettings : PhotonCounts {
   std::uint32_t samples;  // of a pixel and pass of caustics
   double radius;          // m; 0: by the nearest photons
+  std::uint32_t guide;    // light paths of the pilot that tells where photons are of use; 0: none
 };
 
 PhotonSettings read_settings(const FrameSettings& settings) {
@@ -60,7 +63,8 @@ PhotonSettings read_settings(const FrameSettings& settings) {
                                 PixelCache::holds(settings), given);
   };
   PhotonSettings p{chosen(PixelCache::samples_of_records(settings)), 1,
-                   real_setting(settings, "photon.radius").value_or(0)};
+                   real_setting(settings, "photon.radius").value_or(0),
+                   whole_setting(settings, "photon.guide").value_or(0)};
   p.passes = chosen(settings.planned_spp()).passes;  // which nothing is shared of
   // As many places of caustics in a pixel as samples, but a few of each pass.
   p.samples = std::bit_floor(std::clamp<std::uint32_t>(settings.planned_spp() / std::max(1u, p.passes), 1, 16));
@@ -125,6 +129,11 @@ class PhotonPlan final : public GraphPlan {
   bool indirect() const { return settings_.depth != 1; }
   bool gathers() const { return indirect() && photon_.count > 0; }
   bool has_caustics() const { return indirect() && photon_.caustics > 0 && sharp_; }
+  // A frame alone: pictures that share clusters share photons as well, which are no camera's.
+  bool is_guided() const {
+    return photon_.guide > 0 && (gathers() || has_caustics()) && PixelCache::holds(settings_) &&
+           PixelCache::begins_with(settings_).empty();
+  }
   bool has_clusters() const { return gathers() && photon_.clusters > 0 && photon_.rays > 0; }
   std::uint32_t classes() const {
     return (gathers() ? PATH_CLASS_DIFFUSE | PATH_CLASS_MIXED : 0) | (has_caustics() ? PATH_CLASS_CAUSTIC : 0) |
@@ -145,6 +154,10 @@ class PhotonPlan final : public GraphPlan {
   }
 
   void begin() override;
+  Artifact ask_photons(const std::string& suffix, PhotonTraceParameters p, std::uint32_t paths,
+                       std::vector<Graph::Input> inputs);
+  void ask_guides();
+  Artifact ask_guide(const std::string& suffix, const Artifact& pilot, std::uint32_t classes, bool gathers);
   Artifact ask_map(const std::string& suffix, std::uint32_t pass, std::uint32_t paths, std::uint32_t classes);
   Artifact ask_cut(const Artifact& map);
   std::uint32_t cut_depth() const;
@@ -179,7 +192,8 @@ class PhotonPlan final : public GraphPlan {
   FrameSettings settings_;
   PhotonSettings photon_;
   bool sharp_;
-  double most_radius_;
+  double near_;         // m: kGuideNear
+  double most_radius_;  // m
   PathSampler paths_;
   PhotonMapFacts gathered_;
   Artifact cut_;  // none: there is no cut
@@ -199,7 +213,9 @@ class PhotonPlan final : public GraphPlan {
   Artifact first_caustics_;         // an event, where a target error waits for the first pass
   OwnLight own_light_;
   bool clusters_asked_ = false, caustics_asked_ = false;
-  Artifact guide_;
+  Artifact map_emission_, caustic_emission_;  // emission guides; none: light paths begin anywhere alike
+  PhotonGuideFacts map_guide_, caustic_guide_;
+  Artifact guide_;  // of caustics' radii
   std::vector<Pass> passes_;
 };
 
@@ -208,6 +224,7 @@ PhotonPlan::PhotonPlan(const FrameSettings& settings, const SceneSummary& scene)
       settings_(settings),
       photon_(read_settings(settings)),
       sharp_(has_sharp_parts(scene.needs)),
+      near_(kGuideNear * diagonal_of(scene.bounds)),
       most_radius_(photon_.radius > 0 ? photon_.radius : kMostRadius * diagonal_of(scene.bounds)),
       paths_(graph_, film_, settings),
       cache_(settings, settings.method_spp()),
@@ -221,6 +238,8 @@ PhotonPlan::PhotonPlan(const FrameSettings& settings, const SceneSummary& scene)
     // Photons find these by themselves.
     std::erase_if(skips_, [](const Skip& skip) { return skip.what.starts_with("punctual lights "); });
   }
+  if (photon_.guide && !is_guided() && (gathers() || has_caustics()))
+    skips_.push_back({"guided photons", "the film is too large, or pictures share their photons", 1});
   if (!indirect()) skips_.push_back({"photons", "a depth of 1 is direct light alone", 1});
   if (indirect() && !photon_.count)
     skips_.push_back({"the photon map", "photon.count is 0: paths find all light but caustics", 1});
@@ -248,6 +267,7 @@ void PhotonPlan::begin() {
     if (has_clusters()) known.push_back(beside_->known);
     if (has_caustics()) known.push_back(first_caustics_ = graph_.event());
   }
+  if (is_guided()) ask_guides();
   if (has_caustics()) {
     guide_ = ask_map("guide", kGuidePass, photon_.caustics, PHOTON_CLASS_BIT(PHOTON_CAUSTIC));
     ask_caustics(0);
@@ -270,32 +290,77 @@ void PhotonPlan::begin() {
   }
 }
 
+// Where photons are of use, by a few paths that begin anywhere.
+void PhotonPlan::ask_guides() {
+  points_ = cache_.ask_points(graph_, "photon.points", kFirst);
+  PhotonTraceParameters p{};
+  p.most_depth = settings_.depth ? settings_.depth - 1 : GLEANER_NONE;
+  p.classes = PHOTON_ALL_CLASSES;
+  p.pass = kPilotPass;
+  p.pilot = 1;
+  const Artifact pilot = ask_photons("pilot", p, photon_.guide, {});
+  if (gathers()) map_emission_ = ask_guide("global", pilot, PHOTON_ALL_CLASSES, true);
+  if (has_caustics()) caustic_emission_ = ask_guide("caustics", pilot, PHOTON_CLASS_BIT(PHOTON_CAUSTIC), false);
+}
+
+Artifact PhotonPlan::ask_guide(const std::string& suffix, const Artifact& pilot, std::uint32_t classes, bool gathers) {
+  PhotonGuideParameters p{};
+  p.width = settings_.width;
+  p.height = settings_.height;
+  p.samples = cache_.samples();
+  p.paths = photon_.guide;
+  p.classes = classes;
+  p.gathers = gathers;
+  p.near = static_cast<float>(near_);
+  p.seed_low = low(settings_.seed);
+  p.seed_high = high(settings_.seed);
+  StageSpec spec = cache_.choosing("photon.guide." + suffix, "photon_guide", kFirst);
+  spec.output.record_bytes = GUIDE_WORDS * 4;
+  spec.output.most_records = GUIDE_MOST_ROWS;
+  const Artifact guide = graph_.add(std::move(spec), p, {{"points", points_}, {"photons", pilot}});
+  graph_.when({guide}, [this, guide, gathers] {
+    const auto facts = guide.facts<PhotonGuideFacts>();
+    guide.check_facts(facts.cells > 0 && facts.useful <= photon_.guide && std::isfinite(facts.most),
+                      std::to_string(facts.useful) + " useful paths, " + std::to_string(facts.cells) + " cells");
+    (gathers ? map_guide_ : caustic_guide_) = facts;
+  });
+  return guide;
+}
+
+// Light paths, which leave photons.
+Artifact PhotonPlan::ask_photons(const std::string& suffix, PhotonTraceParameters p, std::uint32_t paths,
+                                 std::vector<Graph::Input> inputs) {
+  p.items_low = paths;
+  p.seed_low = low(settings_.seed);
+  p.seed_high = high(settings_.seed);
+  // Another camera sees the same photons.
+  return graph_.add({.name = "photon.trace." + suffix,
+                     .kind = "photon_trace",
+                     .items = paths,
+                     .tile = 16,
+                     .priority = kFirst,
+                     .work = static_cast<double>(paths),
+                     .output = {.record_bytes = PHOTON_WORDS * 4,
+                                .counted = true,
+                                .most_records = PHOTON_PATH_SLOTS,
+                                .placement = Placement::retain,
+                                .reusable = true}},
+                    p, std::move(inputs));
+}
+
 // Light paths, and the map of the photons that they leave.
 Artifact PhotonPlan::ask_map(const std::string& suffix, std::uint32_t pass, std::uint32_t paths,
                              std::uint32_t classes) {
+  const bool caustics = classes == PHOTON_CLASS_BIT(PHOTON_CAUSTIC);
   PhotonTraceParameters p{};
-  p.items_low = paths;
   // Beside its own scatterings light takes one at the first surface, and what is gathered one more.
-  const std::uint32_t spent = classes == PHOTON_CLASS_BIT(PHOTON_CAUSTIC) ? 1 : 2;
-  p.most_depth = settings_.depth ? settings_.depth - spent : GLEANER_NONE;
+  p.most_depth = settings_.depth ? settings_.depth - (caustics ? 1 : 2) : GLEANER_NONE;
   p.classes = classes;
   p.pass = pass;
-  p.seed_low = low(settings_.seed);
-  p.seed_high = high(settings_.seed);
-  constexpr std::uint32_t row_bytes = PHOTON_WORDS * 4;
-  // Another camera sees the same photons.
-  const Artifact traced = graph_.add({.name = "photon.trace." + suffix,
-                                      .kind = "photon_trace",
-                                      .items = paths,
-                                      .tile = 16,
-                                      .priority = kFirst,
-                                      .work = static_cast<double>(paths),
-                                      .output = {.record_bytes = row_bytes,
-                                                 .counted = true,
-                                                 .most_records = PHOTON_PATH_SLOTS,
-                                                 .placement = Placement::retain,
-                                                 .reusable = true}},
-                                     p);
+  const Artifact& emission = caustics ? caustic_emission_ : map_emission_;
+  std::vector<Graph::Input> inputs;
+  if (emission) inputs.push_back({"emission", emission});
+  const Artifact traced = ask_photons(suffix, p, paths, std::move(inputs));
   // A node for each 8 photons at most, in whole blocks.
   const std::uint64_t most = 2 * std::uint64_t{paths} * PHOTON_PATH_SLOTS + 64;
   return graph_.add({.name = "photon.map." + suffix,
@@ -304,7 +369,7 @@ Artifact PhotonPlan::ask_map(const std::string& suffix, std::uint32_t pass, std:
                      .solo = true,
                      .priority = kFirst,
                      .work = static_cast<double>(paths),
-                     .output = {.record_bytes = row_bytes,
+                     .output = {.record_bytes = PHOTON_WORDS * 4,
                                 .counted = true,
                                 .most_records = low(std::min<std::uint64_t>(most, 0xffffffffu)),
                                 .placement = Placement::retain,
@@ -362,7 +427,7 @@ void PhotonPlan::gather(const Artifact& map) {
 
 // Which points are gathered at depends on geometry alone: they are chosen while photons are traced.
 void PhotonPlan::ask_clusters() {
-  points_ = cache_.ask_points(graph_, "photon.points", kFirst);
+  if (!points_) points_ = cache_.ask_points(graph_, "photon.points", kFirst);
   before_.resize(cameras_.size());
   for (std::size_t camera = 0; camera < cameras_.size(); ++camera) extend(camera);
   PhotonClusterParameters p = cluster_parameters(settings_.width, settings_.height, cache_.samples());
@@ -630,6 +695,14 @@ std::string PhotonPlan::parameters_json() const {
                      {"neighbours", estimate(kGatherNeighbours).neighbours},
                      {"radius", gathered_.radius},
                      {"spacing", spacing()}};
+  if (is_guided()) {
+    const auto told = [](const PhotonGuideFacts& f) {
+      return nlohmann::json{{"useful", f.useful}, {"cells", f.cells}, {"most", f.most}};
+    };
+    photon["guide"] = {{"paths", photon_.guide}};
+    if (gathers()) photon["guide"]["map"] = told(map_guide_);
+    if (has_caustics()) photon["guide"]["caustics"] = told(caustic_guide_);
+  }
   photon["cut"] = photon_.cut;
   if (gathers() && photon_.cut) {
     photon["cut_nodes"] = cut_facts_.nodes;
@@ -664,6 +737,10 @@ std::string PhotonPlan::parameters_json() const {
 
 std::vector<std::string> PhotonPlan::outline() const {
   std::vector<std::string> lines;
+  if (is_guided())
+    lines.push_back(
+        "photon.trace.pilot: " + std::to_string(photon_.guide) +
+        " light paths that tell where photons are of use, split; photon.guide: how densely others begin, solo");
   if (gathers()) {
     lines.push_back("photon.trace.global: " + std::to_string(photon_.count) + " light paths, split");
     lines.push_back("photon.map.global: the tree over their photons, solo");
@@ -727,6 +804,10 @@ Method photon_method() {
            "read"},
           {"photon.gather_rays", whole, 0, SPLAT_MOST_RAYS / 2, "24 times `--spp`, 96 to 1024",
            "rays of each cluster's sample point; 0: no clusters"},
+          {"photon.guide", whole, 0, 1u << 24, "0",
+           "light paths that tell where photons are of use: others begin where more of them are, and count for less; "
+           "0: "
+           "light paths begin by power alone"},
           {"photon.radius", real, 0, 1e9, "0",
            "metres: of density estimates (of caustics: of the first pass); 0: as wide as the nearest photons lie"},
       }};

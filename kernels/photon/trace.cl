@@ -1,6 +1,7 @@
 // Photons from light paths. Stage kind "photon_trace".
 //
 //   photon_emit          a light path's first ray, lights chosen by power           (kernels/transport/emission.h)
+//                        or as an emission guide tells                              (kernels/photon/guide.h)
 //   repeat
 //     trace              closest hits
 //     photon_trace_step  at a surface with a broad part: store a photon of the arriving flux
@@ -12,6 +13,7 @@
 // A path that arrives more often than it has slots keeps a random choice of its photons (reservoir sampling: Vitter
 // 1985, algorithm R); the host gives those the others' power. Unlike the light paths of virtual point lights these
 // follow punctual lights through mirrors and glass: no other method finds that light.
+#include "kernels/photon/guide.h"
 #include "kernels/photon/pack.h"
 #include "kernels/photon_records.h"
 #include "kernels/transport/light_paths.h"
@@ -31,17 +33,22 @@
 #ifdef NEED_LIGHTS
 
 kernel WIDE void photon_emit(global const PhotonTraceParameters* restrict parameters, SCENE_PARAMETERS,
-                             global const float* restrict emission, uint first_low, uint first_high, uint count,
-                             global float* restrict paths) {
+                             global const float* restrict emission, global const float* restrict guide, uint guided,
+                             uint first_low, uint first_high, uint count, global float* restrict paths) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
   if (first_lane >= count) return;
   Scene scene_value = SCENE_FROM_PARAMETERS;
   const Scene* scene = &scene_value;
-  LightStart start = start_light_paths(scene, emission, first_low, first_high, first_lane, count, parameters->seed_low,
-                                       parameters->seed_high, parameters->pass ^ 0x50480000u);
+  LightStart start = begin_light_paths(first_low, first_high, first_lane, parameters->seed_low, parameters->seed_high,
+                                       parameters->pass ^ 0x50480000u);
+  EmissionNumbers numbers = emission_numbers(start.key, start.sample);
+  vf density = one_f();
+  if (guided != 0u) density = guide_emission(guide, &numbers);
+  emit_light_paths(scene, emission, count, numbers, &start);
   ulong items = ((ulong)parameters->items_high << 32) | parameters->items_low;
   start.ray.throughput = scale3(start.ray.throughput, (vf)(1.0f / (float)items));
+  if (guided != 0u) start.ray.throughput = scale3(start.ray.throughput, one_f() / density);
   set_light_path(paths, block, &start, (vu)(PHOTON_DIRECT << LIGHT_CLASS));
 }
 
@@ -86,9 +93,18 @@ FN vi stores_photon(const Vertex* v, const LightPath* p, global const PhotonTrac
   return stores & broad;
 }
 
+// In the place of a photon's power, the numbers that its path began with: kernels/photon_records.h, PILOT_...
+FN void put_pilot(vf* w, const LightPath* p) {
+  EmissionNumbers n = emission_numbers(p->key, p->sample);
+  vf whole = (vf)65536.0f;
+  w[PILOT_LIGHT] = as_vf(to_u(n.light * whole) | (to_u(n.u0 * whole) << 16));
+  w[PILOT_POINT] = as_vf(to_u(n.u1 * whole) | (to_u(n.d0 * whole) << 16));
+  w[PILOT_DIRECTION] = as_vf(to_u(n.d1 * whole));
+}
+
 // One photon a lane; how many photons the path has left goes to `arrivals`.
-FN void store_photon(global float* records, global uint* arrivals, uint slots, LightPath* p, const Vertex* v,
-                     v3 geometric, vf weight, vi stores) {
+FN void store_photon(global float* records, global uint* arrivals, uint slots, uint pilot, LightPath* p,
+                     const Vertex* v, v3 geometric, vf weight, vi stores) {
   // The place of the j-th: below it at random, and lost where that is no slot.
   vu random = hash_combine(hash_combine(p->key, p->sample), p->arrivals + 0x7265u);
   vu place = pick_u(p->arrivals, min(to_u(unit_float(random) * (to_f(p->arrivals) + one_f())), p->arrivals),
@@ -103,6 +119,7 @@ FN void store_photon(global float* records, global uint* arrivals, uint slots, L
   w[PHOTON_ARRIVAL] = as_vf(pack_unit(p->direction, 12u) | (pack_length(length) << PHOTON_LENGTH_SHIFT));
   w[PHOTON_SURFACE] = as_vf(pack_unit(geometric, 12u) | (p->class_ << PHOTON_CLASS_SHIFT) |
                             (min(p->depth, (vu)PHOTON_MOST_DEPTH) << PHOTON_DEPTH_SHIFT));
+  if (pilot) put_pilot(w, p);
   scatter_words(records, 1u, at, w, PHOTON_WORDS);
   p->arrivals = min(p->arrivals + pick_u((vu)0u, (vu)1u, stores), (vu)255u);
   scatter_u(arrivals, pick_u((vu)slots, p->slot, stores), p->arrivals);
@@ -161,7 +178,7 @@ kernel WIDE void photon_trace_step(global const PhotonTraceParameters* restrict 
 
   vf weight = correction * lit_share(&v, p.direction);
   vi stores = stores_photon(&v, &p, parameters) & finite3(scale3(p.power, weight)) & finite3(v.hit.p);
-  if (any_lane(stores)) store_photon(records, arrivals, slots, &p, &v, geometric, weight, stores);
+  if (any_lane(stores)) store_photon(records, arrivals, slots, parameters->pilot, &p, &v, geometric, weight, stores);
 
   vi straight = no_lanes();
   BsdfSample scattered;

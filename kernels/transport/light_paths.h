@@ -1,6 +1,7 @@
 // Light paths: how each begins, and what a surface that it meets is told of it.
 //
-//   start_light_paths    a path's numbers and its first ray; set_light_path() writes its rows
+//   start_light_paths    a path's numbers and its first ray; set_light_path() writes its rows. In two steps,
+//                        begin_light_paths() and emit_light_paths(), where the numbers are changed between
 //   meet_light_surface   the surface it met, prepared for scattering: scatter_flux() (kernels/transport/scattering.h)
 //
 // Include it where light is followed from its source; NEED_LIGHTS must be defined where these functions are used. Rows
@@ -29,10 +30,23 @@ typedef struct {
   vu slot, key, sample;
 } LightStart;
 
-// Lane i of a block that begins at `first_lane` has path i from `first` on. `stream` keeps methods' and passes' numbers
-// apart.
-FN LightStart start_light_paths(const Scene* scene, global const float* emission, uint first_low, uint first_high,
-                                uint first_lane, uint count, uint seed_low, uint seed_high, uint stream) {
+// What is drawn for a path's first ray: the light by `light`, the point on it by u0 and u1, the direction by d0 and d1.
+typedef struct {
+  vf light, spare, u0, u1, d0, d1;
+} EmissionNumbers;
+
+FN EmissionNumbers emission_numbers(vu key, vu sample) {
+  EmissionNumbers n;
+  sample_pair(key, sample, LIGHT_SEQUENCE, 0u, &n.light, &n.spare);
+  sample_pair(key, sample, LIGHT_SEQUENCE, 1u, &n.u0, &n.u1);
+  sample_pair(key, sample, LIGHT_SEQUENCE, 2u, &n.d0, &n.d1);
+  return n;
+}
+
+// Slot, key and place in the sequence: lane i of a block that begins at `first_lane` has path i from `first` on.
+// `stream` keeps methods' and passes' numbers apart.
+FN LightStart begin_light_paths(uint first_low, uint first_high, uint first_lane, uint seed_low, uint seed_high,
+                                uint stream) {
   LightStart start;
   start.slot = (vu)first_lane + lane_index();
   ulong first = (((ulong)first_high << 32) | first_low) + first_lane;
@@ -40,21 +54,29 @@ FN LightStart start_light_paths(const Scene* scene, global const float* emission
   // Each run of 65,536 paths has a sequence of its own; blocks of 16 never straddle two.
   uint sequence = (uint)(first >> 16);
   start.key = hash_combine(hash_combine(hash_combine((vu)seed_low, (vu)seed_high), (vu)stream), (vu)sequence);
-  vf u_light, u_spare, u0, u1, d0, d1;
-  sample_pair(start.key, start.sample, LIGHT_SEQUENCE, 0u, &u_light, &u_spare);
-  sample_pair(start.key, start.sample, LIGHT_SEQUENCE, 1u, &u0, &u1);
-  sample_pair(start.key, start.sample, LIGHT_SEQUENCE, 2u, &d0, &d1);
-  EmittedRay ray = emit_light(scene, emission, u_light, u0, u1, d0, d1);
-  start.ray.origin = ray.origin;
-  start.ray.direction = ray.direction;
-  start.ray.throughput = ray.flux;
-  start.ray.alive = (start.slot < count) & ray.valid;
+  return start;
+}
+
+// The first rays of `count` paths.
+FN void emit_light_paths(const Scene* scene, global const float* emission, uint count, EmissionNumbers n,
+                         LightStart* start) {
+  EmittedRay ray = emit_light(scene, emission, n.light, n.u0, n.u1, n.d0, n.d1);
+  start->ray.origin = ray.origin;
+  start->ray.direction = ray.direction;
+  start->ray.throughput = ray.flux;
+  start->ray.alive = (start->slot < count) & ray.valid;
 #ifdef NEED_MEDIA
-  start.ray.media.high = ray.media_high;
-  start.ray.media.low = ray.media_low;
+  start->ray.media.high = ray.media_high;
+  start->ray.media.low = ray.media_low;
 #endif
-  start.range = ray.range;
-  start.punctual = ray.punctual;
+  start->range = ray.range;
+  start->punctual = ray.punctual;
+}
+
+FN LightStart start_light_paths(const Scene* scene, global const float* emission, uint first_low, uint first_high,
+                                uint first_lane, uint count, uint seed_low, uint seed_high, uint stream) {
+  LightStart start = begin_light_paths(first_low, first_high, first_lane, seed_low, seed_high, stream);
+  emit_light_paths(scene, emission, count, emission_numbers(start.key, start.sample), &start);
   return start;
 }
 

@@ -47,7 +47,10 @@ class Farm : public testing::Test {
   }
 
   static std::vector<std::string> frame(unsigned spp) {
-    return {scene().string(), "--size", "80x60", "--spp", std::to_string(spp), "--seed", "7", "--method", method_};
+    std::vector<std::string> words = {scene().string(), "--size", "80x60",    "--spp", std::to_string(spp),
+                                      "--seed",         "7",      "--method", method_};
+    if (method_ == "photon") words.insert(words.end(), {"--set", "photon.guide=20000"});
+    return words;
   }
 
   // What the embedded farm makes of the frame.

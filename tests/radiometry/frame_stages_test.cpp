@@ -55,6 +55,7 @@ const Method methods[] = {
     {"vpl", {{"vpl.passes", "4"}}},
     {"vpl", {{"vpl.count", "500"}, {"vpl.clusters", "100"}, {"vpl.point_clusters", "256"}}},
     {"photon", {{"photon.passes", "4"}, {"photon.count", "4096"}, {"photon.caustics", "4096"}}},
+    {"photon", {{"photon.count", "4096"}, {"photon.caustics", "4096"}, {"photon.guide", "4096"}}},
     {"links", {{"links.vertices", "200"}}},
     {"splat", {{"splat.gather_rays", "64"}}},
 };

@@ -833,12 +833,14 @@ TEST(Photon, RecordsDoNotDependOnBatches) {
                                 {"photon.passes", "1"},
                                 {"photon.clusters", "100"},
                                 {"photon.cut", "300"},
+                                {"photon.guide", "3000"},
                                 {"photon.gather_rays", "64"}});
   const Rendered whole = render(frame);
   two.load_scene("two", frame.scene, nullptr);
   for (const char* name :
-       {"photon.trace.global", "photon.caustics.0", "photon_gather.0", "photon.cut", "photon.clusters",
-        "photon.cluster_gather", "photon.cluster_refine.0", "photon.cluster_smooth", "photon.shade"}) {
+       {"photon.trace.pilot", "photon.guide.global", "photon.guide.caustics", "photon.trace.global", "photon.trace.0",
+        "photon.caustics.0", "photon_gather.0", "photon.cut", "photon.clusters", "photon.cluster_gather",
+        "photon.cluster_refine.0", "photon.cluster_smooth", "photon.shade"}) {
     const coordinator::StageSpec& spec = whole.specs.at(name);
     const worker::BatchResult& all = whole.results.at(name);
     worker::StageTask again = whole.tasks.at(name);

@@ -134,6 +134,17 @@ TEST(PlanFacts, OfPhotonMaps) {
   EXPECT_THAT(answer(frame("photon"), {{"photon_map", said(12, facts)}}), HasSubstr("facts that cannot be"));
 }
 
+TEST(PlanFacts, OfEmissionGuides) {
+  const FrameSettings settings = frame("photon", {{"photon.guide", "1000"}});
+  kernels::PhotonGuideFacts facts{.useful = 200, .cells = 3, .most = 2};
+  EXPECT_EQ(answer(settings, {{"photon_guide", said(5, facts)}}), "accepted");
+  facts.useful = 1001;
+  EXPECT_THAT(answer(settings, {{"photon_guide", said(5, facts)}}), HasSubstr("1001 useful paths"));
+  facts.useful = 200;
+  facts.most = kNan;
+  EXPECT_THAT(answer(settings, {{"photon_guide", said(5, facts)}}), HasSubstr("facts that cannot be"));
+}
+
 // Each camera begins with the sample points of those before it.
 TEST(PlanFacts, OfShadingClusters) {
   FrameSettings settings = frame("photon", {{"photon.cut", "0"}, {"photon.caustics", "0"}});

@@ -43,11 +43,12 @@ const std::vector<StageKind>& stage_table() {
       {"photon_trace",
        run_photon_trace_stage,
        {"kernels/photon/trace.cl"},
-       {},
+       {{.name = "emission", .required = false}},
        // With both maps, and without clusters.
        {{.file = "kernels/photon/gather.cl", .options = " -D PATH_FILTER=7"},
         {.file = "kernels/photon/caustics.cl"},
         {.file = "kernels/splat/shade.cl"}}},
+      {"photon_guide", run_photon_guide_stage, {}, {{.name = "points"}, {.name = "photons"}}},
       {"photon_map", run_photon_map_stage, {}, {{.name = "photons"}}},
       {"photon_gather",
        run_photon_gather_stage,

@@ -7,6 +7,7 @@
 namespace gleaner::worker {
 
 BatchResult run_photon_trace_stage(const StageRun& run);
+BatchResult run_photon_guide_stage(const StageRun& run);
 BatchResult run_photon_gather_stage(const StageRun& run);
 BatchResult run_photon_caustics_stage(const StageRun& run);
 BatchResult run_photon_cut_stage(const StageRun& run);

@@ -6,6 +6,7 @@
 #include "kernels/path_layout.h"
 #include "kernels/photon_records.h"
 #include "scene/model/error.h"
+#include "worker/stages/photon/guide.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/split_stage.h"
 #include "worker/wavefront/joined_records.h"
@@ -25,11 +26,13 @@ std::uint32_t wave_capacity(const Device& device) { return device.info().cpu ? 1
 class PhotonThread : public HostThread {
  public:
   PhotonThread(const StageRun& run, const Program& program, const PhotonTraceParameters& p,
-               const cl::Buffer& parameters, JoinedRecords& joined, WorkQueue& work, unsigned index)
+               const cl::Buffer& parameters, const cl::Buffer& guide, JoinedRecords& joined, WorkQueue& work,
+               unsigned index)
       : HostThread(run.device, run.workspace, run.scene.tracer(), work, index),
         joined_(joined),
         first_item_(run.first),
         balance_wanted_(p.balance != 0),
+        powers_(p.pilot == 0),
         capacity_(wave_capacity(run.device)),
         path_rows_(run.scene.path_rows()),
         emit_(run.device, program, "photon_emit"),
@@ -45,6 +48,9 @@ class PhotonThread : public HostThread {
         balances_(balance_wanted_ ? capacity_ * kBalanceWords : 0) {
     run.scene.set_arguments(emit_);
     emit_.set("parameters", parameters).set("emission", run.scene.emission()).set("paths", paths_);
+    // Without a guide any buffer stands for it.
+    const bool guided = guide() != nullptr;
+    emit_.set("guide", guided ? guide : run.scene.emission()).set("guided", cl_uint{guided});
     run.scene.set_arguments(step_);
     step_.set("parameters", parameters)
         .set("slots", capacity_)
@@ -85,7 +91,7 @@ class PhotonThread : public HostThread {
       const std::byte* from = slots + item * kPathBytes;
       const std::size_t at = packed_.size();
       packed_.insert(packed_.end(), from, from + kept * kRowBytes);
-      if (arrived_[item] > kept)
+      if (arrived_[item] > kept && powers_)
         scale_power(&packed_[at], kept, static_cast<float>(arrived_[item]) / static_cast<float>(kept));
       if (balance_wanted_) {
         const float* balance = &balances_[item * kBalanceWords];
@@ -116,6 +122,7 @@ class PhotonThread : public HostThread {
   JoinedRecords& joined_;
   std::uint64_t first_item_;
   bool balance_wanted_;
+  bool powers_;  // what photons carry, not the numbers of a pilot
   std::uint32_t capacity_;
   unsigned path_rows_;
   Kernel emit_, step_, pack_;
@@ -140,10 +147,12 @@ BatchResult run_photon_trace_stage(const StageRun& run) {
     return result;
   }
   result.counts.resize(run.count);
+  cl::CommandQueue queue = run.device.make_queue();
+  const cl::Buffer guide = run.task.inputs.contains("emission") ? guide_table(run, queue) : cl::Buffer();
   JoinedRecords joined(run.count);
   run_split(run, "trace.cl", result,
             [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
-              return std::make_unique<PhotonThread>(run, program, p, parameters, joined, work, index);
+              return std::make_unique<PhotonThread>(run, program, p, parameters, guide, joined, work, index);
             });
   result.records = joined.take();
   result.counters.seconds = seconds_now() - start;
