@@ -116,10 +116,5 @@ kernel WIDE void splat_accumulate_lobes(global const float* restrict points, glo
       weights += read.weight;
     }
   }
-  vi lit = there & (weights > zero_f());
-  v3 shown = scale3(mul3(sum, words3(own, LOBE_THROUGHPUT)), one_f() / pick(one_f(), weights, lit));
-  vf words[4];
-  put_words3(words, 0u, pick3(splat3(zero_f()), shown, lit));
-  words[3] = pick(zero_f(), weights, lit);
-  scatter_words(radiance, 1u, pick_u((vu)count, lane, lane < count) * 4u, words, 4u);
+  write_shown(radiance, sum, weights, words3(own, LOBE_THROUGHPUT), there, lane, count);
 }

@@ -44,4 +44,15 @@ FN RecordRead read_record(global const float* record, v3 p, v3 n, vu level, vi t
   return read;
 }
 
+// Writes RGB of each of `count` points and the sum of its weights: the weighted mean of what records bring, times what
+// the point does of it to its pixel. `there`: lanes that have a point.
+FN void write_shown(global float* radiance, v3 sum, vf weights, v3 factor, vi there, vu lane, uint count) {
+  vi lit = there & (weights > zero_f());
+  v3 shown = scale3(mul3(sum, factor), one_f() / pick(one_f(), weights, lit));
+  vf words[4];
+  put_words3(words, 0u, pick3(splat3(zero_f()), shown, lit));
+  words[3] = pick(zero_f(), weights, lit);
+  scatter_words(radiance, 1u, pick_u((vu)count, lane, lane < count) * 4u, words, 4u);
+}
+
 #endif

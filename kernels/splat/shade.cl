@@ -83,10 +83,5 @@ kernel WIDE void splat_accumulate(global const float* restrict points, global co
   sum = make3(max_f(sum.x + mean_gradient(&gradients, 0u, weights), zero_f()),
               max_f(sum.y + mean_gradient(&gradients, 1u, weights), zero_f()),
               max_f(sum.z + mean_gradient(&gradients, 2u, weights), zero_f()));
-  vi lit = there & (weights > zero_f());
-  v3 shown = scale3(mul3(sum, words3(point, SPLAT_FACTOR)), one_f() / pick(one_f(), weights, lit));
-  vf words[4];
-  put_words3(words, 0u, pick3(splat3(zero_f()), shown, lit));
-  words[3] = pick(zero_f(), weights, lit);
-  scatter_words(radiance, 1u, pick_u((vu)count, lane, lane < count) * 4u, words, 4u);
+  write_shown(radiance, sum, weights, words3(point, SPLAT_FACTOR), there, lane, count);
 }

@@ -12,6 +12,11 @@ namespace {
 // Pixels. Squared errors of single pixels have a standard deviation larger than themselves: the choice rests on
 // some hundred neighbours, and what is told of the picture on more.
 constexpr double kChoiceRadius = 4, kErrorRadius = 8;
+constexpr double kErrorNeighbours = 4 * std::numbers::pi * kErrorRadius * kErrorRadius;
+// How far the halves' pictures are apart is less noisy.
+constexpr double kVarianceRadius = 2;
+// What the picture's variance says of a place is not made smaller than by this.
+constexpr double kLeastFactor = 0.25;
 // What a denoiser is off by, its neighbours share: blocks of this size are taken for independent of each other. Small
 // pictures have smaller ones, so that there are some.
 std::uint32_t block_of(std::uint32_t width, std::uint32_t height) {
@@ -200,17 +205,63 @@ double deviation_of_mean(const Plane& values, std::uint32_t width, std::uint32_t
 
 }  // namespace
 
+// The squared error that the layer shows, from what pixels tell of it without bias, each as noisy as it is large, and
+// from how far the two halves' pictures are apart: the picture's variance, which is never below 0, shows edges and
+// specks sharply, and knows nothing of what both halves are off by. So it is scaled to the estimate's total, and
+// locally by as much of the estimate over some hundred neighbours as is no noise (James & Stein 1961).
+Plane error_layer(const Halves& h, const Plane& estimates, const Plane& variance) {
+  const auto sum = [](const Plane& plane) { return std::accumulate(plane.begin(), plane.end(), 0.0); };
+  const auto smoothed = [&](Plane plane, double radius) {
+    smooth(plane, h.width, h.height, radius);
+    return plane;
+  };
+  const double told = sum(estimates), varied = sum(variance);
+  const Plane estimate = smoothed(estimates, kErrorRadius), near = smoothed(variance, kErrorRadius);
+  Plane layer = smoothed(variance, kVarianceRadius), squares = estimates;
+  for (float& value : squares) value *= value;
+  smooth(squares, h.width, h.height, kErrorRadius);
+  // Both halves are off by as much as their mean at least.
+  const double scale = varied > 0 ? std::max(1.0, told / varied) : 1;
+  // The estimate over what is expected, and the square of its own deviation over that.
+  const auto ratio = [&](std::size_t i) { return estimate[i] / (scale * near[i]); };
+  const auto noise = [&](std::size_t i) { return squares[i] / (kErrorNeighbours * std::pow(scale * near[i], 2)); };
+  double differences = 0, weights = 0;
+  for (std::size_t i = 0; i < layer.size(); ++i) {
+    if (!(near[i] > 0)) continue;
+    const double n = noise(i), weight = 1 / std::pow(1 + n, 2);
+    differences += weight * (std::pow(ratio(i) - 1, 2) - n);
+    weights += weight;
+  }
+  const double signal = weights > 0 ? std::max(0.0, differences / weights) : 0;
+  for (std::size_t i = 0; i < layer.size(); ++i) {
+    if (!(near[i] > 0)) {
+      layer[i] = std::max(estimate[i], 0.0f);
+      continue;
+    }
+    const double share = signal / std::max(signal + noise(i), 1e-30);
+    layer[i] *= static_cast<float>(scale * std::max(kLeastFactor, 1 + share * (ratio(i) - 1)));
+  }
+  const double wanted = std::max(told, varied), shown = sum(layer);
+  if (shown > 0)
+    for (float& value : layer) value *= static_cast<float>(wanted / shown);
+  return layer;
+}
+
 BlendedPicture blend(const Halves& h) {
   const std::size_t pixels = std::size_t{h.width} * h.height;
   const Errors errors = errors_of(h);
   const Plane shares = denoised_shares(h, errors);
   BlendedPicture picture{std::vector<float>(3 * pixels), Plane(pixels)};
+  Plane variance(pixels);
   for (std::size_t i = 0; i < pixels; ++i) {
     const double w = shares[i], a = h.share[i], b = 1 - a;
     picture.denoised += w;
-    for (std::size_t k = 3 * i; k < 3 * i + 3; ++k)
-      picture.color[k] = static_cast<float>(w * (a * h.denoised_first[k] + b * h.denoised_second[k]) +
-                                            (1 - w) * (a * h.first[k] + b * h.second[k]));
+    for (std::size_t k = 3 * i; k < 3 * i + 3; ++k) {
+      const double first = w * h.denoised_first[k] + (1 - w) * h.first[k],
+                   second = w * h.denoised_second[k] + (1 - w) * h.second[k];
+      picture.color[k] = static_cast<float>(a * first + b * second);
+      variance[i] += static_cast<float>(a * b * (first - second) * (first - second) / 3);
+    }
     picture.squared_error[i] = static_cast<float>(w * w * errors.denoised[i] + (1 - w) * (1 - w) * errors.raw[i] +
                                                   2 * w * (1 - w) * errors.both[i]);
   }
@@ -218,13 +269,7 @@ BlendedPicture blend(const Halves& h) {
   picture.error =
       std::accumulate(picture.squared_error.begin(), picture.squared_error.end(), 0.0) / static_cast<double>(pixels);
   picture.deviation = deviation_of_mean(picture.squared_error, h.width, h.height);
-  smooth(picture.squared_error, h.width, h.height, kErrorRadius);
-  double told = 0;
-  for (float& error : picture.squared_error) told += error = std::max(error, 0.0f);
-  // What is cut off at 0 would be missed below: the layer's mean is not far above what is known of the whole.
-  const double most = (std::max(picture.error, 0.0) + picture.deviation) * static_cast<double>(pixels);
-  if (told > most)
-    for (float& error : picture.squared_error) error *= static_cast<float>(most / told);
+  picture.squared_error = error_layer(h, picture.squared_error, variance);
   return picture;
 }
 
