@@ -26,6 +26,8 @@ constexpr std::uint32_t kGatherNeighbours = 16, kCausticNeighbours = 64;
 constexpr double kMostRadius = 0.05;
 // Knaus & Zwicker 2011: of the variance of caustics' density, what a pass adds falls, and its bias shrinks, by this.
 constexpr double kShrinkage = 2.0 / 3;
+// Places of a pass, at least, where caustics are read, for each of its light paths: they take half of its time then.
+constexpr double kReadsOfALightPath = 0.5;
 // The guide's photons are those of a pass that is none.
 constexpr std::uint32_t kGlobalPass = 0, kGuidePass = 1, kFirstPass = 2, kPilotPass = 1u << 31;
 // Turns of k-means.
@@ -66,8 +68,12 @@ PhotonSettings read_settings(const FrameSettings& settings) {
                    real_setting(settings, "photon.radius").value_or(0),
                    whole_setting(settings, "photon.guide").value_or(0)};
   p.passes = chosen(settings.planned_spp()).passes;  // which nothing is shared of
-  // As many places of caustics in a pixel as samples, but a few of each pass.
-  p.samples = std::bit_floor(std::clamp<std::uint32_t>(settings.planned_spp() / std::max(1u, p.passes), 1, 16));
+  // As many places of caustics in a pixel as samples. More where pixels are few: what a pass traces is worth more
+  // reads.
+  const double pixels = static_cast<double>(std::uint64_t{settings.width} * settings.height),
+               reads = kReadsOfALightPath * p.caustics / pixels;
+  const double samples = std::max(static_cast<double>(settings.planned_spp()) / std::max(1u, p.passes), reads);
+  p.samples = std::bit_floor(static_cast<std::uint32_t>(std::clamp(samples, 1.0, 16.0)));
   return p;
 }
 

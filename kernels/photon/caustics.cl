@@ -30,13 +30,15 @@ kernel WIDE void photon_camera_rays(global const PhotonCausticsParameters* restr
   vu lane = (vu)first_lane + lane_index();
   uint samples = parameters->samples;
   vu pixel = (lane >> (31u - clz(samples))) + first_low;
-  vu sample = lane & (samples - 1u);
+  // Passes go on in a pixel's sequence where the one before has ended.
+  uint first = parameters->pass * samples;
+  vu sample = (lane & (samples - 1u)) + (first & (GLEANER_PATH_SEQUENCE - 1u));
   NextRay ray;
   ray.alive = lane < count;
   vu key = hash_combine(hash_combine(hash_combine((vu)parameters->seed_low, (vu)parameters->seed_high), pixel),
-                        (vu)(parameters->pass ^ 0x43415500u));
+                        (vu)((first / GLEANER_PATH_SEQUENCE) ^ 0x43415500u));
   vf jx, jy;
-  sample_pair(key, sample, samples, 0u, &jx, &jy);
+  sample_pair(key, sample, GLEANER_PATH_SEQUENCE, 0u, &jx, &jy);
   camera_ray(&parameters->camera, parameters->width, parameters->height, pixel, jx, jy, &ray.origin, &ray.direction);
   ray.throughput = splat3(one_f());
 #ifdef NEED_MEDIA
@@ -56,7 +58,7 @@ kernel WIDE void photon_point_step(global const PhotonCausticsParameters* restri
   uint most = parameters->depth;
   vu meta = row_u(paths, PATH_ROWS, block, ROW_META);
   // A caustic photon was scattered once at least.
-  SurfacePoint point = step_to_surface_point(scene, paths, block, parameters->samples, most, 2u, counters);
+  SurfacePoint point = step_to_surface_point(scene, paths, block, GLEANER_PATH_SEQUENCE, most, 2u, counters);
   if (!any_lane(point.found)) return;
   vu row = pick_u((vu)count, point.slot, point.found);
   vf w[READ_WORDS];

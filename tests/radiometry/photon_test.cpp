@@ -823,6 +823,51 @@ TEST(Photon, CutStandsForTheMap) {
   }
 }
 
+// A slanted floor, lit by a mirror beside it, seen from above; nothing beyond it.
+Scene lit_by_a_mirror() {
+  scene::SceneBuilder b("lit-by-a-mirror");
+  b.mesh("floor");
+  b.quad({-1, 0, 0.6}, {0.7, 0, 1}, {1, 0, -0.7}, {-0.6, 0, -1}, b.material("grey", scene::lambert(scene::grey(0.5))));
+  b.mesh("mirror");
+  b.quad({-1.2, -1, 2}, {-1.2, -1, -2}, {-1.2, 2, -2}, {-1.2, 2, 2},
+         b.material("mirror", scene::metal(scene::grey(0.9), 0)));
+  b.point_light({0.5, 1, 0}, scene::grey(1));
+  b.camera("camera", {0, 3, 0.001}, {0, 0, 0}, 45, 64, 64);
+  return b.finish();
+}
+
+// One sample of a pixel in each of 16 passes: how many of them see the floor's edge is as even as 16 samples of one
+// sequence are, not as 16 that know nothing of each other.
+TEST(Photon, PassesShareAPixelsSequence) {
+  const auto seen = [](std::uint32_t seed) {
+    Frame frame = frame_of(
+        lit_by_a_mirror(), 24, 16,
+        {{"photon.count", "0"}, {"photon.caustics", "1000"}, {"photon.passes", "16"}, {"photon.radius", "10"}});
+    frame.settings.seed = seed;
+    const Rendered made = render(frame);
+    std::vector<double> passes(24 * 24, 0);
+    for (unsigned pass = 0; pass < 16; ++pass) {
+      const std::vector<float> light = made.floats("photon.caustics." + std::to_string(pass));
+      for (std::size_t i = 0; i < passes.size(); ++i) passes[i] += light[3 * i] > 0 ? 1 : 0;
+    }
+    return passes;
+  };
+  const std::vector<double> first = seen(1), second = seen(2);
+  double variance = 0, of_strangers = 0;
+  std::size_t edges = 0;
+  for (std::size_t i = 0; i < first.size(); ++i) {
+    const double share = (first[i] + second[i]) / 32;
+    if (share <= 0 || share >= 1) continue;
+    ++edges;
+    variance += std::pow(first[i] - second[i], 2) / 2;
+    of_strangers += 16 * share * (1 - share);
+  }
+  std::printf("  %zu pixels at the edge, variance %.2f, of samples that know nothing of each other %.2f\n", edges,
+              variance / static_cast<double>(edges), of_strangers / static_cast<double>(edges));
+  EXPECT_GT(edges, 30u);
+  EXPECT_LT(variance, 0.4 * of_strangers);
+}
+
 // --- Bits and malformed tasks ---
 
 TEST(Photon, RecordsDoNotDependOnBatches) {
