@@ -9,8 +9,8 @@
 #include <string>
 
 #include "scene/model/error.h"
-#include "worker/stages/photon/reach_grid.h"
 #include "worker/stages/splat/reading.h"
+#include "worker/stages/splat/record_grid.h"
 #include "worker/stages/splat/stages.h"
 #include "worker/stages/splat/tangent_frame.h"
 #include "worker/stages/vpl/rows.h"
@@ -31,17 +31,13 @@ constexpr float kStretch = 1;
 // The mean Hessian over records about one, relative to their mean light: one alone is noisy.
 class MeanHessians {
  public:
-  explicit MeanHessians(std::span<const CacheRecord> records) : records_(records), grid_(entries()) {}
+  explicit MeanHessians(std::span<const CacheRecord> records) : records_(records), grid_(records, kStretch) {}
 
   TangentMatrix at(std::uint32_t i) const {
     const CacheRecord& here = records_[i];
-    std::vector<std::uint32_t> near;
-    grid_.near(here.position, [&](std::uint32_t k) { near.push_back(k); });
-    std::ranges::sort(near);
-    near.erase(std::unique(near.begin(), near.end()), near.end());
     WorldMatrix sum{};
     double light = 0;
-    for (const std::uint32_t k : near) {
+    for (const std::uint32_t k : grid_.near(here.position)) {
       const CacheRecord& record = records_[k];
       if (record.level != here.level) continue;
       // 1 at its own place, 0 where its reach ends.
@@ -60,15 +56,8 @@ class MeanHessians {
   }
 
  private:
-  std::vector<ReachGrid::Entry> entries() const {
-    std::vector<ReachGrid::Entry> entries;
-    for (const CacheRecord& r : records_)
-      entries.push_back({r.position, kStretch * r.accuracy * r.radius * (1 + SPLAT_SLACK)});
-    return entries;
-  }
-
   std::span<const CacheRecord> records_;
-  ReachGrid grid_;
+  splat::RecordGrid grid_;
 };
 
 // Eigenvalues, the greater first, and the first one's vector.

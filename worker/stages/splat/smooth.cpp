@@ -15,8 +15,8 @@
 #include <utility>
 #include <vector>
 
-#include "worker/stages/photon/reach_grid.h"
 #include "worker/stages/splat/reading.h"
+#include "worker/stages/splat/record_grid.h"
 #include "worker/stages/splat/smooth.h"
 #include "worker/stages/splat/stages.h"
 #include "worker/stages/vpl/rows.h"
@@ -47,11 +47,7 @@ class Smoothing {
  public:
   explicit Smoothing(std::vector<CacheRecord> records)
       : records_(std::move(records)), neighbours_(records_.size()), said_(records_.size()) {
-    std::vector<ReachGrid::Entry> entries;
-    entries.reserve(records_.size());
-    for (const CacheRecord& r : records_)
-      entries.push_back({r.position, kStretch * r.accuracy * r.radius * (1 + SPLAT_SLACK)});
-    const ReachGrid grid(std::move(entries));
+    const splat::RecordGrid grid(records_, kStretch);
     for (std::uint32_t i = 0; i < records_.size(); ++i) {
       if (i % 1024 == 0) check_wanted();
       find_neighbours(grid, i);
@@ -82,13 +78,8 @@ class Smoothing {
     return weight > 0 ? std::min(weight, splat::record_weight(b, a.position, a.normal, kStretch)) : 0;
   }
 
-  void find_neighbours(const ReachGrid& grid, std::uint32_t i) {
-    const CacheRecord& at = records_[i];
-    std::vector<std::uint32_t> near;
-    grid.near(at.position, [&](std::uint32_t k) { near.push_back(k); });
-    std::ranges::sort(near);
-    near.erase(std::unique(near.begin(), near.end()), near.end());
-    for (const std::uint32_t k : near) {
+  void find_neighbours(const splat::RecordGrid& grid, std::uint32_t i) {
+    for (const std::uint32_t k : grid.near(records_[i].position)) {
       const double weight = weight_at(k, i);
       if (weight > 0) neighbours_[i].push_back({k, weight});
     }
