@@ -105,6 +105,30 @@ GLEANER_SIZE(LinksParameters, 32);
 // back sides: most vertices are seen from one side alone, and what a bounce looks up then lies closely.
 #define LINK_END(element, vertices) (((element) >> 1) + ((element)&1u) * (vertices))
 
+// --- Lobe elements: what rough metal sends by direction (kernels/links/lobes.h) ---
+//
+// Behind the mesh's elements, LOBE_BINS for each of them that has a lobe; as ends of links they have their own number.
+// Bins are equal squares of the one that the concentric map takes to the hemisphere about the normal.
+#define LOBE_SIDE 4u
+#define LOBE_BINS 16u
+
+// Stage kind "links_lobes" (input "mesh"); solo. One item, whose records are words: for each of the mesh's
+// elements its number among those that have a lobe, or GLEANER_NONE; then those elements. No parameters but these.
+typedef struct {
+  gl_uint elements;  // of the mesh
+  gl_uint reserved[3];
+} LinksLobesParameters;
+GLEANER_SIZE(LinksLobesParameters, 16);
+
+#ifndef __OPENCL_VERSION__
+struct LinksLobesFacts {
+  std::uint32_t lobes = 0, reserved = 0;
+};
+#endif
+// With the input "lobes" (of stage kind "links_lobes"; "links_audit" then reads "albedo" as well), stages
+// "links_albedo", "links_make", "links_light", "links_flux", "links_exchange" and "links_audit" have elements of lobes
+// behind those of the mesh. An albedo of a lobe element is its colour alone, by its luminance; links weigh that.
+
 // Stage kinds "links_light" (inputs "mesh", "albedo": own items) and "links_gather" (inputs "links", "light", "albedo":
 // own items; "radiosity": whole): rows of RADIOSITY_WORDS.
 #define RADIOSITY_WORDS 8u
@@ -117,7 +141,7 @@ typedef struct {
   gl_uint elements;
   gl_uint exact;       // as of links_make
   gl_uint directions;  // as of links_make; 0: noise is not told
-  gl_uint reserved;
+  gl_uint plain;       // elements of the mesh: those behind them are of lobes
 } LinksGatherParameters;
 GLEANER_SIZE(LinksGatherParameters, 16);
 
@@ -163,7 +187,8 @@ typedef struct {
   gl_uint most_bounces;  // 1 or more
   gl_float least_share;  // bounces end where those to come would add less (LinksBounces); 0: at most_bounces alone
   gl_uint directions;    // as of links_gather
-  gl_uint reserved[3];
+  gl_uint plain;         // likewise
+  gl_uint reserved[2];
 } LinksExchangeParameters;
 GLEANER_SIZE(LinksExchangeParameters, 32);
 
@@ -177,6 +202,7 @@ struct LinksExchangeFacts {
 // Stage kind "links_smooth" (inputs "mesh", "probe", "irradiance"); solo, an item an element: rows of RADIOSITY_WORDS.
 // Irradiance is smoothed over the one-ring within feature edges (eq. 5-6), by no more in any channel than the
 // RADIOSITY_NOISE of these elements (root mean square), and what hangs on an edge is put on it.
+// Rows of lobe elements, behind those of the mesh, stay as they are.
 typedef struct {
   gl_uint elements;
   gl_float least_cosine;  // between the normals of neighbours that are smoothed; above 1: none is

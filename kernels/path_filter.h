@@ -26,7 +26,8 @@
 // With LAYER as well, records of shading clusters carry what leaves the first surface by its diffuse layer, but for
 // CAUSTIC light. Paths that left by the layer then find direct light and, where photons do not carry CAUSTIC, that;
 // those that left by a rough lobe gather as before.
-// Radiance links between vertices take another class, by itself: RADIOSITY (kernels/radiosity_filter.h). So does an
+// Radiance links between vertices take another class, by itself: RADIOSITY, or METAL_RADIOSITY where metal is rough
+// (kernels/radiosity_filter.h). So does an
 // irradiance cache: IRRADIANCE; and with rough lobes a radiance cache: RADIANCE (kernels/irradiance_filter.h).
 //
 // The path tracer calls, in this order: load_filter(); shows_emission() where its ray finds light; filter_vertex() at a
@@ -42,7 +43,8 @@
 // For two of the branches below: each file is included once, and within an #if that would be in the first branch alone.
 #include "kernels/layer_filter.h"
 
-#if defined(PATH_FILTER) && (PATH_FILTER == PATH_CLASS_RADIOSITY || PATH_FILTER == PATH_CLASS_SAMPLED_RADIOSITY)
+#if defined(PATH_FILTER) && (PATH_FILTER == PATH_CLASS_RADIOSITY || PATH_FILTER == PATH_CLASS_SAMPLED_RADIOSITY || \
+                             PATH_FILTER == PATH_CLASS_METAL_RADIOSITY)
 #include "kernels/radiosity_filter.h"
 #elif defined(PATH_FILTER) && (PATH_FILTER == PATH_CLASS_IRRADIANCE || PATH_FILTER == PATH_CLASS_RADIANCE)
 #include "kernels/irradiance_filter.h"

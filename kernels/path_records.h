@@ -31,6 +31,8 @@ namespace gleaner::kernels {
 // As RADIOSITY. Where every surface is diffuse, paths also end at their first surface, and light samples alone bring
 // direct light.
 #define PATH_CLASS_SAMPLED_RADIOSITY 128u
+// As RADIOSITY, with light that lobes of rough metal passed on beside diffuse layers (kernels/rough_metal.h).
+#define PATH_CLASS_METAL_RADIOSITY 512u
 // With DIFFUSE and MIXED, which photon maps gather: what of these leaves the first surface by its diffuse layer is
 // interpolated between records (kernels/photon/cluster_gather.cl), so that paths gather the rest alone.
 #define PATH_CLASS_LAYER 64u

@@ -1,5 +1,5 @@
-// The path filter of PATH_CLASS_RADIOSITY and PATH_CLASS_SAMPLED_RADIOSITY (kernels/path_filter.h says what a filter
-// is): the partner has what radiosity computes.
+// The path filter of PATH_CLASS_RADIOSITY, PATH_CLASS_SAMPLED_RADIOSITY and PATH_CLASS_METAL_RADIOSITY
+// (kernels/path_filter.h says what a filter is): the partner has what radiosity computes.
 //
 // The first surface that a camera path meets past mirrors and glass shows the partner's light where that leaves by its
 // diffuse layer and came straight from another surface's diffuse layer, this from another's, and so on to one that a
@@ -7,8 +7,12 @@
 // as does a surface that it passed straight (alpha, panes) between two layers. Passing on the way from the light is no
 // break: vertices' shadow rays pass such surfaces as well. Unlit surfaces light no vertex: what they send is the path
 // tracer's. So is what leaves a first surface within a solid.
+//
+// With METAL_RADIOSITY all but the first surface of a chain may pass light on by a lobe of rough metal as well.
 #ifndef GLEANER_KERNELS_RADIOSITY_FILTER_H
 #define GLEANER_KERNELS_RADIOSITY_FILTER_H
+
+#include "kernels/rough_metal.h"
 
 // States of a path.
 #define FILTER_NO_SURFACE 0.0f  // has met nothing but mirrors and glass
@@ -24,6 +28,15 @@
 #define FILTER_ENDS_AT_ONCE
 #endif
 #endif
+
+// Lobes of a chain's later surfaces that are the partner's.
+FN vi chained_lobes(vi chained, const Surface* m) {
+#if PATH_FILTER == PATH_CLASS_METAL_RADIOSITY && defined(NEED_LOBE)
+  return chained & is_rough_metal(m);
+#else
+  return no_lanes();
+#endif
+}
 
 typedef struct {
   vf state;
@@ -53,14 +66,15 @@ FN v3 filter_reflectance(const PathFilter* f, const Scene* scene, const Surface*
                          v3 reflectance) {
   v3 kept = sub3(reflectance, eval_layer(scene, m, max_f(nl, (vf)1e-6f)));
   kept = make3(max_f(kept.x, zero_f()), max_f(kept.y, zero_f()), max_f(kept.z, zero_f()));
-  return pick3(reflectance, kept, f->chained);
+  return pick3(pick3(reflectance, kept, f->chained), splat3(zero_f()), chained_lobes(f->chained, m));
 }
 
 FN v3 filter_sharp(const PathFilter* f, v3 glass) { return glass; }
 
 FN vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v, float clamp_to, v3 direction,
                         vi specular, vi glass, vu pair_key, vu sample, v3* throughput) {
-  LayerChoice c = choose_layer(scene, v, direction, specular, glass, no_lanes(), pair_key, sample, throughput);
+  LayerChoice c = choose_layer(scene, v, direction, specular, glass, chained_lobes(f->chained, &v->surface), pair_key,
+                               sample, throughput);
   vi first = f->state == (vf)FILTER_NO_SURFACE;
   vf state = pick((vf)FILTER_KEEP, f->state, first & c.through);
   vi begins = begins_by_layer(v, &c, first);

@@ -50,7 +50,7 @@ struct LinksSettings : LinksCounts {
   std::uint32_t bounces;
   double smooth_angle;  // degrees
   double least_share;   // single precision, as stages are told
-  bool refine, compress, exact, solo_exchange, sample_lights;
+  bool refine, compress, exact, solo_exchange, sample_lights, metal;
 };
 
 // `triangles`: of the scene.
@@ -71,6 +71,7 @@ LinksSettings read_settings(const FrameSettings& settings, double triangles) {
   links.exact = flag_setting(settings, "links.exact_weights").value_or(false);
   links.solo_exchange = flag_setting(settings, "links.solo_exchange").value_or(false);
   links.sample_lights = flag_setting(settings, "links.sample_lights").value_or(false);
+  links.metal = flag_setting(settings, "links.metal").value_or(false);
   return links;
 }
 
@@ -119,6 +120,7 @@ class LinksPlan final : public GraphPlan {
           "--method links: expected a scene of copies, found one with instances, whose vertices are one for all "
           "places");
     skips_ = path_skips(scene.needs);
+    links_.metal = links_.metal && scene.needs.metallic && scene.needs.glossy;
     posed_ = !scene.lineage.geometry.empty();
     triangles_ = static_cast<double>(scene.triangles);
     double diagonal = 0;
@@ -158,6 +160,8 @@ class LinksPlan final : public GraphPlan {
   void pose(const Artifact& divided);
   Artifact ask_probe(const std::string& name, Pose pose, const Artifact& mesh, std::uint32_t directions);
   void link(const LinksMeshFacts& facts);
+  void link_elements();
+  std::vector<Graph::Input> with_lobes(std::vector<Graph::Input> inputs) const;
   void gather(std::uint32_t bounce);
   void exchange();
   void smooth(const Artifact& gathered);
@@ -181,14 +185,15 @@ class LinksPlan final : public GraphPlan {
   FrameSettings settings_;
   LinksSettings links_;
   PathSampler paths_;
-  std::uint32_t most_bounces_ = 0, elements_ = 0;
+  std::uint32_t most_bounces_ = 0;
+  std::uint32_t elements_ = 0, plain_ = 0;  // all, and the mesh's: those behind them are of lobes
   std::uint64_t link_words_ = 0;
   double triangles_ = 0;  // of the scene
   bool posed_ = false;    // other triangles are shown than the base at rest has
   bool linked_ = false;   // the mesh is known
   float wave_ = 0;        // 1/m
   LinksMeshFacts mesh_facts_{};
-  Artifact mesh_, probe_, albedo_, made_, light_, sent_;
+  Artifact mesh_, probe_, lobes_, albedo_, made_, light_, sent_;
   unsigned links_made_ = 0;
   std::optional<LinksError> found_;  // of the last links
   Artifact errors_known_;            // an event, where a target error is given: paths may go on
@@ -203,7 +208,9 @@ void LinksPlan::begin() {
   }
   // Samples for a target error are as many as the links leave to them.
   if (settings_.target_error > 0) errors_known_ = graph_.event();
-  paths_.begin({.classes = links_.sample_lights ? PATH_CLASS_SAMPLED_RADIOSITY : PATH_CLASS_RADIOSITY,
+  paths_.begin({.classes = links_.metal           ? PATH_CLASS_METAL_RADIOSITY
+                           : links_.sample_lights ? PATH_CLASS_SAMPLED_RADIOSITY
+                                                  : PATH_CLASS_RADIOSITY,
                 .limit = std::numeric_limits<float>::infinity(),
                 .known = errors_known_});
   make_links();
@@ -213,7 +220,7 @@ void LinksPlan::make_links() {
   ++links_made_;
   bounces_ = {};
   linked_ = false;
-  mesh_ = probe_ = albedo_ = made_ = light_ = sent_ = {};
+  mesh_ = probe_ = lobes_ = albedo_ = made_ = light_ = sent_ = {};
   if (!links_.refine || links_.vertices == 0) {
     pose(ask_mesh(divided_mesh(), Pose::rest, links_.vertices, {}));
     return;
@@ -302,7 +309,7 @@ StageSpec LinksPlan::elements(const std::string& name, const char* kind, unsigne
 void LinksPlan::link(const LinksMeshFacts& facts) {
   mesh_facts_ = facts;
   linked_ = true;
-  elements_ = 2 * facts.vertices;
+  elements_ = plain_ = 2 * facts.vertices;
   if (elements_ == 0) {
     skips_.push_back({"links", "the scene has no surface", 1});
     if (errors_known_) graph_.announce(errors_known_);
@@ -310,23 +317,51 @@ void LinksPlan::link(const LinksMeshFacts& facts) {
     return;
   }
   probe_ = ask_probe(of_these_links("probe"), Pose::shown, mesh_, kInsideDirections);
+  if (!links_.metal) {
+    link_elements();
+    return;
+  }
+  StageSpec lobes{.name = of_these_links("lobes"),
+                  .kind = "links_lobes",
+                  .items = 1,
+                  .solo = true,
+                  .scene_parts = kShapes,
+                  .priority = kFirst,
+                  .output = reusable(retained_words(0xffffffffu))};
+  const Artifact found = graph_.add(std::move(lobes), LinksLobesParameters{plain_, {}}, {{"mesh", mesh_}});
+  graph_.when({found}, [this, found] {
+    const std::uint64_t all = plain_ + std::uint64_t{LOBE_BINS} * found.facts<LinksLobesFacts>().lobes;
+    found.check_facts(all <= 0xffffffffu, std::to_string(all) + " elements");
+    if (all > plain_) lobes_ = found;
+    elements_ = static_cast<std::uint32_t>(all);
+    link_elements();
+  });
+}
+
+std::vector<Graph::Input> LinksPlan::with_lobes(std::vector<Graph::Input> inputs) const {
+  if (lobes_) inputs.push_back({"lobes", lobes_});
+  return inputs;
+}
+
+void LinksPlan::link_elements() {
   LinksParameters p = element_parameters();
   p.samples = kAlbedoSamples;
   albedo_ = graph_.add(
       elements(of_these_links("albedo"), "links_albedo", kShapes | kColors, reusable(retained(ALBEDO_WORDS * 4)), 1), p,
-      {{"mesh", mesh_}});
+      with_lobes({{"mesh", mesh_}}));
   p = element_parameters();
   p.directions = links_.directions;
   p.compress = links_.compress;
   p.exact = links_.exact;
-  made_ = graph_.add(elements(of_these_links("make"), "links_make", kShapes,
-                              reusable(retained_words(std::uint64_t{6} * links_.directions)), links_.directions),
-                     p, {{"mesh", mesh_}, {"probe", probe_}});
+  made_ = graph_.add(
+      elements(of_these_links("make"), "links_make", kShapes,
+               reusable(retained_words(std::uint64_t{lobes_ ? 12u : 6u} * links_.directions)), links_.directions),
+      p, with_lobes({{"mesh", mesh_}, {"probe", probe_}}));
   p = element_parameters();
   p.samples = links_.light_samples;
   light_ = graph_.add(elements(of_these_links("light"), "links_light", kWholeScene,
                                reusable(retained(RADIOSITY_WORDS * 4)), links_.light_samples),
-                      p, {{"mesh", mesh_}, {"albedo", albedo_}});
+                      p, with_lobes({{"mesh", mesh_}, {"albedo", albedo_}}));
   sent_ = light_;
   graph_.when({made_}, [this, made = made_] { link_words_ = made.record_count(); });
   if (links_.solo_exchange)
@@ -340,11 +375,15 @@ void LinksPlan::exchange() {
   StageSpec all = elements(of_these_links("exchange"), "links_exchange", kNoScene,
                            reusable(retained(RADIOSITY_WORDS * 4)), std::min(most_bounces_, kUsualBounces));
   all.solo = true;
-  const LinksExchangeParameters p{elements_,         links_.exact ? 1u : 0u,
-                                  most_bounces_,     links_.bounces ? 0.0f : static_cast<float>(links_.least_share),
-                                  told_directions(), {}};
-  const Artifact exchanged =
-      graph_.add(std::move(all), p, {{"mesh", mesh_}, {"links", made_}, {"light", light_}, {"albedo", albedo_}});
+  const LinksExchangeParameters p{elements_,
+                                  links_.exact ? 1u : 0u,
+                                  most_bounces_,
+                                  links_.bounces ? 0.0f : static_cast<float>(links_.least_share),
+                                  told_directions(),
+                                  plain_,
+                                  {}};
+  const Artifact exchanged = graph_.add(
+      std::move(all), p, with_lobes({{"mesh", mesh_}, {"links", made_}, {"light", light_}, {"albedo", albedo_}}));
   graph_.when({exchanged}, [this, exchanged] {
     const auto facts = exchanged.facts<LinksExchangeFacts>();
     bounces_.done = facts.bounces;
@@ -357,7 +396,7 @@ void LinksPlan::gather(std::uint32_t bounce) {
   const Artifact before = sent_;
   sent_ = graph_.add(elements(numbered(of_these_links("gather"), bounce), "links_gather", kNoScene,
                               reusable(retained(RADIOSITY_WORDS * 4)), 1),
-                     LinksGatherParameters{elements_, links_.exact ? 1u : 0u, told_directions(), 0},
+                     LinksGatherParameters{elements_, links_.exact ? 1u : 0u, told_directions(), plain_},
                      {{"links", made_, kOwnItems},
                       {"light", light_, kOwnItems},
                       {"albedo", albedo_, kOwnItems},
@@ -379,7 +418,7 @@ void LinksPlan::gather(std::uint32_t bounce) {
                  .priority = kFirst,
                  .output = reusable(retained_words(1))};
   const Artifact measured = graph_.add(std::move(flux), LinksFluxParameters{elements_, {}},
-                                       {{"mesh", mesh_}, {"radiosity", sent_}, {"before", before}});
+                                       with_lobes({{"mesh", mesh_}, {"radiosity", sent_}, {"before", before}}));
   graph_.when({measured}, [this, bounce, measured] {
     if (bounces_.is_enough(measured.facts<LinksFluxFacts>(), links_.least_share))
       smooth(sent_);
@@ -438,14 +477,16 @@ void LinksPlan::audit(const Artifact& irradiance) {
   p.directions = audit_directions(links_.directions);
   // Rays of its own, whatever the vertices' are.
   p.seed_high ^= 0x80000000u;
-  const Artifact audited =
-      graph_.add({.name = of_these_links("audit"),
-                  .kind = "links_audit",
-                  .items = points.items_low,
-                  .priority = kFirst,
-                  .work = 2.0 * points.items_low * p.directions,
-                  .output = {.record_bytes = AUDIT_WORDS * 4, .floats = true}},
-                 p, {{"mesh", mesh_}, {"probe", probe_}, {"irradiance", irradiance}, {"points", shown}});
+  std::vector<Graph::Input> inputs =
+      with_lobes({{"mesh", mesh_}, {"probe", probe_}, {"irradiance", irradiance}, {"points", shown}});
+  if (lobes_) inputs.push_back({"albedo", albedo_});
+  const Artifact audited = graph_.add({.name = of_these_links("audit"),
+                                       .kind = "links_audit",
+                                       .items = points.items_low,
+                                       .priority = kFirst,
+                                       .work = 2.0 * points.items_low * p.directions,
+                                       .output = {.record_bytes = AUDIT_WORDS * 4, .floats = true}},
+                                      p, std::move(inputs));
   // How much error that is, the picture's mean says, of which the first samples know the rest.
   graph_.when({audited, paths_.first_samples()}, [this, audited, irradiance] { take_audit(audited, irradiance); });
 }
@@ -497,7 +538,7 @@ void LinksPlan::shade(const Artifact& irradiance) {
                  .priority = kFirst,
                  .output = {.record_bytes = 12, .floats = true}};
   const Artifact shaded = graph_.add(std::move(spec), p, {{"mesh", mesh_}, {"irradiance", irradiance}});
-  mesh_ = probe_ = albedo_ = made_ = light_ = sent_ = {};
+  mesh_ = probe_ = lobes_ = albedo_ = made_ = light_ = sent_ = {};
   preview_pass(shaded);
   add_pass(shaded);
   own_stages_asked_ = true;
@@ -511,6 +552,7 @@ std::string LinksPlan::parameters_json() const {
                    {"light_samples", links_.light_samples},
                    {"bounces", bounces_.done},
                    {"left_after_bounces", bounces_.left},
+                   {"lobe_elements", elements_ - plain_},
                    {"rays", std::uint64_t{elements_} * links_.directions},
                    {"bytes", link_words_ * 4}};
   if (found_) {
@@ -594,6 +636,10 @@ Method links_method() {
           {"links.sample_lights", flag, 0, 1, "0; of a session's first pictures 1",
            "1: where every surface is diffuse, direct light comes by light samples alone: fewer rays, more noise "
            "near lamps"},
+          {"links.metal", flag, 0, 1, "0",
+           "1: vertices of rough metal (half metal or more, of roughness 0.45 or more) send light on by direction; 0: "
+           "that "
+           "light is left to paths"},
           {"links.compress", flag, 0, 1, "1", "0: links of the same ends are kept apart"},
           {"links.exact_weights", flag, 0, 1, "0", "1: weights are floats instead of 16 bits"},
       }};

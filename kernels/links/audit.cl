@@ -42,12 +42,14 @@ kernel WIDE void links_audit_rays(global const LinksParameters* restrict paramet
   Vertex from = element_surface(scene, &at, back, active);
   vu key = named_key(parameters, (vu)(2u * (first + number / 2u) + half_of_rays), 0x55u);
   vu ray = (vu)(first_lane % directions) + lane_index();
-  send_ray(scene, &from, grid_direction(ray, side, key), active, rays, block);
+  v3 above = grid_direction(ray, side, key);
+  send_ray(&from, above, layer_weight(scene, &from, above), active, rays, block);
 }
 
 // `radiosity`: rows of RADIOSITY_WORDS; `seen`: rows of SEEN_WORDS. The ray's number is its slot.
 kernel WIDE void links_audit_hits(global const LinksParameters* restrict parameters, SCENE_PARAMETERS,
-                                  global const uint* restrict mesh, global const float* restrict probe,
+                                  global const uint* restrict mesh, global const uint* restrict lobes,
+                                  global const float* restrict probe, global const float* restrict albedos,
                                   global const float* restrict radiosity, uint first, uint count,
                                   global const float* restrict rays, global float* restrict seen,
                                   global float* restrict shadows, global float* restrict slots, uint slot_count,
@@ -67,7 +69,7 @@ kernel WIDE void links_audit_hits(global const LinksParameters* restrict paramet
   elements.hit = no_vertex();
   if (any_lane(hit)) {
     Mesh m = load_mesh(mesh);
-    elements = seen_elements(scene, &m, probe, rays, block, hit);
+    elements = seen_elements(scene, &m, lobes, probe, rays, block, hit);
     vf weight = zero_f();
     for (uint k = 0; k < 3u; ++k) {
       vu at = elements.element[k] * RADIOSITY_WORDS;
@@ -76,15 +78,30 @@ kernel WIDE void links_audit_hits(global const LinksParameters* restrict paramet
       weight += elements.weight[k];
     }
     v3 albedo = own_albedo(&elements.hit);
-    hit = hit & elements.hit.active & (weight > zero_f());
-    sent = pick3(splat3(zero_f()), sent, hit);
-    indirect = pick3(splat3(zero_f()), mul3(indirect, albedo), hit);
+    vf lobe_weight = zero_f();
+    v3 sent_by_lobes = splat3(zero_f()), indirect_by_lobes = splat3(zero_f());
+#ifdef LINKS_LOBES
+    for (uint k = 0; k < 3u; ++k) {
+      vu at = elements.lobe[k] * RADIOSITY_WORDS;
+      v3 passed =
+          mul3(gather3(radiosity + RADIOSITY_IRRADIANCE, at), gather3(albedos, elements.lobe[k] * ALBEDO_WORDS));
+      sent_by_lobes = mad3(gather3(radiosity + RADIOSITY_SENT, at), elements.lobe_weight[k], sent_by_lobes);
+      indirect_by_lobes = mad3(passed, elements.lobe_weight[k], indirect_by_lobes);
+      lobe_weight += elements.lobe_weight[k];
+    }
+#endif
+    hit = hit & elements.hit.active & (weight + lobe_weight > zero_f());
+    sent = pick3(splat3(zero_f()), add3(sent, sent_by_lobes), hit);
+    indirect = pick3(splat3(zero_f()), add3(mul3(indirect, albedo), indirect_by_lobes), hit);
 #ifdef NEED_LIGHTS
     uint number = first_lane / parameters->directions;
     vu key = named_key(parameters, (vu)(2u * (first + number / 2u) + (number & 1u)), 0x56u);
-    c = light_connection(scene, &elements.hit, key, (vu)(first_lane % parameters->directions) + lane_index(), hit,
-                         counters);
-    c.contribution = pick3(splat3(zero_f()), mul3(c.contribution, scale3(albedo, weight)), c.connected);
+    LightSample light = draw_light(scene, &elements.hit, key, (vu)(first_lane % parameters->directions) + lane_index());
+    v3 received = scale3(albedo, weight * layer_share(scene, &elements.hit, light.direction));
+#ifdef LINKS_LOBES
+    received = mad3(lobe_share(scene, &elements.hit, light.direction), lobe_weight, received);
+#endif
+    c = light_connection(&elements.hit, &light, received, hit, counters);
 #endif
   }
   scatter3(seen, slot * SEEN_WORDS, sent);

@@ -14,9 +14,9 @@
 
 // Sample s of element first + e is number e * samples + s of `count`, which is its slot.
 kernel WIDE void links_light_rays(global const LinksParameters* restrict parameters, SCENE_PARAMETERS,
-                                  global const uint* restrict mesh, uint first, uint count,
-                                  global float* restrict shadows, global float* restrict slots, uint slot_count,
-                                  global uint* counters) {
+                                  global const uint* restrict mesh, global const uint* restrict lobes, uint first,
+                                  uint count, global float* restrict shadows, global float* restrict slots,
+                                  uint slot_count, global uint* counters) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
   if (first_lane >= count) return;
@@ -30,13 +30,31 @@ kernel WIDE void links_light_rays(global const LinksParameters* restrict paramet
   Vertex v = no_vertex();
 #ifdef NEED_LIGHTS
   Mesh m = load_mesh(mesh);
-  vi active = (vi)(element < m.elements ? all_lanes() : no_lanes());
+  vi active = (vi)(element < parameters->elements ? all_lanes() : no_lanes());
   if (any_lane(active)) {
     vu sample = (vu)(first_lane % samples) + lane_index();
-    vu key = element_key(parameters, &m, element, 0x4cu);
-    RingPoint at = random_ring_point(&m, element, 1.0f, key, sample);
-    v = element_surface(scene, &at, element, active);
-    c = light_connection(scene, &v, key, sample, active, counters);
+    uint owner = owner_of(&m, lobes, element);
+    vu key = element_key(parameters, &m, owner, 0x4cu + 0x100u * bin_of(&m, element));
+    RingPoint at = random_ring_point(&m, owner, 1.0f, key, sample);
+    LightSample light;
+    v3 received;
+#ifdef LINKS_LOBES
+    if (is_lobe(&m, element)) {
+      vf u0, u1;
+      sample_pair(key, sample, LINKS_MOST_SAMPLES, 6u, &u0, &u1);
+      v = lobe_surface(scene, &at, owner, bin_of(&m, element), u0, u1, active);
+      active = active & v.active;
+      light = draw_light(scene, &v, key, sample);
+      // The colour is the element's albedo.
+      received = splat3(lobe_luminance(lobe_share(scene, &v, light.direction)));
+    } else
+#endif
+    {
+      v = element_surface(scene, &at, element, active);
+      light = draw_light(scene, &v, key, sample);
+      received = splat3(layer_share(scene, &v, light.direction));
+    }
+    c = light_connection(&v, &light, received, active, counters);
   }
 #endif
   write_connection(shadows, block, &c, &v, slot, slot_count);

@@ -11,10 +11,16 @@
 // opacity and the layers above both diffuse layers take.
 #include "kernels/links/rays.h"
 
-// Three ends and weights a ray; weight 0: no link.
-kernel WIDE void links_hits(SCENE_PARAMETERS, global const uint* restrict mesh, global const float* restrict probe,
-                            uint count, global const float* restrict rays, global uint* restrict ends,
-                            global float* restrict weights) {
+// ENDS ends and weights a ray: three, and with lobes as many more for what these send; weight 0: no link.
+#ifdef LINKS_LOBES
+#define ENDS 6u
+#else
+#define ENDS 3u
+#endif
+
+kernel WIDE void links_hits(SCENE_PARAMETERS, global const uint* restrict mesh, global const uint* restrict lobes,
+                            global const float* restrict probe, uint count, global const float* restrict rays,
+                            global uint* restrict ends, global float* restrict weights) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
   if (first_lane >= count) return;
@@ -22,16 +28,20 @@ kernel WIDE void links_hits(SCENE_PARAMETERS, global const uint* restrict mesh, 
   const Scene* scene = &scene_value;
   vf weight = row_f(rays, LINK_ROWS, block, ROW_WEIGHT);
   vi hit = (weight > zero_f()) & (row_u(rays, LINK_ROWS, block, ROW_GEOMETRY) != GLEANER_NONE);
-  vu to = ((vu)first_lane + lane_index()) * 3u;
+  vu to = ((vu)first_lane + lane_index()) * ENDS;
   if (!any_lane(hit)) {
-    scatter3(weights, to, splat3(zero_f()));
+    for (uint k = 0; k < ENDS; ++k) scatter_f(weights + k, to, zero_f());
     return;
   }
   Mesh m = load_mesh(mesh);
-  SeenElements seen = seen_elements(scene, &m, probe, rays, block, hit);
+  SeenElements seen = seen_elements(scene, &m, lobes, probe, rays, block, hit);
   for (uint k = 0; k < 3u; ++k) {
     scatter_u(ends + k, to, LINK_END(seen.element[k], m.elements >> 1));
     scatter_f(weights + k, to, seen.weight[k]);
+#ifdef LINKS_LOBES
+    scatter_u(ends + 3u + k, to, seen.lobe[k]);
+    scatter_f(weights + 3u + k, to, seen.lobe_weight[k]);
+#endif
   }
 }
 
@@ -68,14 +78,14 @@ uint drop_empty_links(global uint* end, global float* weight, uint raw) {
   return links;
 }
 
-// One work-item an element: row `element` of `packed`, of 2 * 3 * directions words; `words` gets how many of them it
-// uses. `table`: `slots` words for each.
-kernel void links_compress(global const LinksParameters* restrict parameters, uint count, uint slots, global uint* ends,
-                           global float* weights, global uint* restrict table, global uint* restrict packed,
-                           global uint* restrict words) {
+// One work-item an element: row `element` of `packed`, of 2 * ENDS * directions words; `words` gets how many of them it
+// uses. `table`: `slots` words for each; `plain`: elements of the mesh.
+kernel void links_compress(global const LinksParameters* restrict parameters, uint count, uint plain, uint slots,
+                           global uint* ends, global float* weights, global uint* restrict table,
+                           global uint* restrict packed, global uint* restrict words) {
   uint element = (uint)get_global_id(0);
   if (element >= count) return;
-  uint raw = 3u * parameters->directions;
+  uint raw = ENDS * parameters->directions;
   global uint* end = ends + (ulong)raw * element;
   global float* weight = weights + (ulong)raw * element;
   uint links = parameters->compress ? merge_links(end, weight, raw, table + (ulong)slots * element, slots)
@@ -88,14 +98,15 @@ kernel void links_compress(global const LinksParameters* restrict parameters, ui
     words[element] = 2u * links;
     return;
   }
-  // The running sum is rounded, so that the weights' sum is right to one unit, and at most 1.
-  float sum = 0.0f;
-  uint before = 0u;
+  // The running sum is rounded, so that the weights' sum is right to one unit, and at most 1: of layers and of lobes.
+  float sum[2] = {0.0f, 0.0f};
+  uint before[2] = {0u, 0u};
   for (uint k = 0; k < links; ++k) {
-    sum += weight[k] * scale;
-    uint now = min((uint)(min(sum, 1.0f) * (float)WEIGHT_UNITS + 0.5f), WEIGHT_UNITS);
-    uint units = now - before;
-    before = now;
+    uint of_lobe = end[k] < plain ? 0u : 1u;
+    sum[of_lobe] += weight[k] * scale;
+    uint now = min((uint)(min(sum[of_lobe], 1.0f) * (float)WEIGHT_UNITS + 0.5f), WEIGHT_UNITS);
+    uint units = now - before[of_lobe];
+    before[of_lobe] = now;
     global uint* pair = row + links + (k >> 1);
     *pair = k & 1u ? *pair | (units << 16) : units;
   }

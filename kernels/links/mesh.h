@@ -104,7 +104,7 @@ FN RingPoint ring_point(const Mesh* mesh, uint vertex, float reach, vf u_corner,
 
 // An element's surface about a point of its one-ring, seen from its side along the normal: a vertex as scattering has
 // it. `share`: what the lobe above the diffuse layer leaves of light from `cosine` comes by left_above().
-FN Vertex element_surface(const Scene* scene, const RingPoint* at, uint element, vi active) {
+FN Vertex element_hit(const Scene* scene, const RingPoint* at, vi active) {
   Vertex v;
   v.primitive = pick_u((vu)0u, at->triangle, active);
   v.hit = load_hit(scene, v.primitive, (vu)GLEANER_NONE, at->b1, at->b2, active);
@@ -114,14 +114,22 @@ FN Vertex element_surface(const Scene* scene, const RingPoint* at, uint element,
 #ifdef NEED_MEDIA
   v.media = media_of(0u, 0u);
 #endif
-  v3 direction = element & 1u ? v.hit.outward : negate3(v.hit.outward);
+  return v;
+}
+// The direction of a ray that meets it there.
+FN v3 against_normal(const Hit* h, uint element) {
+  v3 direction = element & 1u ? h->outward : negate3(h->outward);
 #ifdef NEED_BENT_NORMALS
-  direction = element & 1u ? v.hit.normal : negate3(v.hit.normal);
+  direction = element & 1u ? h->normal : negate3(h->normal);
   // A normal map may bend the normal beyond the triangle's horizon.
-  direction = pick3(direction, element & 1u ? v.hit.outward : negate3(v.hit.outward),
-                    dot3(v.hit.normal, v.hit.outward) <= zero_f());
+  direction =
+      pick3(direction, element & 1u ? h->outward : negate3(h->outward), dot3(h->normal, h->outward) <= zero_f());
 #endif
-  prepare_scattering(scene, &v, direction);
+  return direction;
+}
+FN Vertex element_surface(const Scene* scene, const RingPoint* at, uint element, vi active) {
+  Vertex v = element_hit(scene, at, active);
+  prepare_scattering(scene, &v, against_normal(&v.hit, element));
   return v;
 }
 

@@ -3,38 +3,38 @@
 #ifndef GLEANER_KERNELS_LINKS_RAY_H
 #define GLEANER_KERNELS_LINKS_RAY_H
 
+#include "kernels/links/lobes.h"
 #include "kernels/links/mesh.h"
 #include "kernels/wide.h"
 
 // Rows of a block of 16 rays: the ray and its hit, then what the element's side of the link weighs.
 #define ROW_WEIGHT RAY_HIT_ROWS
 #define LINK_ROWS (RAY_HIT_ROWS + 1u)
-// Square to disc (Shirley & Chiu 1997), then to the hemisphere above it: cosine-weighted, and neighbours stay so.
-FN v3 concentric_direction(vf u, vf v) {
-  vf a = fma(u, (vf)2.0f, (vf)-1.0f), b = fma(v, (vf)2.0f, (vf)-1.0f);
-  vi wide = fabs(a) > fabs(b);
-  vf r = pick(b, a, wide);
-  vf ratio = pick(zero_f(), pick(a, b, wide) / r, r != zero_f());
-  vf turn = pick((vf)0.25f - 0.125f * ratio, 0.125f * ratio, wide);  // in turns, from -1/8 to 3/8
-  vf s, c;
-  sincos_2pi(turn - floor(turn), &s, &c);
-  return make3(r * c, r * s, safe_sqrt(one_f() - r * r));
-}
-
-// Direction `ray` of side x side, above the surface. Blocks of 4 x 4 neighbours in a square, turned for each vertex:
-// its own place on a torus.
-FN v3 grid_direction(vu ray, uint side, vu key) {
+// Point `ray` of side x side in a square. Blocks of 4 x 4 neighbours, turned for each vertex: its own place on a torus.
+FN void grid_point(vu ray, uint side, vu key, vf* x_out, vf* y_out) {
   vu tile = ray >> 4, within = ray & 15u;
   uint tiles = side / 4u;
   vu x = (tile % tiles) * 4u + (within & 3u), y = (tile / tiles) * 4u + (within >> 2);
   vf u = (to_f(x) + unit_float(hash_combine(key, (vu)1u)) * (float)side) / (float)side;
   vf v = (to_f(y) + unit_float(hash_combine(key, (vu)2u)) * (float)side) / (float)side;
-  return concentric_direction(u - floor(u), v - floor(v));
+  *x_out = u - floor(u);
+  *y_out = v - floor(v);
+}
+// The same as a direction above the surface.
+FN v3 grid_direction(vu ray, uint side, vu key) {
+  vf u, v;
+  grid_point(ray, side, key, &u, &v);
+  return concentric_direction(u, v);
 }
 
-FN void send_ray(const Scene* scene, const Vertex* from, v3 above, vi active, global float* rays, uint block) {
+// What the lobe above the layer leaves of a ray, which goes `above` the surface.
+FN vf layer_weight(const Scene* scene, const Vertex* from, v3 above) {
+  return left_above(scene, &from->surface, clamp_f(above.z, (vf)1e-6f, one_f()));
+}
+
+// `weight`: what the light that it finds counts.
+FN void send_ray(const Vertex* from, v3 above, vf weight, vi active, global float* rays, uint block) {
   v3 direction = from_frame(&from->frame, above);
-  vf weight = left_above(scene, &from->surface, clamp_f(above.z, (vf)1e-6f, one_f()));
 #ifdef NEED_BENT_NORMALS
   weight *= geometric_share(&from->frame, direction, above.z);
 #endif
@@ -50,12 +50,16 @@ FN void send_ray(const Scene* scene, const Vertex* from, v3 above, vi active, gl
 typedef struct {
   vu element[3];
   vf weight[3];  // 0: nothing is seen
-  Vertex hit;    // as scattering has it
+#ifdef LINKS_LOBES
+  vu lobe[3];
+  vf lobe_weight[3];
+#endif
+  Vertex hit;  // as scattering has it
 } SeenElements;
 
 // Of lanes whose ray met something. `probe`: rows of PROBE_WORDS.
-FN SeenElements seen_elements(const Scene* scene, const Mesh* mesh, global const float* probe, global const float* rays,
-                              uint block, vi hit) {
+FN SeenElements seen_elements(const Scene* scene, const Mesh* mesh, global const uint* lobes, global const float* probe,
+                              global const float* rays, uint block, vi hit) {
   vf weight = row_f(rays, LINK_ROWS, block, ROW_WEIGHT);
   v3 direction = row_3(rays, LINK_ROWS, block, ROW_DIRECTION);
   Vertex v = meet_surface(scene, rays, LINK_ROWS, block, hit);
@@ -63,11 +67,15 @@ FN SeenElements seen_elements(const Scene* scene, const Mesh* mesh, global const
   v.media = media_of(0u, 0u);
 #endif
   prepare_scattering(scene, &v, direction);
-  weight *= left_above(scene, &v.surface, max_f(v.frame.view.z, (vf)1e-6f));
 #ifdef NEED_ALPHA
   weight *= v.surface.opacity;
 #endif
   weight = pick(zero_f(), weight, v.active);
+#ifdef LINKS_LOBES
+  vf lobe_weight = pick(zero_f(), weight, is_rough_metal(&v.surface));
+  vu bin = seen_bin(&v, direction);
+#endif
+  weight *= left_above(scene, &v.surface, max_f(v.frame.view.z, (vf)1e-6f));
   Corners c = corners_at(mesh, v.primitive, v.hit.b1, v.hit.b2);
   vu side = pick_u((vu)0u, (vu)1u, v.frame.from_back);
   vf outside[3];
@@ -80,6 +88,12 @@ FN SeenElements seen_elements(const Scene* scene, const Mesh* mesh, global const
   for (uint k = 0; k < 3u; ++k) {
     seen.element[k] = c.vertex[k] * 2u + side;
     seen.weight[k] = weight * c.weight[k];
+#ifdef LINKS_LOBES
+    vu number = gather_u(lobes, seen.element[k]);
+    vi has = number != GLEANER_NONE;
+    seen.lobe[k] = pick_u((vu)0u, mesh->elements + number * LOBE_BINS + bin, has);
+    seen.lobe_weight[k] = pick(zero_f(), lobe_weight * c.weight[k], has);
+#endif
   }
   return seen;
 }

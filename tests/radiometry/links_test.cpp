@@ -44,9 +44,11 @@ TEST(Links, FurnaceOfSoManyBounces) {
 TEST(Links, WeightsOfAVertexSumToOneAtMost) {
   for (const char* exact : {"0", "1"})
     for (const char* scene : {"furnace", "cornell-glossy"}) {
-      const Rendered made =
-          render(frame_of(scene::make_scene(scene, {}), "", 16, 1,
-                          {{"links.vertices", "500"}, {"links.directions", "256"}, {"links.exact_weights", exact}}));
+      const Rendered made = render(frame_of(scene::make_scene(scene, {}), "", 16, 1,
+                                            {{"links.vertices", "500"},
+                                             {"links.directions", "256"},
+                                             {"links.exact_weights", exact},
+                                             {"links.metal", "0"}}));
       const worker::BatchResult& links = made.results.at("links.make");
       std::uint64_t at = 0, whole = 0;
       for (const std::uint32_t words : links.counts) {
@@ -127,6 +129,70 @@ TEST(Links, GlowingGlossyWallsMeetPath) {
   expect_means_meet(means_of(links, "G", 4), means_of(path, "G", 4), "glossy walls", 0.003);
 }
 
+// The Cornell box, whose boxes and back wall are of a material.
+Scene box_of(const scene::Material& material) {
+  Scene scene = scene::make_scene("cornell-box", {});
+  scene.materials.push_back(material);
+  scene.material_names.push_back("tested");
+  for (const auto& mesh : scene.meshes)
+    if (mesh.name.ends_with(" box") || mesh.name == "back wall")
+      std::fill_n(scene.triangle_material.begin() + mesh.first_triangle, mesh.triangle_count,
+                  static_cast<std::uint32_t>(scene.materials.size() - 1));
+  finish_materials(scene);
+  return scene;
+}
+
+// Vertices of rough metal send light on, of every roughness that they take and of half metal; or leave it to the paths.
+TEST(Links, RoughMetalMeetsPath) {
+  const auto meets_path = [](const std::string& what, const Scene& scene) {
+    Frame links = frame_of(scene, "", 24, 64,
+                           {{"links.vertices", "3000"}, {"links.directions", "64"}, {"links.light_samples", "64"}});
+    Frame path = links;
+    path.settings.method = "path";
+    path.settings.spp = 512;
+    for (const char* channel : {"R", "B"}) {
+      const Sample truth = means_of(path, channel, 4);
+      for (const char* metal : {"1", "0"}) {
+        links.settings.set["links.metal"] = metal;
+        expect_means_meet(means_of(links, channel, 4), truth, what + ", metal " + metal + ", " + channel, 0.006);
+      }
+    }
+    links.settings.set["links.metal"] = "1";
+    const Rendered made = render(links);
+    EXPECT_GT(made.parameters["links"]["lobe_elements"].get<unsigned>(), 1000u);
+    // Of what vertices show a good part came by metal.
+    links.settings.set["links.metal"] = "0";
+    const std::vector<float> with = made.floats("links.shade"), without = render(links).floats("links.shade");
+    EXPECT_GT(std::accumulate(with.begin(), with.end(), 0.0),
+              1.03 * std::accumulate(without.begin(), without.end(), 0.0));
+  };
+  meets_path("roughness 0.5", box_of(scene::metal({0.9, 0.6, 0.3}, 0.5)));
+  meets_path("roughness 0.9", box_of(scene::metal({0.9, 0.6, 0.3}, 0.9)));
+  scene::Material half = scene::metal({0.9, 0.6, 0.3}, 0.7);
+  half.metallic = 0.6f;
+  meets_path("half metal", box_of(half));
+  // All but the lamp are seen from their backs: no vertex lies in the open.
+  Scene turned = box_of(scene::metal({0.9, 0.6, 0.3}, 0.7));
+  for (std::size_t t = 0; t < turned.triangle_count(); ++t)
+    if (turned.materials[turned.triangle_material[t]].emission[0] == 0)
+      std::swap(turned.indices[3 * t + 1], turned.indices[3 * t + 2]);
+  meets_path("backs", turned);
+}
+
+// Where nothing is rough metal, nothing is asked for: no stage, no other kernels.
+TEST(Links, OnlyRoughMetalHasLobes) {
+  const auto lobes = [](const scene::Material& material) {
+    const Rendered made =
+        render(frame_of(box_of(material), "", 16, 1, {{"links.vertices", "300"}, {"links.metal", "1"}}));
+    return std::pair{made.specs.contains("links.lobes"), made.parameters["links"]["lobe_elements"].get<unsigned>()};
+  };
+  EXPECT_EQ(lobes(scene::lambert({0.5, 0.5, 0.5})), std::pair(false, 0u));
+  EXPECT_EQ(lobes(scene::dielectric({0.5, 0.5, 0.5}, 0.6)), std::pair(false, 0u));
+  EXPECT_EQ(lobes(scene::metal({0.5, 0.5, 0.5}, 0)), std::pair(false, 0u));
+  EXPECT_EQ(lobes(scene::metal({0.5, 0.5, 0.5}, 0.3)), std::pair(true, 0u));
+  EXPECT_GT(lobes(scene::metal({0.5, 0.5, 0.5}, 0.6)).second, 100u);
+}
+
 // --- Limits ---
 
 // Of the light from vertices alone: relative, of pixels below the mean to that. A pixel that shows the lamp has last
@@ -205,26 +271,40 @@ TEST(Links, ErrorFallsWithDirectionsAndVertices) {
 // --- What an audit says, and a target error ---
 
 // The error that the audit tells is that of the vertices' light: against the finest links.
-TEST(Links, AuditsMeetTheTruth) {
-  for (const char* scene : {"cornell-box", "cornell-textured"}) {
-    Frame frame = frame_of(scene::make_scene(scene, {}), "", 48, 16,
-                           {{"links.vertices", "30000"}, {"links.directions", "576"}, {"links.light_samples", "64"}});
-    const Rendered finest = render(frame);
-    frame.settings.target_error = 0.5;  // what the links are off by is known where one is given
-    for (const auto& [vertices, directions] : {std::pair{"500", "64"}, {"1000", "256"}, {"4000", "64"}}) {
-      frame.settings.set["links.vertices"] = vertices;
-      frame.settings.set["links.directions"] = directions;
-      const Rendered made = render(frame);
-      const nlohmann::json& links = made.parameters["links"];
-      const double truth = error_of(made, finest), told = links["error"], upper = links["error_upper"];
-      std::printf("  %s, %s vertices, %s directions: off by %.4f, told %.4f, at most %.4f\n", scene, vertices,
-                  directions, truth, told, upper);
-      // A pixel in 3 is audited, and most of the error lies in a few.
-      EXPECT_GT(told, 0.75 * truth);
-      EXPECT_LT(told, 1.3 * truth);
-      EXPECT_GT(upper, 0.95 * truth);
-    }
+using Counts = std::pair<const char*, const char*>;  // vertices, directions
+void expect_audits(const std::string& what, Scene scene, const char* metal, const Counts& most,
+                   const std::vector<Counts>& all) {
+  Frame frame = frame_of(std::move(scene), "", 48, 16,
+                         {{"links.vertices", most.first},
+                          {"links.directions", most.second},
+                          {"links.light_samples", "64"},
+                          {"links.metal", metal}});
+  const Rendered finest = render(frame);
+  frame.settings.target_error = 0.5;  // what the links are off by is known where one is given
+  for (const auto& [vertices, directions] : all) {
+    frame.settings.set["links.vertices"] = vertices;
+    frame.settings.set["links.directions"] = directions;
+    const Rendered made = render(frame);
+    const nlohmann::json& links = made.parameters["links"];
+    const double truth = error_of(made, finest), told = links["error"], upper = links["error_upper"];
+    std::printf("  %s, %s vertices, %s directions: off by %.4f, told %.4f, at most %.4f\n", what.c_str(), vertices,
+                directions, truth, told, upper);
+    // A pixel in 3 is audited, and most of the error lies in a few.
+    EXPECT_GT(told, 0.75 * truth) << what;
+    EXPECT_LT(told, 1.3 * truth) << what;
+    EXPECT_GT(upper, 0.95 * truth) << what;
   }
+}
+
+TEST(Links, AuditsMeetTheTruth) {
+  for (const char* scene : {"cornell-box", "cornell-textured"})
+    expect_audits(scene, scene::make_scene(scene, {}), "0", {"30000", "576"},
+                  {{"500", "64"}, {"1000", "256"}, {"4000", "64"}});
+}
+
+TEST(Links, AuditsOfRoughMetalMeetTheTruth) {
+  expect_audits("rough metal", box_of(scene::metal({0.9, 0.6, 0.3}, 0.6)), "1", {"12000", "256"},
+                {{"500", "64"}, {"1000", "64"}});
 }
 
 double error_against(const Film& film, const Film& reference) {
@@ -479,14 +559,13 @@ TEST(Links, MeshesThatMeetHaveNoCracks) {
 
 // --- The house ---
 
-TEST(Links, RecordsDoNotDependOnBatches) {
-  Frame frame = frame_of(scene::make_scene("cornell-textured", {}), "", 16, 4, {{"links.vertices", "400"}});
+void compare_batches(Scene scene, std::vector<const char*> stages) {
+  Frame frame = frame_of(std::move(scene), "", 16, 4, {{"links.vertices", "400"}, {"links.metal", "1"}});
   frame.settings.target_error = 0.5;
   const Rendered made = render(frame);
   worker::Executor two({.device = -1, .threads = 2, .trace = worker::TraceKind::automatic});
   two.load_scene("two", frame.scene, nullptr);
-  for (const char* name :
-       {"links.probe", "links.albedo", "links.make", "links.light", "links.gather.2", "links.audit", "links.shade"}) {
+  for (const char* name : stages) {
     const coordinator::StageSpec& spec = made.specs.at(name);
     const worker::BatchResult& whole = made.results.at(name);
     worker::StageTask task = made.tasks.at(name);
@@ -503,6 +582,14 @@ TEST(Links, RecordsDoNotDependOnBatches) {
     }
     EXPECT_EQ(at, whole.records.size()) << name;
   }
+}
+
+TEST(Links, RecordsDoNotDependOnBatches) {
+  compare_batches(
+      scene::make_scene("cornell-textured", {}),
+      {"links.probe", "links.albedo", "links.make", "links.light", "links.gather.2", "links.audit", "links.shade"});
+  compare_batches(box_of(scene::metal({0.9, 0.6, 0.3}, 0.6)),
+                  {"links.albedo", "links.make", "links.light", "links.gather.2", "links.audit"});
 }
 
 // All bounces on one worker are those of a stage each, to the bit, and end at the same one.
@@ -626,25 +713,30 @@ TEST(Links, NothingBoilsWhereAnObjectMoves) {
   EXPECT_LT(steady, boiling / 3);
 }
 
+// One word of a parameter (no input) or an input, changed: the stage refuses it.
+void expect_refused(worker::Executor& on, const Rendered& made, const char* stage, const char* input, std::size_t at,
+                    std::uint32_t value) {
+  worker::StageTask task = made.tasks.at(stage);
+  if (input) {
+    auto bytes = std::make_shared<scene::Bytes>(*task.inputs.at(input).load());
+    std::memcpy(bytes->data() + 4 * at, &value, 4);
+    const auto offsets = task.inputs.at(input).offsets;
+    task.inputs[input] = worker::TaskInput(std::move(bytes));
+    task.inputs[input].offsets = offsets;
+    task.inputs[input].own_items = made.tasks.at(stage).inputs.at(input).own_items;
+  } else {
+    std::memcpy(task.parameters.data() + 4 * at, &value, 4);
+  }
+  EXPECT_THROW(on.run(task, 0, 2), Error) << stage << ", " << (input ? input : "parameters") << "[" << at << "]";
+}
+
 TEST(Links, RefusesWhatIsOutOfRange) {
   Frame frame = frame_of(scene::make_scene("cornell-box", {}), "", 16, 1, {{"links.vertices", "100"}});
   frame.settings.target_error = 0.5;
   const Rendered made = render(frame);
   worker::Executor& on = executor(frame.trace);
-  // One word of a parameter or input, changed.
-  const auto refused = [&](const char* stage, const char* input, std::size_t at, std::uint32_t value) {
-    worker::StageTask task = made.tasks.at(stage);
-    if (input) {
-      auto bytes = std::make_shared<scene::Bytes>(*task.inputs.at(input).load());
-      std::memcpy(bytes->data() + 4 * at, &value, 4);
-      const auto offsets = task.inputs.at(input).offsets;
-      task.inputs[input] = worker::TaskInput(std::move(bytes));
-      task.inputs[input].offsets = offsets;
-      task.inputs[input].own_items = made.tasks.at(stage).inputs.at(input).own_items;
-    } else {
-      std::memcpy(task.parameters.data() + 4 * at, &value, 4);
-    }
-    EXPECT_THROW(on.run(task, 0, 2), Error) << stage << ", " << (input ? input : "parameters") << "[" << at << "]";
+  const auto refused = [&](const char* stage, const char* input, std::size_t word_at, std::uint32_t value) {
+    expect_refused(on, made, stage, input, word_at, value);
   };
   const std::uint32_t elements = static_cast<std::uint32_t>(made.specs.at("links.make").items);
   refused("links.make", nullptr, 0, elements + 2);
@@ -674,6 +766,23 @@ TEST(Links, RefusesWhatIsOutOfRange) {
   refused("links.audit", "points", POINT_TRIANGLE, word(mesh, MESH_TRIANGLES));
   refused("links.audit_points", nullptr, offsetof(kernels::VplPointParameters, points) / 4, 3);
   refused("links.smooth", "mesh", MESH_HANGING, 0x7fffffffu);
+}
+
+TEST(Links, RefusesLobesThatAreNone) {
+  Frame frame = frame_of(box_of(scene::metal({0.9, 0.6, 0.3}, 0.6)), "", 16, 1,
+                         {{"links.vertices", "100"}, {"links.metal", "1"}});
+  const Rendered made = render(frame);
+  worker::Executor& on = executor(frame.trace);
+  const auto plain = static_cast<std::uint32_t>(made.specs.at("links.probe").items);
+  const std::uint32_t lobes = made.parameters["links"]["lobe_elements"].get<std::uint32_t>() / LOBE_BINS;
+  ASSERT_GT(lobes, 10u);
+  for (const char* stage : {"links.albedo", "links.make", "links.light"}) {
+    expect_refused(on, made, stage, "lobes", 0, lobes);
+    expect_refused(on, made, stage, "lobes", plain, plain);
+    expect_refused(on, made, stage, nullptr, 0, plain);
+  }
+  expect_refused(on, made, "links.gather.1", nullptr, 3, 0);
+  expect_refused(on, made, "links.gather.1", nullptr, 3, plain + 1);
 }
 
 }  // namespace

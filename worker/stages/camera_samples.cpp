@@ -91,7 +91,7 @@ void check_sample_parameters(const StageRun& run, const PathParameters& p, std::
     throw Error::bad_input(run.where(), "last_item_samples", "1 to samples_per_item",
                            std::to_string(p.last_item_samples));
   if (p.filter & ~classes && p.filter != PATH_CLASS_RADIOSITY && p.filter != PATH_CLASS_SAMPLED_RADIOSITY &&
-      p.filter != PATH_CLASS_IRRADIANCE && p.filter != PATH_CLASS_RADIANCE)
+      p.filter != PATH_CLASS_METAL_RADIOSITY && p.filter != PATH_CLASS_IRRADIANCE && p.filter != PATH_CLASS_RADIANCE)
     throw Error::bad_input(run.where(), "filter",
                            "classes of light within " + std::to_string(classes) + ", or " +
                                std::to_string(PATH_CLASS_RADIOSITY) + ", " + std::to_string(PATH_CLASS_IRRADIANCE) +

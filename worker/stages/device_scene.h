@@ -54,6 +54,8 @@ class DeviceScene {
   // Rows of instances (kernels/scene_layout.h): one more than there are instances.
   const cl::Buffer& instance_rows() const { return instances_.buffer; }
   std::uint64_t instances() const { return instance_count_; }
+  // Rows of materials (kernels/scene_layout.h), as the device has them.
+  const std::vector<float>& material_table() const { return materials_.rows; }
   unsigned triangle_words() const { return triangle_words_; }  // of a row (kernels/scene_layout.h)
   // Whether an albedo table of the scene's materials begins at `table` and has this (fractional) row.
   bool has_albedo_row(std::uint32_t table, float row) const;

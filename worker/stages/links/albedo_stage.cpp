@@ -10,8 +10,9 @@ namespace {
 
 class AlbedoThread : public HostThread {
  public:
-  AlbedoThread(const StageRun& run, const MeshTables& tables, const kernels::LinksParameters& p,
-               const cl::Buffer& parameters, const Program& program, WorkQueue& work, unsigned index)
+  AlbedoThread(const StageRun& run, const MeshTables& tables, const LobeTables& lobes,
+               const kernels::LinksParameters& p, const cl::Buffer& parameters, const Program& program, WorkQueue& work,
+               unsigned index)
       : HostThread(run.device, run.workspace, run.scene.tracer(), work, index),
         first_item_(run.first),
         samples_(p.samples),
@@ -21,7 +22,7 @@ class AlbedoThread : public HostThread {
         sample_(run.device, program, "links_albedo_samples"),
         mean_(run.device, program, "links_albedo_mean") {
     run.scene.set_arguments(sample_);
-    sample_.set("parameters", parameters).set("mesh", tables.mesh).set("colors", colors_);
+    sample_.set("parameters", parameters).set("mesh", tables.mesh).set("lobes", lobes.lobes).set("colors", colors_);
     mean_.set("parameters", parameters).set("colors", colors_).set("records", records_);
   }
 
@@ -50,13 +51,16 @@ BatchResult run_links_albedo_stage(const StageRun& run) {
   const kernels::LinksParameters p = read_links_parameters(run);
   const double start = seconds_now();
   const MeshTables tables = mesh_tables(run, nullptr, 0);
-  check_elements(run, p.elements, tables.layout.elements());
+  const LobeTables lobes = lobe_tables(run, tables);
+  check_elements(run, p.elements, tables.layout.elements() + lobes.elements);
   BatchResult result;
   result.records.resize(run.count * ALBEDO_WORDS * 4);
-  run_split(run, "albedo.cl", result,
-            [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
-              return std::make_unique<AlbedoThread>(run, tables, p, parameters, program, work, index);
-            });
+  run_split(
+      run, "albedo.cl", result,
+      [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
+        return std::make_unique<AlbedoThread>(run, tables, lobes, p, parameters, program, work, index);
+      },
+      lobes.options());
   result.counters.seconds = seconds_now() - start;
   return result;
 }

@@ -24,7 +24,8 @@ constexpr std::size_t kSeenBytes = 6 * 4;
 struct AuditBatch {
   const StageRun& run;
   kernels::LinksParameters p;
-  cl::Buffer mesh{}, probe{}, radiosity{};
+  cl::Buffer mesh{}, probe{}, radiosity{}, albedo{};
+  LobeTables lobes{};
   cl::Buffer points{};  // of all items
   Program shading;      // has links_interpolate
 };
@@ -55,7 +56,9 @@ class AuditThread : public ConnectingThread {
         .set("rays", hits_);
     look_.set("parameters", parameters)
         .set("mesh", batch.mesh)
+        .set("lobes", batch.lobes.lobes)
         .set("probe", batch.probe)
+        .set("albedos", batch.albedo)
         .set("radiosity", batch.radiosity)
         .set("rays", hits_)
         .set("seen", seen_)
@@ -122,6 +125,10 @@ BatchResult run_links_audit_stage(const StageRun& run) {
   const MeshTables tables = mesh_tables(run, "probe", PROBE_WORDS);
   batch.mesh = tables.mesh;
   batch.probe = tables.rows;
+  batch.lobes = lobe_tables(run, tables);
+  batch.albedo = tables.mesh;  // read for lobes alone
+  if (batch.lobes.elements) batch.albedo = mesh_tables(run, "albedo", ALBEDO_WORDS).rows;
+  InputRows(run.task, "irradiance", RADIOSITY_WORDS * 4).expect_rows(tables.layout.elements() + batch.lobes.elements);
   batch.radiosity = mesh_tables(run, "irradiance", RADIOSITY_WORDS).rows;
   const InputRows points(run.task, "points", POINT_WORDS * 4);
   points.expect_rows(batch.p.elements);
@@ -129,10 +136,12 @@ BatchResult run_links_audit_stage(const StageRun& run) {
   batch.points = points.to_device(run.device, queue, check_point_rows(points, run.scene));
   BatchResult result;
   result.records.resize(run.count * AUDIT_WORDS * 4);
-  run_split(run, "audit.cl", result,
-            [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
-              return std::make_unique<AuditThread>(batch, parameters, program, work, index);
-            });
+  run_split(
+      run, "audit.cl", result,
+      [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
+        return std::make_unique<AuditThread>(batch, parameters, program, work, index);
+      },
+      batch.lobes.options());
   result.counters.seconds = seconds_now() - start;
   return result;
 }

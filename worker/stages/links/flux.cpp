@@ -13,24 +13,41 @@ double luminance(const float* c) { return 0.2126 * c[0] + 0.7152 * c[1] + 0.0722
 
 }  // namespace
 
-std::vector<float> mesh_areas(const StageTask& task) {
+std::vector<float> element_areas(const StageTask& task) {
   const MeshLayout layout = read_mesh_layout(task);
-  std::vector<float> areas(layout.vertices);
+  std::vector<float> areas(layout.elements());
   InputRows(task, "mesh", 4)
       .visit(layout.areas_at(), layout.vertices, [&](std::uint64_t first, std::span<const std::byte> words) {
-        std::memcpy(&areas[first - layout.areas_at()], words.data(), words.size());
+        for (std::size_t at = 0; at < words.size(); at += 4, ++first) {
+          const auto area = row_word<float>(words.data() + at, 0);
+          areas[2 * (first - layout.areas_at())] = areas[2 * (first - layout.areas_at()) + 1] = area;
+        }
       });
+  if (!task.inputs.contains("lobes")) return areas;
+  // Bins have equal projected solid angles.
+  const InputRows lobes(task, "lobes", 4);
+  if (lobes.rows() < areas.size()) lobes.expect_rows(areas.size());
+  lobes.visit(layout.elements(), lobes.rows() - layout.elements(),
+              [&](std::uint64_t, std::span<const std::byte> words) {
+                for (std::size_t at = 0; at < words.size(); at += 4) {
+                  const auto element = row_word<std::uint32_t>(words.data() + at, 0);
+                  if (element >= layout.elements())
+                    throw Error::bad_input("stage " + task.kind, "input lobes", "elements of the mesh",
+                                           std::to_string(element));
+                  areas.insert(areas.end(), LOBE_BINS, areas[element] / LOBE_BINS);
+                }
+              });
   return areas;
 }
 
 kernels::LinksFluxFacts flux_of(const std::vector<float>& areas, const std::vector<float>& after,
                                 const std::vector<float>& before) {
   kernels::LinksFluxFacts facts;
-  for (std::size_t e = 0; e < 2 * areas.size(); ++e) {
+  for (std::size_t e = 0; e < areas.size(); ++e) {
     const float* row = &after[e * RADIOSITY_WORDS + RADIOSITY_SENT];
-    const double flux = areas[e / 2] * luminance(row);
+    const double flux = areas[e] * luminance(row);
     facts.flux += flux;
-    facts.grown += flux - areas[e / 2] * luminance(&before[e * RADIOSITY_WORDS + RADIOSITY_SENT]);
+    facts.grown += flux - areas[e] * luminance(&before[e * RADIOSITY_WORDS + RADIOSITY_SENT]);
   }
   return facts;
 }
@@ -38,10 +55,10 @@ kernels::LinksFluxFacts flux_of(const std::vector<float>& areas, const std::vect
 // Stage kind "links_flux".
 BatchResult measure_links_flux(const StageTask& task) {
   const auto p = host_parameters<kernels::LinksFluxParameters>(task);
-  const std::vector<float> areas = mesh_areas(task);
+  const std::vector<float> areas = element_areas(task);
   const std::vector<float> after = input_rows(task, "radiosity", RADIOSITY_WORDS);
   const std::vector<float> before = input_rows(task, "before", RADIOSITY_WORDS);
-  const std::size_t elements = 2 * areas.size(), expected = std::size_t{p.elements} * RADIOSITY_WORDS;
+  const std::size_t elements = areas.size(), expected = std::size_t{p.elements} * RADIOSITY_WORDS;
   if (p.elements != elements || after.size() != expected || before.size() != expected)
     throw Error::bad_input(
         "stage links_flux", "inputs", std::to_string(elements) + " elements each",

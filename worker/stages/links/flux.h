@@ -8,10 +8,11 @@
 
 namespace gleaner::worker {
 
-// A third of each vertex' one-ring, m^2: of the task's input "mesh".
-std::vector<float> mesh_areas(const StageTask& task);
+// Of each element, m^2: a third of its vertex' one-ring, of the task's input "mesh"; of lobes (input "lobes", if any)
+// the same over their number.
+std::vector<float> element_areas(const StageTask& task);
 
-// Of rows of RADIOSITY_WORDS, of both sides of each vertex: what they send, and how much that has grown.
+// Of rows of RADIOSITY_WORDS, one an element: what they send, and how much that has grown.
 kernels::LinksFluxFacts flux_of(const std::vector<float>& areas, const std::vector<float>& after,
                                 const std::vector<float>& before);
 

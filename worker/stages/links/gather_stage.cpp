@@ -45,21 +45,25 @@ cl::Buffer own_rows(const StageRun& run, cl::CommandQueue& queue, const char* na
 }
 
 // Of rows of RADIOSITY_WORDS what is looked up over links: what elements send, without the rest of their rows, which is
-// as much again, by the numbers of links' ends. `rows`: of the elements from `first` on, of so many vertices.
+// as much again, by the numbers of links' ends. `rows`: of the elements from `first` on; the first `plain` of all
+// elements are the mesh's.
 constexpr std::size_t kRowBytes = RADIOSITY_WORDS * 4, kSentBytes = (RADIOSITY_WORDS - RADIOSITY_SENT) * 4;
-void copy_sent(std::span<const std::byte> rows, std::uint64_t first, std::uint64_t vertices, std::byte* sent) {
-  for (std::size_t at = 0; at < rows.size(); at += kRowBytes, ++first)
-    std::memcpy(sent + LINK_END(first, vertices) * kSentBytes, &rows[at + std::size_t{RADIOSITY_SENT} * 4], kSentBytes);
+void copy_sent(std::span<const std::byte> rows, std::uint64_t first, std::uint64_t plain, std::byte* sent) {
+  for (std::size_t at = 0; at < rows.size(); at += kRowBytes, ++first) {
+    const std::uint64_t end = first < plain ? LINK_END(first, plain / 2) : first;
+    std::memcpy(sent + end * kSentBytes, &rows[at + std::size_t{RADIOSITY_SENT} * 4], kSentBytes);
+  }
 }
 
-cl::Buffer sent_by_all(const StageRun& run, cl::CommandQueue& queue, const char* name, std::uint64_t elements) {
+cl::Buffer sent_by_all(const StageRun& run, cl::CommandQueue& queue, const char* name, std::uint64_t elements,
+                       std::uint64_t plain) {
   const InputRows rows(run.task, name, kRowBytes);
   rows.expect_rows(elements);
   cl::Buffer buffer = run.workspace.take("links.sent", elements * kSentBytes);
   auto* out = static_cast<std::byte*>(
       queue.enqueueMapBuffer(buffer, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, elements * kSentBytes));
   rows.visit(0, elements,
-             [&](std::uint64_t row, std::span<const std::byte> bytes) { copy_sent(bytes, row, elements / 2, out); });
+             [&](std::uint64_t row, std::span<const std::byte> bytes) { copy_sent(bytes, row, plain, out); });
   queue.enqueueUnmapMemObject(buffer, out);
   queue.finish();
   return buffer;
@@ -144,6 +148,12 @@ void put_parameters(const StageRun& run, cl::CommandQueue& queue, const LinksGat
   queue.enqueueWriteBuffer(batch.parameters, CL_TRUE, 0, sizeof p, &p);
 }
 
+void check_plain(const StageRun& run, std::uint32_t elements, std::uint32_t plain) {
+  if (elements == 0 || plain == 0 || plain > elements || plain % 2 != 0)
+    throw Error::bad_input(run.where(), "elements", "1 or more, two a vertex of the mesh among them",
+                           std::to_string(elements) + ", " + std::to_string(plain));
+}
+
 // One bounce of the batch's elements, into the result's records.
 void gather(const StageRun& run, cl::CommandQueue& queue, const GatherBatch& batch, BatchResult& result) {
   const Program program = run.build_plain("gather.cl");
@@ -162,7 +172,7 @@ void gather(const StageRun& run, cl::CommandQueue& queue, const GatherBatch& bat
 BatchResult run_links_gather_stage(const StageRun& run) {
   const auto p = run.parameters<LinksGatherParameters>();
   run.check_range(p.elements);
-  if (p.elements == 0) throw Error::bad_input(run.where(), "elements", "1 or more", "0");
+  check_plain(run, p.elements, p.plain);
   const double start = seconds_now();
   cl::CommandQueue queue = run.device.make_queue();
   GatherBatch batch;
@@ -172,7 +182,7 @@ BatchResult run_links_gather_stage(const StageRun& run) {
   batch.starts = links.starts;
   batch.light = own_rows(run, queue, "light", kRowBytes, p.elements);
   batch.albedo = own_rows(run, queue, "albedo", ALBEDO_WORDS * 4, p.elements);
-  batch.sent = sent_by_all(run, queue, "radiosity", p.elements);
+  batch.sent = sent_by_all(run, queue, "radiosity", p.elements, p.plain);
   make_room(run, queue, batch);
   BatchResult result;
   result.records.resize(run.count * kRowBytes);
@@ -184,11 +194,11 @@ BatchResult run_links_gather_stage(const StageRun& run) {
 namespace {
 
 // What all elements send after a bounce, for the next one.
-void send(cl::CommandQueue& queue, const scene::Bytes& rows, const cl::Buffer& sent) {
+void send(cl::CommandQueue& queue, const scene::Bytes& rows, std::uint64_t plain, const cl::Buffer& sent) {
   const std::uint64_t elements = rows.size() / kRowBytes;
   auto* out = static_cast<std::byte*>(
       queue.enqueueMapBuffer(sent, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, elements * kSentBytes));
-  copy_sent(rows, 0, elements / 2, out);
+  copy_sent(rows, 0, plain, out);
   queue.enqueueUnmapMemObject(sent, out);
   queue.finish();
 }
@@ -208,31 +218,32 @@ BatchResult run_links_exchange_stage(const StageRun& run) {
   run.check_range(p.elements);
   if (p.elements == 0 || run.count != p.elements)
     throw Error::bad_input(run.where(), "elements", "1 or more, all of them", std::to_string(run.count));
+  check_plain(run, p.elements, p.plain);
   if (p.most_bounces == 0 || !(p.least_share >= 0))
     throw Error::bad_input(run.where(), "bounces", "1 or more, to a share that is not negative",
                            std::to_string(p.most_bounces) + ", " + std::to_string(p.least_share));
   const double start = seconds_now();
   cl::CommandQueue queue = run.device.make_queue();
   GatherBatch batch;
-  put_parameters(run, queue, LinksGatherParameters{p.elements, p.exact, p.directions, 0}, batch);
+  put_parameters(run, queue, LinksGatherParameters{p.elements, p.exact, p.directions, p.plain}, batch);
   const std::shared_ptr<const LinkTables> links = kept_links(run, queue, p.elements);
   batch.words = links->words;
   batch.starts = links->starts;
   batch.light = own_rows(run, queue, "light", kRowBytes, p.elements);
   batch.albedo = own_rows(run, queue, "albedo", ALBEDO_WORDS * 4, p.elements);
-  batch.sent = sent_by_all(run, queue, "light", p.elements);
+  batch.sent = sent_by_all(run, queue, "light", p.elements, p.plain);
   make_room(run, queue, batch);
-  const std::vector<float> areas = p.least_share > 0 ? mesh_areas(run.task) : std::vector<float>{};
-  if (p.least_share > 0 && 2 * areas.size() != p.elements)
-    throw Error::bad_input(run.where(), "input mesh", std::to_string(p.elements) + " elements",
-                           std::to_string(2 * areas.size()));
+  const std::vector<float> areas = p.least_share > 0 ? element_areas(run.task) : std::vector<float>{};
+  if (p.least_share > 0 && areas.size() != p.elements)
+    throw Error::bad_input(run.where(), "inputs mesh and lobes", std::to_string(p.elements) + " elements",
+                           std::to_string(areas.size()));
   BatchResult result;
   result.records.resize(run.count * kRowBytes);
   std::vector<float> before = input_rows(run.task, "light", RADIOSITY_WORDS), after(before.size());
   kernels::LinksBounces bounces;
   for (bool enough = false; !enough && bounces.done < p.most_bounces;) {
     gather(run, queue, batch, result);
-    send(queue, result.records, batch.sent);
+    send(queue, result.records, p.plain, batch.sent);
     std::memcpy(after.data(), result.records.data(), result.records.size());
     if (p.least_share > 0)
       enough = bounces.is_enough(flux_of(areas, after, before), double{p.least_share});

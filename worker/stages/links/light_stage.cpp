@@ -11,7 +11,7 @@ namespace {
 
 class LightThread : public ConnectingThread {
  public:
-  LightThread(const StageRun& run, const MeshTables& tables, const kernels::LinksParameters& p,
+  LightThread(const StageRun& run, const MeshTables& tables, const LobeTables& lobes, const kernels::LinksParameters& p,
               const cl::Buffer& parameters, const Program& program, WorkQueue& work, unsigned index)
       : ConnectingThread(run, program, elements_of_wave(run.device, p.samples) * p.samples, work, index),
         first_item_(run.first),
@@ -26,6 +26,7 @@ class LightThread : public ConnectingThread {
     run.scene.set_arguments(make_rays_);
     make_rays_.set("parameters", parameters)
         .set("mesh", tables.mesh)
+        .set("lobes", lobes.lobes)
         .set("shadows", shadows())
         .set("slots", slots())
         .set("slot_count", rays())
@@ -71,13 +72,17 @@ BatchResult run_links_light_stage(const StageRun& run) {
   const kernels::LinksParameters p = read_links_parameters(run);
   const double start = seconds_now();
   const MeshTables tables = mesh_tables(run, "albedo", ALBEDO_WORDS);
-  check_elements(run, p.elements, tables.layout.elements());
+  const LobeTables lobes = lobe_tables(run, tables);
+  InputRows(run.task, "albedo", ALBEDO_WORDS * 4).expect_rows(p.elements);
+  check_elements(run, p.elements, tables.layout.elements() + lobes.elements);
   BatchResult result;
   result.records.resize(run.count * RADIOSITY_WORDS * 4);
-  run_split(run, "light.cl", result,
-            [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
-              return std::make_unique<LightThread>(run, tables, p, parameters, program, work, index);
-            });
+  run_split(
+      run, "light.cl", result,
+      [&](const Program& program, const cl::Buffer& parameters, WorkQueue& work, unsigned index) {
+        return std::make_unique<LightThread>(run, tables, lobes, p, parameters, program, work, index);
+      },
+      lobes.options());
   result.counters.seconds = seconds_now() - start;
   return result;
 }

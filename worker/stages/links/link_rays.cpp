@@ -20,6 +20,7 @@ LinkRayThread::LinkRayThread(const LinkRayBatch& batch, WorkQueue& work, unsigne
   batch.run.scene.set_arguments(make_rays_);
   make_rays_.set("parameters", batch.parameters)
       .set("mesh", batch.tables.mesh)
+      .set("lobes", batch.lobes.lobes)
       .set("side", static_cast<cl_uint>(std::lround(std::sqrt(directions_))))
       .set("rays", hits_);
 }

@@ -12,6 +12,7 @@ struct LinkRayBatch {
   const StageRun& run;
   kernels::LinksParameters p;
   MeshTables tables;
+  LobeTables lobes;
   Program program;  // includes kernels/links/rays.h
   cl::Buffer parameters{};
 };

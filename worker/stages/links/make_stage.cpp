@@ -14,21 +14,24 @@ class MakeThread : public LinkRayThread {
   MakeThread(const LinkRayBatch& batch, WorkQueue& work, JoinedRecords& records, unsigned index)
       : LinkRayThread(batch, work, index),
         joined_(records),
-        slots_(std::bit_ceil(6 * directions_)),
-        ends_(take("links.ends", std::size_t{rays()} * 12)),
-        weights_(take("links.weights", std::size_t{rays()} * 12)),
+        row_bytes_(std::size_t{directions_} * (batch.lobes.elements ? 6 : 3) * 8),
+        slots_(static_cast<std::uint32_t>(std::bit_ceil(row_bytes_ / 4))),
+        ends_(take("links.ends", capacity_ * row_bytes_ / 2)),
+        weights_(take("links.weights", capacity_ * row_bytes_ / 2)),
         table_(take("links.table", batch.p.compress ? std::size_t{capacity_} * slots_ * 4 : 4)),
-        packed_(take("links.packed", std::size_t{rays()} * 24)),
+        packed_(take("links.packed", capacity_ * row_bytes_)),
         words_(take("links.words", std::size_t{capacity_} * 4)),
         link_(batch.run.device, batch.program, "links_hits"),
         compress_(batch.run.device, batch.program, "links_compress") {
     batch.run.scene.set_arguments(link_);
     link_.set("mesh", batch.tables.mesh)
+        .set("lobes", batch.lobes.lobes)
         .set("probe", batch.tables.rows)
         .set("rays", hits_)
         .set("ends", ends_)
         .set("weights", weights_);
     compress_.set("parameters", batch.parameters)
+        .set("plain", static_cast<cl_uint>(batch.tables.layout.elements()))
         .set("slots", slots_)
         .set("ends", ends_)
         .set("weights", weights_)
@@ -58,7 +61,7 @@ class MakeThread : public LinkRayThread {
     links_.resize(all * 4);
     std::byte* to = links_.data();
     for (std::uint64_t k = 0; k < block.count; ++k) {
-      if (counts[k]) queue_.enqueueReadBuffer(packed_, CL_FALSE, k * directions_ * 24, std::size_t{counts[k]} * 4, to);
+      if (counts[k]) queue_.enqueueReadBuffer(packed_, CL_FALSE, k * row_bytes_, std::size_t{counts[k]} * 4, to);
       to += std::size_t{counts[k]} * 4;
     }
     queue_.finish();
@@ -66,6 +69,7 @@ class MakeThread : public LinkRayThread {
   }
 
   JoinedRecords& joined_;
+  std::size_t row_bytes_;  // of an element's links: ends and weights
   std::uint32_t slots_;
   cl::Buffer ends_, weights_, table_, packed_, words_;
   Kernel link_, compress_;
@@ -75,8 +79,10 @@ class MakeThread : public LinkRayThread {
 }  // namespace
 
 BatchResult run_links_make_stage(const StageRun& run) {
-  LinkRayBatch batch{run, read_links_parameters(run), mesh_tables(run, "probe", PROBE_WORDS), run.build("make.cl")};
-  check_elements(run, batch.p.elements, batch.tables.layout.elements());
+  const MeshTables tables = mesh_tables(run, "probe", PROBE_WORDS);
+  const LobeTables lobes = lobe_tables(run, tables);
+  LinkRayBatch batch{run, read_links_parameters(run), tables, lobes, run.build("make.cl", lobes.options())};
+  check_elements(run, batch.p.elements, tables.layout.elements() + lobes.elements);
   const double start = seconds_now();
   BatchResult result;
   result.counts.resize(run.count);

@@ -121,6 +121,15 @@ StageTask only(const StageTask& task, const char* input) {
   return key;
 }
 
+// A number of a lobe, or an element that has one.
+void check_lobe_word(const InputRows& input, std::uint64_t row, std::uint32_t value, std::uint64_t plain,
+                     std::uint64_t lobes) {
+  const bool numbers = row < plain;
+  if (numbers ? value < lobes || value == GLEANER_NONE : value < plain) return;
+  input.fail(row, numbers ? "lobe" : "element", "below " + std::to_string(numbers ? lobes : plain),
+             std::to_string(value));
+}
+
 }  // namespace
 
 MeshTables mesh_tables(const StageRun& run, const char* rows, unsigned words) {
@@ -140,10 +149,34 @@ MeshTables mesh_tables(const StageRun& run, const char* rows, unsigned words) {
   MeshTables tables{mesh->layout, mesh->words};
   if (!rows) return tables;
   const InputRows input(run.task, rows, std::size_t{words} * 4);
-  input.expect_rows(tables.layout.elements());
+  // Behind the mesh's elements there may be those of lobes.
+  if (input.rows() < tables.layout.elements()) input.expect_rows(tables.layout.elements());
   tables.rows =
       run.tables
           .get<DeviceRows>(only(run.task, rows), [&] { return DeviceRows{input.to_device(run.device, queue, {})}; })
+          ->rows;
+  return tables;
+}
+
+LobeTables lobe_tables(const StageRun& run, const MeshTables& mesh) {
+  LobeTables tables{mesh.mesh, 0};
+  if (!run.task.inputs.contains("lobes")) return tables;
+  const InputRows input(run.task, "lobes", 4);
+  const std::uint64_t plain = mesh.layout.elements();
+  if (input.rows() < plain) input.expect_rows(plain);
+  const std::uint64_t lobes = input.rows() - plain;
+  tables.elements = lobes * LOBE_BINS;
+  cl::CommandQueue queue = run.device.make_queue();
+  tables.lobes =
+      run.tables
+          .get<DeviceRows>(only(run.task, "lobes"),
+                           [&] {
+                             return DeviceRows{input.to_device(
+                                 run.device, queue, [&](std::uint64_t row, std::span<const std::byte> bytes) {
+                                   for (std::size_t at = 0; at < bytes.size(); at += 4, ++row)
+                                     check_lobe_word(input, row, row_word<std::uint32_t>(&bytes[at], 0), plain, lobes);
+                                 })};
+                           })
           ->rows;
   return tables;
 }
@@ -174,16 +207,21 @@ std::vector<std::uint32_t> levels_of(const StageRun& run, const TriangleRows& tr
 
 }  // namespace
 
+TriangleRows read_triangles(const StageRun& run, std::vector<float>& rows) {
+  const unsigned words = run.scene.triangle_words();
+  cl::CommandQueue queue = run.device.make_queue();
+  rows.resize(run.scene.triangles() * words);
+  if (!rows.empty()) queue.enqueueReadBuffer(run.scene.triangle_rows(), CL_TRUE, 0, rows.size() * 4, rows.data());
+  return {rows.data(), words, run.scene.triangles()};
+}
+
 // Stage kind "links_mesh".
 BatchResult run_links_mesh_stage(const StageRun& run) {
   const auto p = run.parameters<kernels::LinksMeshParameters>();
   run.check_range(1);
   const double start = seconds_now();
-  const TriangleRows triangles{nullptr, run.scene.triangle_words(), run.scene.triangles()};
-  cl::CommandQueue queue = run.device.make_queue();
-  std::vector<float> rows(triangles.count * triangles.words);
-  if (triangles.count) queue.enqueueReadBuffer(run.scene.triangle_rows(), CL_TRUE, 0, rows.size() * 4, rows.data());
-  const TriangleRows filled{rows.data(), triangles.words, triangles.count};
+  std::vector<float> rows;
+  const TriangleRows filled = read_triangles(run, rows);
   kernels::LinksMeshFacts facts{};
   const std::vector<std::uint32_t> mesh = make_links_mesh(filled, levels_of(run, filled, p.vertices), &facts);
   BatchResult result;

@@ -2,6 +2,7 @@
 // The mesh of vertices (kernels/links_records.h), as stages make and read it.
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "kernels/links_records.h"
@@ -40,6 +41,14 @@ struct MeshTables {
 // Kept for all stages and frames that read the same.
 MeshTables mesh_tables(const StageRun& run, const char* rows, unsigned words);
 
+// The input "lobes", where a task has it.
+struct LobeTables {
+  cl::Buffer lobes{};          // none: the mesh's words, which nobody reads as such
+  std::uint64_t elements = 0;  // of lobes, behind those of the mesh
+  std::string options() const { return elements ? " -D LINKS_LOBES" : ""; }
+};
+LobeTables lobe_tables(const StageRun& run, const MeshTables& mesh);
+
 // Rows of a scene's triangles (kernels/scene_layout.h).
 struct TriangleRows {
   const float* rows = nullptr;
@@ -61,6 +70,9 @@ HostMesh read_mesh(const StageTask& task, const char* input);
 std::vector<std::uint32_t> even_levels(const TriangleRows& triangles, std::uint32_t wanted);
 std::vector<std::uint32_t> refined_levels(const TriangleRows& triangles, std::uint32_t wanted, const HostMesh& coarse,
                                           const std::vector<float>& probe);
+
+// The scene's triangles, read from the device into `rows`.
+TriangleRows read_triangles(const StageRun& run, std::vector<float>& rows);
 
 // The mesh of these levels: its words. Throws Error::failed where there are too many.
 std::vector<std::uint32_t> make_links_mesh(const TriangleRows& triangles, const std::vector<std::uint32_t>& levels,

@@ -126,16 +126,17 @@ BatchResult smooth_links(const StageTask& task) {
   const auto p = host_parameters<kernels::LinksSmoothParameters>(task);
   const HostMesh mesh = read_mesh(task, "mesh");
   std::vector<float> rows = input_rows(task, "irradiance", RADIOSITY_WORDS);
-  if (p.elements != mesh.layout.elements() || rows.size() != std::size_t{p.elements} * RADIOSITY_WORDS)
+  const std::uint64_t plain = mesh.layout.elements();
+  if (p.elements < plain || rows.size() != std::size_t{p.elements} * RADIOSITY_WORDS)
     throw Error::bad_input("stage links_smooth", "input irradiance",
                            std::to_string(mesh.layout.elements()) + " elements",
                            std::to_string(rows.size() / RADIOSITY_WORDS));
   const std::vector<float> probe = input_rows(task, "probe", PROBE_WORDS);
-  if (probe.size() != std::size_t{p.elements} * PROBE_WORDS)
-    throw Error::bad_input("stage links_smooth", "input probe", std::to_string(p.elements) + " rows",
+  if (probe.size() != plain * PROBE_WORDS)
+    throw Error::bad_input("stage links_smooth", "input probe", std::to_string(plain) + " rows",
                            std::to_string(probe.size() / PROBE_WORDS));
-  std::vector<float> noise(p.elements);
-  for (std::size_t e = 0; e < p.elements; ++e) {
+  std::vector<float> noise(plain);
+  for (std::size_t e = 0; e < plain; ++e) {
     noise[e] = rows[e * RADIOSITY_WORDS + RADIOSITY_NOISE];
     if (!(noise[e] >= 0))
       throw Error::bad_input("stage links_smooth", "input irradiance[" + std::to_string(e) + "].noise", "0 or more",

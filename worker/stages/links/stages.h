@@ -7,6 +7,7 @@
 namespace gleaner::worker {
 
 BatchResult run_links_mesh_stage(const StageRun& run);
+BatchResult run_links_lobes_stage(const StageRun& run);
 BatchResult run_links_probe_stage(const StageRun& run);
 BatchResult run_links_albedo_stage(const StageRun& run);
 BatchResult run_links_make_stage(const StageRun& run);
