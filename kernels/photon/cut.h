@@ -104,13 +104,13 @@ FN float cut_irradiance(global const float* rows, uint blocks, const MapPlace* p
       vf cosine = cut_word(&cut, block, part, CUT_NORMAL) * p->nx +
                   cut_word(&cut, block, part, CUT_NORMAL + 1u) * p->ny +
                   cut_word(&cut, block, part, CUT_NORMAL + 2u) * p->nz;
-      // Over r_p^2: nodes have nearly equal power, so that dark ones are wide, and would darken what is bright beside
-      // them.
+      // Over r_p^1.5: nodes have nearly equal power, so that dark ones are wide, and would darken what is bright beside
+      // them. Over r_p^2 bright ones shine on what is dark.
       vi near = (falloff > zero_f()) & (cosine > (vf)MAP_LEAST_COSINE);
       vi below = near & far_below(height, distance2);
       if (any_lane(below))
         near = near & none(below & covered(p, as_vu(cut_word(&cut, block, part, CUT_ARRIVAL)), height, distance2));
-      vf weight = pick(zero_f(), falloff * cosine * nearness, near);
+      vf weight = pick(zero_f(), falloff * cosine * sqrt(nearness * sqrt(nearness)), near);
       weights += weight;
       r += weight * cut_word(&cut, block, part, CUT_IRRADIANCE);
       g += weight * cut_word(&cut, block, part, CUT_IRRADIANCE + 1u);
