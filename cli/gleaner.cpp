@@ -9,6 +9,7 @@
 #include "cli/present_commands.h"
 #include "cli/program.h"
 #include "gleaner/version.h"
+#include "worker/device/device.h"
 
 namespace {
 
@@ -32,6 +33,7 @@ std::vector<std::string> with_joined_words(int argc, char** argv) {
 int main(int argc, char** argv) {
   if (gleaner::cli::served_as_kernel_compiler(argc, argv)) return 0;
   gleaner::cli::silence_grpc();
+  gleaner::worker::prepare_environment();
   CLI::App app{"Gleaner: a render farm that splits one frame", "gleaner"};
   app.require_subcommand(1);
   app.set_version_flag("--version", std::string("gleaner ") + gleaner::version);

@@ -19,6 +19,7 @@
 #include "scene/model/error.h"
 #include "scene/model/names.h"
 #include "worker/agent/agent.h"
+#include "worker/device/device.h"
 
 namespace gleaner::cli {
 
@@ -142,6 +143,7 @@ int main(int argc, char** argv) {
   using namespace gleaner::cli;
   if (served_as_kernel_compiler(argc, argv)) return 0;
   silence_grpc();
+  gleaner::worker::prepare_environment();
   CLI::App app{"Runs a farm's batches on one OpenCL device", "gleaner-worker"};
   app.set_version_flag("--version", std::string("gleaner-worker ") + gleaner::version);
   WorkerOptions options;

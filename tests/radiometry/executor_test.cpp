@@ -1,13 +1,19 @@
 // One item's record depends on the item alone: not on batches, threads, repetitions or neighbours in the list. And what
 // traces the rays does not show in the picture.
 
+#include <unistd.h>
+
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <cstring>
 #include <random>
+#include <set>
+#include <string>
 
 #include "scene/library/library.h"
 #include "tests/radiometry/shot.h"
+#include "worker/device/device.h"
 
 namespace gleaner::test {
 namespace {
@@ -105,6 +111,21 @@ TEST_P(SameBits, HoweverManyThreads) {
 }
 
 // A list names each item's pixel and chunk: in any order the records are those of the plain run.
+// A variable that is new makes the list of all move, and whoever reads it in another thread ends the process. By itself
+// this test is the first that opens a device; behind others it says nothing.
+TEST(Executor, OpeningADeviceAddsNothingToTheEnvironment) {
+  const auto names = [] {
+    std::set<std::string> found;
+    for (char** variable = environ; *variable; ++variable)
+      found.insert(std::string(*variable, std::strcspn(*variable, "=")));
+    return found;
+  };
+  worker::prepare_environment();
+  const std::set<std::string> before = names();
+  executor_of(1);
+  EXPECT_EQ(names(), before);
+}
+
 TEST(Items, MayBeListedInAnyOrder) {
   Shot shot{.scene = made("cornell-box"), .width = 8, .height = 8, .samples = 16, .chunks = 2};
   shot.camera = camera_of(*shot.scene);

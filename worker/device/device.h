@@ -17,6 +17,11 @@
 
 namespace gleaner::worker {
 
+// Sets the environment variables that OpenCL drivers are to find, but for those that the user has set. A program calls
+// it before it starts a thread: to set a new one moves what getenv() reads in another thread, which ends the process.
+// What opens a device calls it as well.
+void prepare_environment();
+
 class Device {
  public:
   // Throws Error::failed where there is no such device. Where PoCL has compiled nothing yet, its compiler is made ready
