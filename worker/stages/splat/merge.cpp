@@ -24,6 +24,18 @@ void append_records(const StageTask& task, const std::string& name, std::vector<
   });
 }
 
+std::vector<SplatPlace> places_of(const StageTask& task, const std::vector<CacheRecord>& records) {
+  const InputRows input(task, "places", sizeof(SplatPlace));
+  input.expect_rows(records.size());
+  std::vector<SplatPlace> places(records.size());
+  input.visit(0, places.size(), [&](std::uint64_t first, std::span<const std::byte> piece) {
+    std::memcpy(&places[first], piece.data(), piece.size());
+  });
+  for (std::size_t i = 0; i < places.size(); ++i)
+    if (places[i].point.position != records[i].position) input.fail(i, "position", "that of its record", "another");
+  return places;
+}
+
 BatchResult cache_result(const std::vector<CacheRecord>& records) {
   BatchResult result;
   result.records.resize(records.size() * sizeof(CacheRecord));
@@ -37,22 +49,14 @@ BatchResult merge_splat_records(const StageTask& task) {
   std::vector<CacheRecord> records;
   for (unsigned part = 0; task.inputs.contains("records." + std::to_string(part)); ++part)
     append_records(task, "records." + std::to_string(part), records);
-  const InputRows places(task, "places", sizeof(SplatPlace));
-  places.expect_rows(records.size());
   if (records.size() != p.records)
     throw Error::bad_input("stage splat_merge", "records", std::to_string(p.records), std::to_string(records.size()));
-  places.visit(0, records.size(), [&](std::uint64_t first, std::span<const std::byte> piece) {
-    for (std::size_t at = 0; at < piece.size(); at += sizeof(SplatPlace)) {
-      SplatPlace place;
-      std::memcpy(&place, piece.data() + at, sizeof place);
-      const std::uint64_t row = first + at / sizeof place;
-      CacheRecord& record = records[row];
-      if (place.point.position != record.position) places.fail(row, "position", "that of its record", "another");
-      record.radius = place.point.factor[0];
-      record.accuracy = place.point.factor[1];
-      record.hessian = {place.narrow[0], place.narrow[1], 0};
-    }
-  });
+  const std::vector<SplatPlace> places = places_of(task, records);
+  for (std::size_t i = 0; i < records.size(); ++i) {
+    records[i].radius = places[i].point.factor[0];
+    records[i].accuracy = places[i].point.factor[1];
+    records[i].hessian = {places[i].narrow[0], places[i].narrow[1], 0};
+  }
   return cache_result(records);
 }
 

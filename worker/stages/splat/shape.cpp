@@ -14,7 +14,6 @@
 #include "worker/stages/splat/stages.h"
 #include "worker/stages/splat/tangent_frame.h"
 #include "worker/stages/vpl/rows.h"
-#include "worker/wavefront/input_rows.h"
 
 namespace gleaner::worker {
 namespace {
@@ -141,14 +140,7 @@ BatchResult shape_splat_places(const StageTask& task) {
     throw Error::bad_input("stage splat_shape", "radii", "pixels above 0", std::to_string(p.least_radius));
   std::vector<CacheRecord> records;
   append_records(task, "records", records);
-  const InputRows input(task, "places", sizeof(SplatPlace));
-  input.expect_rows(records.size());
-  std::vector<SplatPlace> places(records.size());
-  input.visit(0, places.size(), [&](std::uint64_t first, std::span<const std::byte> piece) {
-    std::memcpy(&places[first], piece.data(), piece.size());
-  });
-  for (std::size_t i = 0; i < places.size(); ++i)
-    if (places[i].point.position != records[i].position) input.fail(i, "position", "that of its record", "another");
+  std::vector<SplatPlace> places = places_of(task, records);
   shape_places({.least_radius = p.least_radius, .most_radius = p.most_radius}, places, records);
   BatchResult result;
   result.records.resize(places.size() * sizeof(SplatPlace));

@@ -23,6 +23,8 @@ BatchResult run_splat_shade_stage(const StageRun& run);
 
 // Adds the records of an input to the others.
 void append_records(const StageTask& task, const std::string& name, std::vector<CacheRecord>& records);
+// The input "places", a row for each of the records. Throws Error::bad_input where they are not theirs.
+std::vector<SplatPlace> places_of(const StageTask& task, const std::vector<CacheRecord>& records);
 // The output of one item that is a cache.
 BatchResult cache_result(const std::vector<CacheRecord>& records);
 // Throws Error::bad_input for a number of samples of a pixel that is out of range.
