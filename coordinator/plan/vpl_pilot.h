@@ -77,6 +77,7 @@ struct VplTarget {
   std::uint32_t made = 0;                  // VPLs that there are to draw from
   std::uint32_t samples = 1;               // of a pixel and pass
   std::uint32_t usual_point_clusters = 0;  // others are so many times as many
+  bool denoised = false;                   // paths' noise is taken out of the picture
   // Shadows that none of the pilot's points meets are found by what points query themselves.
   double most_residual_threshold = 0.2;
   // What was set, and stays.
@@ -87,7 +88,7 @@ struct VplTarget {
 
 struct VplPrediction {
   VplCounts counts;
-  double lights = 0, clusters = 0, points = 0, paths = 0;  // squared errors
+  double lights = 0, clusters = 0, points = 0, paths = 0;  // squared errors, before a denoiser's work
   double mean = 0;                                         // of the whole picture
   double vpl_mean = 0;                                     // of the VPLs' light
   double spp = 0;
@@ -98,7 +99,8 @@ struct VplPrediction {
 
 // The counts of a coarse grid (factors of 1.5 or 2 between neighbours) whose error falls most for their work. Where
 // samples are given: as many as make the next unit of work worth the same, spent on VPLs or on samples. Where an error
-// is: the least work that meets it, the VPLs' part counted kVplCaution times.
+// is: the least work that meets it, the VPLs' part counted kVplCaution times. A denoiser takes away the paths' noise,
+// and not what VPLs are off by, which is as smooth as light itself: then more of the work goes to VPLs.
 inline constexpr double kVplCaution = 2.5;
 inline constexpr double kLeastChosen = 4000;  // VPLs of a pass
 VplPrediction choose_vpl(const VplPilot& pilot, const VplTarget& target);

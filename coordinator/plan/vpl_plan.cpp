@@ -583,6 +583,7 @@ void VplPlan::choose(const VplPilotFacts& facts) {
   target.points = points_parameters().items_low;
   target.spp = settings_.method_spp();
   target.error = settings_.target_error;
+  target.denoised = settings_.denoise != Denoise::off;
   target.made = low(drawn.made);
   target.samples = vpl_.samples;
   target.usual_point_clusters = vpl_.point_clusters;

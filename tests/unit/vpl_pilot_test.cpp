@@ -365,6 +365,31 @@ TEST(ChooseVpl, TighterWishesCostMore) {
   EXPECT_LT(many, few / 2);
 }
 
+// A denoiser takes the paths' noise away, and leaves what VPLs are off by.
+TEST(ChooseVpl, DenoisedPicturesSpendMoreOnLights) {
+  const VplPilot pilot = pilot_beside_paths(1e-3, 8e-4);
+  for (const double spp : {4, 16, 64}) {
+    VplTarget target = target_of(spp, 0);
+    const VplPrediction sampled = choose_vpl(pilot, target);
+    target.denoised = true;
+    const VplPrediction denoised = choose_vpl(pilot, target);
+    EXPECT_LT(denoised.vpl(), sampled.vpl()) << spp;
+    EXPECT_GE(denoised.cost, sampled.cost) << spp;
+  }
+  // The same error takes fewer samples, but not where so many are needed that a denoiser finds nothing to do.
+  const VplPilot noisy = pilot_beside_paths(1, 1);
+  for (const double error : {0.5, 0.2, 0.001}) {
+    VplTarget target = target_of(64, error);
+    const double sampled = choose_vpl(noisy, target).spp;
+    target.denoised = true;
+    const double denoised = choose_vpl(noisy, target).spp;
+    if (error > 0.01)
+      EXPECT_LT(denoised, 0.9 * sampled) << error;
+    else
+      EXPECT_EQ(denoised, sampled);
+  }
+}
+
 // --- The plan ---
 
 // The floor and the ceiling above.
