@@ -28,6 +28,9 @@ constexpr double kErrorOfSpread = 1.0;
 // record would be worth as much as one for a pixel at 0.35; but its noise shows as blotches, which people see sooner
 // than grain.
 constexpr double kPathShare = 0.45, kNoiseShare = 0.2, kInterpolationShare = 0.2;
+// Where the picture is denoised, rays for so many times less noise of records: at 8 samples the error of cornell-box
+// falls from 2.5 to 1.8 % by that, for a sixth more time, and that of modern-hall from 6.6 to 6.3 % for a quarter.
+constexpr double kDenoisedRays = 3;
 // Beyond these another cache is made.
 constexpr double kMostNoiseShare = 0.45, kMostInterpolationShare = 0.3, kMostStep = 16;
 
@@ -37,15 +40,19 @@ std::uint32_t rays_of(double rays) {
   return static_cast<std::uint32_t>(std::lround(std::clamp(rays, kLeastRays, kMostRays)));
 }
 
-double samples_of(std::uint32_t spp, double error) {
-  return error > 0 ? std::clamp(std::pow(kSampleError / error, 2) / kPathShare, kLeastSamples, kMostSamples)
-                   : std::max(1u, spp);
+double samples_of(const SplatTarget& target) {
+  return target.error > 0
+             ? std::clamp(std::pow(kSampleError / target.error, 2) / kPathShare, kLeastSamples, kMostSamples)
+             : std::max(1u, target.spp);
 }
 
-SplatCounts counts_of(double samples, const GivenSplatCounts& given) {
+double more_rays_of(const SplatTarget& target) { return target.denoised && !(target.error > 0) ? kDenoisedRays : 1; }
+
+// `more_rays`: so many times the rays that samples of this number ask for.
+SplatCounts counts_of(double samples, double more_rays, const GivenSplatCounts& given) {
   const double squared_error = kSampleError * kSampleError / (kPathShare * samples);
   SplatCounts counts;
-  counts.rays = given.rays.value_or(rays_of(kRayNoise * kRayNoise / (kNoiseShare * squared_error)));
+  counts.rays = given.rays.value_or(rays_of(more_rays * kRayNoise * kRayNoise / (kNoiseShare * squared_error)));
   counts.accuracy = given.accuracy.value_or(
       accuracy_of(std::sqrt(std::sqrt(kInterpolationShare * squared_error) / (kCacheShare * kInterpolation))));
   counts.points = std::bit_floor(static_cast<std::uint32_t>(std::clamp(samples, 1.0, 16.0)));
@@ -54,8 +61,8 @@ SplatCounts counts_of(double samples, const GivenSplatCounts& given) {
 
 }  // namespace
 
-SplatCounts choose_splat_counts(std::uint32_t spp, double error, const GivenSplatCounts& given) {
-  return counts_of(samples_of(spp, error), given);
+SplatCounts choose_splat_counts(const SplatTarget& target, const GivenSplatCounts& given) {
+  return counts_of(samples_of(target), more_rays_of(target), given);
 }
 
 double usual_splat_records(double pixels, double accuracy) {
@@ -63,13 +70,13 @@ double usual_splat_records(double pixels, double accuracy) {
   return accuracy > 0 ? std::min(pixels, usual * std::pow(0.15 / accuracy, 2)) : pixels;
 }
 
-SplatCounts splat_counts_within(double work, double pixels, std::uint32_t spp, double error,
-                                const GivenSplatCounts& given) {
-  double samples = samples_of(spp, error);
-  const SplatCounts asked = counts_of(samples, given);
+SplatCounts splat_counts_within(double work, double pixels, const SplatTarget& target, const GivenSplatCounts& given) {
+  double samples = samples_of(target);
+  const double more_rays = more_rays_of(target);
+  const SplatCounts asked = counts_of(samples, more_rays, given);
   SplatCounts counts = asked;
   while (samples > kLimitedSamples && usual_splat_records(pixels, counts.accuracy) * counts.rays > work)
-    counts = counts_of(samples *= kFewerSamples, given);
+    counts = counts_of(samples *= kFewerSamples, more_rays, given);
   counts.points = asked.points;
   return counts;
 }

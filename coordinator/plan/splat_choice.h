@@ -21,17 +21,21 @@ struct GivenSplatCounts {
   std::optional<std::uint32_t> rays{};
 };
 
-// `spp`: samples of a pixel; where `error` > 0 (RMSE over the mean radiance of the picture), as many as paths are
-// predicted to need for it.
-SplatCounts choose_splat_counts(std::uint32_t spp, double error, const GivenSplatCounts& given);
+// What the cache is for.
+struct SplatTarget {
+  std::uint32_t spp = 1;  // samples of a pixel; where `error` > 0, as many as paths are predicted to need for it
+  double error = 0;       // RMSE over the mean radiance of the picture; 0: none
+  bool denoised = false;  // paths' noise is taken out of the picture; that of records, wide blotches, is not
+};
+
+SplatCounts choose_splat_counts(const SplatTarget& target, const GivenSplatCounts& given);
 
 // Records that rooms take: as cornell-box and modern-hall of 64 to 512 pixels have them. `accuracy` 0: one a pixel.
 double usual_splat_records(double pixels, double accuracy);
 
 // The same of fewer samples: as many as have a cache of no more than `work` rays in all, or
 // the coarsest one. `points` stay.
-SplatCounts splat_counts_within(double work, double pixels, std::uint32_t spp, double error,
-                                const GivenSplatCounts& given);
+SplatCounts splat_counts_within(double work, double pixels, const SplatTarget& target, const GivenSplatCounts& given);
 
 // Rays of so many records that are no more than `work` in all, and no fewer than make a picture.
 std::uint32_t splat_rays_within(double work, double records, std::uint32_t rays);

@@ -47,12 +47,15 @@ struct SplatSettings : SplatCounts {
   bool smooth, hessian;
 };
 
+SplatTarget target_of(const FrameSettings& settings) {
+  return {PixelCache::samples_of_records(settings), settings.target_error, settings.denoise != Denoise::off};
+}
+
 SplatSettings read_settings(const FrameSettings& settings) {
   SplatSettings s{};
   s.given = {.accuracy = real_setting(settings, "splat.accuracy"),
              .rays = whole_setting(settings, "splat.gather_rays")};
-  static_cast<SplatCounts&>(s) =
-      choose_splat_counts(PixelCache::samples_of_records(settings), settings.target_error, s.given);
+  static_cast<SplatCounts&>(s) = choose_splat_counts(target_of(settings), s.given);
   s.bounces = whole_setting(settings, "splat.bounces").value_or(0);
   s.records = whole_setting(settings, "splat.new_records").value_or(0);
   s.order = whole_setting(settings, "splat.order").value_or(0);
@@ -222,8 +225,7 @@ void SplatPlan::fit_limit() {
   if (!work) return;
   const double accuracy = splat_.accuracy;
   const std::uint32_t rays = splat_.rays;
-  static_cast<SplatCounts&>(splat_) = splat_counts_within(
-      *work, cached_pixels(), PixelCache::samples_of_records(settings_), settings_.target_error, splat_.given);
+  static_cast<SplatCounts&>(splat_) = splat_counts_within(*work, cached_pixels(), target_of(settings_), splat_.given);
   if (splat_.accuracy > accuracy)
     skips_.push_back({"a finer cache", "the time limit leaves less for it than --spp or --target-error ask for", 1});
   tell_fewer_rays(rays);

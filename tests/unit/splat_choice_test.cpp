@@ -19,7 +19,7 @@ namespace {
 using kernels::SplatJudgeFacts;
 
 TEST(SplatChoice, WhatIsSetStays) {
-  const SplatCounts counts = choose_splat_counts(64, 0.05, {.accuracy = 0, .rays = 7});
+  const SplatCounts counts = choose_splat_counts({64, 0.05}, {.accuracy = 0, .rays = 7});
   EXPECT_EQ(counts.accuracy, 0);
   EXPECT_EQ(counts.rays, 7u);
   const SplatJudgeFacts bad{.pixels = 9, .mean = 1, .square = 1, .noise = 1, .spread = 1};
@@ -27,9 +27,9 @@ TEST(SplatChoice, WhatIsSetStays) {
 }
 
 TEST(SplatChoice, MoreSamplesTakeMoreOfAll) {
-  SplatCounts last = choose_splat_counts(1, 0, {});
+  SplatCounts last = choose_splat_counts({1}, {});
   for (const std::uint32_t spp : {4u, 16u, 64u, 256u}) {
-    const SplatCounts next = choose_splat_counts(spp, 0, {});
+    const SplatCounts next = choose_splat_counts({spp}, {});
     EXPECT_GE(next.rays, last.rays) << spp;
     EXPECT_LE(next.accuracy, last.accuracy) << spp;
     EXPECT_EQ(next.points, std::min(spp, 16u));
@@ -37,12 +37,21 @@ TEST(SplatChoice, MoreSamplesTakeMoreOfAll) {
   }
   EXPECT_EQ(last.rays, 4096u);
   EXPECT_LT(last.accuracy, 0.2);
-  EXPECT_EQ(choose_splat_counts(3, 0, {}).points, 2u) << "a power of two";
+  EXPECT_EQ(choose_splat_counts({3}, {}).points, 2u) << "a power of two";
+}
+
+// A denoiser leaves records' noise, since it is as wide as they are.
+TEST(SplatChoice, DenoisedPicturesTakeMoreRays) {
+  const SplatCounts sampled = choose_splat_counts({8}, {}), denoised = choose_splat_counts({8, 0, true}, {});
+  EXPECT_GT(denoised.rays, 2 * sampled.rays);
+  EXPECT_EQ(denoised.accuracy, sampled.accuracy);
+  // A target error is that of the denoised picture.
+  EXPECT_EQ(choose_splat_counts({8, 0.05, true}, {}).rays, choose_splat_counts({8, 0.05}, {}).rays);
 }
 
 // Half the error: four times the rays, and an interpolation that is off by half.
 TEST(SplatChoice, TargetsAskForTheirErrors) {
-  const SplatCounts wide = choose_splat_counts(1, 0.04, {}), fine = choose_splat_counts(1, 0.02, {});
+  const SplatCounts wide = choose_splat_counts({1, 0.04}, {}), fine = choose_splat_counts({1, 0.02}, {});
   EXPECT_NEAR(static_cast<double>(fine.rays) / wide.rays, 4, 0.1);
   EXPECT_NEAR(std::pow(wide.accuracy / fine.accuracy, 2), 2, 0.01);
   EXPECT_EQ(fine.points, 16u) << "paths take more than that";
@@ -83,13 +92,13 @@ TEST(SplatChoice, InterpolationIsNeverWithoutError) {
 
 TEST(SplatChoice, CountsKeepWithinWork) {
   const double pixels = 128 * 128;
-  const SplatCounts asked = choose_splat_counts(1024, 0, {});
-  const SplatCounts free = splat_counts_within(1e12, pixels, 1024, 0, {});
+  const SplatCounts asked = choose_splat_counts({1024}, {});
+  const SplatCounts free = splat_counts_within(1e12, pixels, {1024}, {});
   EXPECT_EQ(free.rays, asked.rays);
   EXPECT_EQ(free.accuracy, asked.accuracy);
   double last = 1e12;
   for (const double work : {1e7, 1e6, 1e5}) {
-    const SplatCounts counts = splat_counts_within(work, pixels, 1024, 0, {});
+    const SplatCounts counts = splat_counts_within(work, pixels, {1024}, {});
     const double rays = usual_splat_records(pixels, counts.accuracy) * counts.rays;
     EXPECT_LE(rays, work);
     EXPECT_GT(rays, work / 2) << "no less than it may";
@@ -97,9 +106,9 @@ TEST(SplatChoice, CountsKeepWithinWork) {
     EXPECT_EQ(counts.points, asked.points);
     last = rays;
   }
-  const SplatCounts coarsest = splat_counts_within(0, pixels, 1024, 0, {});
+  const SplatCounts coarsest = splat_counts_within(0, pixels, {1024}, {});
   EXPECT_EQ(coarsest.rays, 64u) << "it ends, and is a cache";
-  const SplatCounts given = splat_counts_within(0, pixels, 1024, 0, {.accuracy = 0.1, .rays = 500});
+  const SplatCounts given = splat_counts_within(0, pixels, {1024}, {.accuracy = 0.1, .rays = 500});
   EXPECT_EQ(given.rays, 500u) << "what is set stays";
   EXPECT_EQ(given.accuracy, 0.1);
   EXPECT_EQ(splat_rays_within(1e6, 2000, 1000), 500u);
