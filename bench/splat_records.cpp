@@ -1,9 +1,10 @@
 // How many records a picture of radiance cache splatting takes: by rounds of blocks of pixels, as it is made, and by
 // the paper's serial loop on the same points.
 //
-//   build/bench/bench_splat_records SCENE WIDTHxHEIGHT ACCURACY [SAMPLES]
+//   build/bench/bench_splat_records SCENE WIDTHxHEIGHT ACCURACY [SAMPLES [REACH]]
 //
-// SAMPLES: points of a pixel; 1, as the paper has them, where it is not given.
+// SAMPLES: points of a pixel; 1, as the paper has them, where it is not given. REACH: how far a record reaches at
+// least, in pixels (accuracy * the least R_k); as pictures have it where it is not given.
 
 #include <chrono>
 #include <cstdio>
@@ -18,10 +19,12 @@ namespace {
 
 using namespace gleaner;
 
-void print(const char* what, worker::Executor& executor, worker::StageTask task, std::uint32_t block_tiles) {
+void print(const char* what, worker::Executor& executor, worker::StageTask task, std::uint32_t block_tiles,
+           double reach) {
   kernels::SplatSelectParameters p;
   std::memcpy(&p, task.parameters.data(), sizeof p);
   p.block_tiles = block_tiles;
+  if (reach > 0) p.least_radius = static_cast<float>(reach / p.accuracy);
   std::memcpy(task.parameters.data(), &p, sizeof p);
   const auto start = std::chrono::steady_clock::now();
   const worker::BatchResult result = executor.run(task, 0, 1);
@@ -38,7 +41,7 @@ void print(const char* what, worker::Executor& executor, worker::StageTask task,
 
 int main(int argc, char** argv) {
   if (argc < 4) {
-    std::fprintf(stderr, "usage: bench_splat_records SCENE WIDTHxHEIGHT ACCURACY [SAMPLES]\n");
+    std::fprintf(stderr, "usage: bench_splat_records SCENE WIDTHxHEIGHT ACCURACY [SAMPLES [REACH]]\n");
     return 2;
   }
   try {
@@ -47,6 +50,7 @@ int main(int argc, char** argv) {
       throw Error::usage(std::string("size: expected WIDTHxHEIGHT, found ") + argv[2]);
     settings.method = "splat";
     settings.spp = argc > 4 ? static_cast<std::uint32_t>(std::atoi(argv[4])) : 1;
+    const double reach = argc > 5 ? std::atof(argv[5]) : 0;
     settings.set = {{"splat.accuracy", argv[3]}};
     coordinator::check_settings(settings, {});
     auto scene = std::make_shared<const scene::Scene>(scene::import_scene(argv[1]));
@@ -62,8 +66,8 @@ int main(int argc, char** argv) {
       if (stage.kind != "splat_select") return true;
       kernels::SplatSelectParameters p;
       std::memcpy(&p, task.parameters.data(), sizeof p);
-      print("rounds of blocks:", executor, task, p.block_tiles);
-      print("one after the other:", executor, task, 0);
+      print("rounds of blocks:", executor, task, p.block_tiles, reach);
+      print("one after the other:", executor, task, 0, reach);
       return false;
     });
     return 0;
