@@ -70,6 +70,13 @@ double usual_splat_records(double pixels, double accuracy) {
   return accuracy > 0 ? std::min(pixels, usual * std::pow(0.15 / accuracy, 2)) : pixels;
 }
 
+// Rays are worth the most where the time they take and the error they leave weigh the same: where a record costs c
+// times as much, sqrt(c) times fewer.
+std::uint32_t splat_rays_of_many(double records, double pixels, const SplatCounts& counts) {
+  const double more = records / usual_splat_records(pixels, counts.accuracy);
+  return more > 1 ? std::min(counts.rays, rays_of(counts.rays / std::sqrt(more))) : counts.rays;
+}
+
 SplatCounts splat_counts_within(double work, double pixels, const SplatTarget& target, const GivenSplatCounts& given) {
   double samples = samples_of(target);
   const double more_rays = more_rays_of(target);

@@ -33,7 +33,11 @@ SplatCounts choose_splat_counts(const SplatTarget& target, const GivenSplatCount
 // Records that rooms take: as cornell-box and modern-hall of 64 to 512 pixels have them. `accuracy` 0: one a pixel.
 double usual_splat_records(double pixels, double accuracy);
 
-// The same of fewer samples: as many as have a cache of no more than `work` rays in all, or
+// Rays of a record where there are so many of them: fewer where they are more than usual, since those near each other
+// share their noise, and all of them together take as long as everything else of the picture.
+std::uint32_t splat_rays_of_many(double records, double pixels, const SplatCounts& counts);
+
+// Counts of fewer samples: as many as have a cache of no more than `work` rays in all, or
 // the coarsest one. `points` stay.
 SplatCounts splat_counts_within(double work, double pixels, const SplatTarget& target, const GivenSplatCounts& given);
 

@@ -21,9 +21,10 @@ using namespace kernels;
 using Artifact = Graph::Artifact;
 
 constexpr std::uint32_t kMostProbeRays = 256;
-// Bounds of R_k, in pixels: with an accuracy of 0.15 a record reaches 1.5 pixels at least, and of a picture of 512
-// pixels 38 at most.
-constexpr float kLeastRadius = 10, kMostRadiusOfWidth = 0.5f;
+// Bounds of R_k: with an accuracy of 0.3 a record reaches 6 pixels at least, and in a picture that is 512 pixels wide
+// 77 at most. Smaller pictures have smaller ones, for what they show is as large.
+constexpr float kLeastRadius = 20, kLeastRadiusOfSmall = 10;  // pixels
+constexpr float kLeastRadiusOfWidth = 0.08f, kMostRadiusOfWidth = 0.5f;
 // Pixels that a look at a cache looks at, and caches that are made for a target error, at most.
 constexpr std::uint32_t kJudgedPixels = 1024;
 constexpr unsigned kMostCaches = 2;
@@ -231,10 +232,15 @@ void SplatPlan::fit_limit() {
   tell_fewer_rays(rays);
 }
 
-// Once they are known.
+// Once they are known. What a target error asks for is judged later, and frames that share records have the same rays.
 void SplatPlan::fit_rays(std::uint64_t records) {
+  if (splat_.given.rays) return;
+  if (settings_.target_error == 0 && cameras_.empty()) {
+    splat_.rays = splat_rays_of_many(static_cast<double>(records), cached_pixels(), splat_);
+    strata_ = strata_of(splat_.rays);
+  }
   std::optional<double> work = limited_work();
-  if (!work || splat_.given.rays) return;
+  if (!work) return;
   // Nothing but one worker chose places meanwhile, and the farm looks slower than it is.
   if (planned_work_) work = std::min(*planned_work_, *allowed_work_ / kRayWork);
   const std::uint32_t rays = splat_.rays;
@@ -382,8 +388,10 @@ SplatSelectParameters SplatPlan::select_parameters(std::uint32_t width, std::uin
   p.probe_rays = std::min(kMostProbeRays, (splat_.rays + 15) / 16 * 16);
   // Of a picture with fewer pixels these are larger.
   const float scale = static_cast<float>(width) / static_cast<float>(settings_.width);
-  p.least_radius = kLeastRadius * scale;
-  p.most_radius = std::max(kLeastRadius, kMostRadiusOfWidth * static_cast<float>(settings_.width)) * scale;
+  const auto whole = static_cast<float>(settings_.width);
+  const float least = std::clamp(kLeastRadiusOfWidth * whole, kLeastRadiusOfSmall, kLeastRadius);
+  p.least_radius = least * scale;
+  p.most_radius = std::max(least, kMostRadiusOfWidth * whole) * scale;
   p.block_tiles = kBlockTiles;
   return p;
 }

@@ -49,6 +49,16 @@ TEST(SplatChoice, DenoisedPicturesTakeMoreRays) {
   EXPECT_EQ(choose_splat_counts({8, 0.05, true}, {}).rays, choose_splat_counts({8, 0.05}, {}).rays);
 }
 
+TEST(SplatChoice, ManyRecordsHaveFewerRays) {
+  const double pixels = 256 * 256;
+  const SplatCounts counts = choose_splat_counts({64}, {});
+  const double usual = usual_splat_records(pixels, counts.accuracy);
+  EXPECT_EQ(splat_rays_of_many(usual / 2, pixels, counts), counts.rays);
+  EXPECT_NEAR(splat_rays_of_many(4 * usual, pixels, counts), counts.rays / 2.0, 1);
+  EXPECT_EQ(splat_rays_of_many(1e9, pixels, counts), 64u) << "as few as make a picture";
+  EXPECT_EQ(splat_rays_of_many(1e9, pixels, {.accuracy = 0.3, .rays = 16, .points = 1}), 16u);
+}
+
 // Half the error: four times the rays, and an interpolation that is off by half.
 TEST(SplatChoice, TargetsAskForTheirErrors) {
   const SplatCounts wide = choose_splat_counts({1, 0.04}, {}), fine = choose_splat_counts({1, 0.02}, {});
