@@ -99,12 +99,13 @@ GLEANER_SIZE(PhotonTraceParameters, 48);
 #define CUT_BOX_WORDS 6u  // m: lower, upper corner
 #define CUT_BOX_ROWS (CUT_BOX_WORDS * RAY_BLOCK / PHOTON_WORDS)
 #define CUT_LEVELS 6u
-#define CUT_WORDS 11u
+#define CUT_WORDS 12u
 #define CUT_PLACE 0u       // m
 #define CUT_NORMAL 3u      // of the surface there
 #define CUT_NEARNESS 6u    // 1/m^2: one over r_p^2 of eq. 4; 0: no node
 #define CUT_IRRADIANCE 7u  // W/m^2, RGB: E_p
 #define CUT_ARRIVAL 10u    // uint: of the photon there, as PHOTON_ARRIVAL
+#define CUT_SPREAD 11u     // variance of irradiance over the node's area, over E_p squared
 // Nodes that a coarse cut may have.
 #define PHOTON_MOST_CUT (1u << 22)
 
@@ -118,7 +119,7 @@ typedef struct {
 } PhotonEstimate;
 GLEANER_SIZE(PhotonEstimate, 8);
 
-// Where there is an input "cut", places read it where one of its nodes is near.
+// Where there is an input "cut", places read it where its nodes are near and agree (kernels/photon/cut.h).
 // Not where photons of fewer scatterings than the map's count alone: `cut_depth` are the most that one of them has, 31:
 // or more.
 
@@ -239,7 +240,7 @@ struct PhotonCutParameters {
   std::uint32_t nodes = 0;   // of the coarse cut
   std::uint32_t rounds = 0;  // of refinement
   float ratio = 0;           // eq. 3's irradiance may be off by so much of itself
-  std::uint32_t reserved = 0;
+  float spread = 0;          // CUT_SPREAD of a node that is not opened, at most
   PhotonEstimate estimate{};
   std::uint32_t spare[2] = {};
 };

@@ -35,9 +35,10 @@ constexpr std::uint32_t kIterations = 6;
 // Rounds in which samples are added where their records may be off most, each of a third of the clusters at most. More
 // than one of them pays where records are less noisy than with so many rays.
 constexpr std::uint32_t kRefineRounds = 3, kRaysOfRounds = 384;
-// Photons of the estimates at a cut's nodes, rounds of its refinement, and the ratio of section 3.3.
+// Photons of the estimates at a cut's nodes, rounds of its refinement, the ratio of section 3.3, and how much
+// irradiance may vary within a node.
 constexpr std::uint32_t kCutNeighbours = 24, kCutRounds = 4;
-constexpr float kCutRatio = 1.2f;
+constexpr float kCutRatio = 1.2f, kCutSpread = 0.1f;
 // A cluster of a camera before stands for what is seen from no nearer by than half as far as that camera saw it.
 constexpr float kKeptFootprint = 2;
 // Noise of a sample's record of one ray, over its light, as pixels share it.
@@ -392,6 +393,7 @@ Artifact PhotonPlan::ask_cut(const Artifact& map) {
   p.nodes = photon_.cut;
   p.rounds = kCutRounds;
   p.ratio = kCutRatio;
+  p.spread = kCutSpread;
   p.estimate = estimate(kCutNeighbours);
   return graph_.add({.name = "photon.cut",
                      .kind = "photon_cut",

@@ -5,6 +5,12 @@
 
 #include "kernels/photon/map.h"
 
+// Light that changes within the nodes near a place, or from one to the next, is not what their mean says: a shadow's
+// edge, a small thing between large ones. So is light at the rim of nodes, where none of their photons may lie. There
+// photons are read. Variance of irradiance over its squared mean, at most; sum of K(r) of eq. 5, at least.
+#define CUT_MOST_VARIANCE 0.16f
+#define CUT_LEAST_COVER 1.0f
+
 typedef struct {
   global const float* boxes;
   global const float* nodes;
@@ -83,11 +89,11 @@ FN uint next_cut_block(const Cut* cut, const MapPlace* p, CutWalk* walk) {
   }
 }
 
-// W/m^2, RGB, in `to`; the sum of the weights: 0 where no node is near. As in a map, what is off the surface's plane is
-// farther away.
-FN float cut_irradiance(global const float* rows, uint blocks, const MapPlace* p, float* to) {
+// Whether the cut tells the irradiance, W/m^2, RGB, in `to`. As in a map, what is off the surface's plane is farther
+// away.
+FN bool cut_irradiance(global const float* rows, uint blocks, const MapPlace* p, float* to) {
   Cut cut = illumination_cut(rows, blocks);
-  vf weights = zero_f(), r = zero_f(), g = zero_f(), b = zero_f();
+  vf weights = zero_f(), cover = zero_f(), squares = zero_f(), r = zero_f(), g = zero_f(), b = zero_f();
   CutWalk walk = begin_cut_walk(&cut, p);
   for (;;) {
     uint block = next_cut_block(&cut, p, &walk);
@@ -111,19 +117,23 @@ FN float cut_irradiance(global const float* rows, uint blocks, const MapPlace* p
       if (any_lane(below))
         near = near & none(below & covered(p, as_vu(cut_word(&cut, block, part, CUT_ARRIVAL)), height, distance2));
       vf weight = pick(zero_f(), falloff * cosine * sqrt(nearness * sqrt(nearness)), near);
+      vf red = cut_word(&cut, block, part, CUT_IRRADIANCE), green = cut_word(&cut, block, part, CUT_IRRADIANCE + 1u),
+         blue = cut_word(&cut, block, part, CUT_IRRADIANCE + 2u), all = red + green + blue;
       weights += weight;
-      r += weight * cut_word(&cut, block, part, CUT_IRRADIANCE);
-      g += weight * cut_word(&cut, block, part, CUT_IRRADIANCE + 1u);
-      b += weight * cut_word(&cut, block, part, CUT_IRRADIANCE + 2u);
+      cover += pick(zero_f(), falloff, near);
+      r += weight * red;
+      g += weight * green;
+      b += weight * blue;
+      squares += weight * all * all * (1.0f + cut_word(&cut, block, part, CUT_SPREAD));
     }
   }
   float sum = sum_lanes(weights);
-  if (sum > 0.0f) {
-    to[0] = sum_lanes(r) / sum;
-    to[1] = sum_lanes(g) / sum;
-    to[2] = sum_lanes(b) / sum;
-  }
-  return sum;
+  if (!(sum_lanes(cover) >= CUT_LEAST_COVER && sum > 0.0f)) return false;
+  to[0] = sum_lanes(r) / sum;
+  to[1] = sum_lanes(g) / sum;
+  to[2] = sum_lanes(b) / sum;
+  float mean = to[0] + to[1] + to[2];
+  return sum_lanes(squares) <= sum * mean * mean * (1.0f + CUT_MOST_VARIANCE);
 }
 
 #endif

@@ -21,7 +21,7 @@ kernel void photon_read(global const float* restrict reads, uint count, SCENE_PA
   if (place.caustics && ((global const uint*)map)[MAP_CAUSTICS] == 0u) return;
   if (cut_blocks && !place.caustics && place.most_depth >= cut_depth) {
     float e[3];
-    if (cut_irradiance(cut, cut_blocks, &place, e) > 0.0f) {
+    if (cut_irradiance(cut, cut_blocks, &place, e)) {
       global float* to = slots + SLOT_WORDS * slot + SLOT_INDIRECT;
       float share = mean_layer_share(&scene_value, read);
       for (uint k = 0; k < 3u; ++k) to[k] += read[READ_FACTOR + k] * e[k] * share;

@@ -745,30 +745,33 @@ TEST(Photon, CutIsRefinedWhereItIsOff) {
   cut.choose(100);
   ASSERT_EQ(cut.size(), 100u);
   const double radius = cut.median_radius();
-  // As bright as eq. 3 says, or ten times brighter.
-  const auto refined = [&](float times) {
+  // As bright as eq. 3 says, or ten times brighter; as bright all over a node, or not.
+  const auto refined = [&](float times, float spread) {
     worker::IlluminationCut other(map);
     other.choose(100);
-    std::vector<std::array<float, 3>> irradiance;
-    for (std::size_t i = 0; i < other.size(); ++i)
-      irradiance.push_back({static_cast<float>(other.rough_irradiance(i)) * times, 0, 0});
-    const std::size_t opened = other.refine(irradiance, 1.2).size() - 100;
+    std::vector<worker::CutLight> lights(other.size());
+    for (std::size_t i = 0; i < other.size(); ++i) {
+      lights[i].middle = {static_cast<float>(other.rough_irradiance(i)) * times, 0, 0};
+      lights[i].spread = spread;
+    }
+    const std::size_t opened = other.refine(lights, 1.2, 0.1f).size() - 100;
     EXPECT_EQ(other.size(), 100 + opened);
     return opened;
   };
-  EXPECT_EQ(refined(10), 100u) << "all are off";
-  const std::size_t bent = refined(1);
+  EXPECT_EQ(refined(10, 0), 100u) << "all are off";
+  EXPECT_EQ(refined(1, 0.2f), 100u) << "all are bright in one place and dark in another";
+  const std::size_t bent = refined(1, 0.05f);
   EXPECT_GT(bent, 0u) << "nodes that straddle an edge";
   EXPECT_LT(bent, 80u) << "the others are as eq. 3 says";
-  std::vector<std::array<float, 3>> irradiance;
   cut.choose(map[MAP_NODES]);
   EXPECT_EQ(cut.size(), map[MAP_BLOCKS]) << "all leaves";
   EXPECT_LT(cut.median_radius(), radius);
-  irradiance.assign(cut.size(), {});
-  for (std::size_t i = 0; i < cut.size(); ++i) irradiance[i][1] = static_cast<float>(i);
-  std::vector<worker::CutPlace> places;
-  for (std::size_t i = 0; i < cut.size(); ++i) places.push_back(cut.place(i));
-  const std::vector<std::uint32_t> rows = cut.rows(places, irradiance);
+  std::vector<worker::CutLight> lights(cut.size());
+  for (std::size_t i = 0; i < cut.size(); ++i) {
+    lights[i].place = cut.place(i);
+    lights[i].mean[1] = static_cast<float>(i);
+  }
+  const std::vector<std::uint32_t> rows = cut.rows(lights);
   // All are in the blocks, in the tree's order, and the boxes about a block hold what its nodes reach, on all levels.
   const std::size_t nodes = rows[MAP_NODES], blocks = rows[MAP_BLOCKS],
                     block_words = std::size_t{CUT_WORDS} * RAY_BLOCK;
@@ -798,29 +801,82 @@ TEST(Photon, CutIsRefinedWhereItIsOff) {
   EXPECT_EQ(members, cut.size());
 }
 
-// The same photons and the same rays: what differs is the cut.
+// The same photons and the same rays: what differs is the cut, of 4,096 nodes before they are refined.
+struct CutOff {
+  double error = 0, mean = 0;  // over the map's mean
+};
+
+CutOff cut_beside_map(const Scene& scene, const char* count) {
+  Settings set = {
+      {"photon.count", count}, {"photon.clusters", "200"}, {"photon.gather_rays", "1024"}, {"photon.cut", "0"}};
+  const Film full = render(frame_of(scene, 32, 4, set)).film;
+  set["photon.cut"] = "4096";
+  const Rendered made = render(frame_of(scene, 32, 4, set));
+  const auto& expected = full.find("indirect.G")->values;
+  const auto& found = made.film.find("indirect.G")->values;
+  double squared = 0, mean = 0, sum = 0;
+  for (std::size_t i = 0; i < expected.size(); ++i) {
+    squared += std::pow(double{found[i]} - expected[i], 2);
+    mean += double{expected[i]};
+    sum += double{found[i]};
+  }
+  const CutOff off = {.error = std::sqrt(squared * static_cast<double>(expected.size())) / mean,
+                      .mean = sum / mean - 1};
+  std::printf("  %s: a cut of %s nodes is off by %.4f, %.4f in the mean\n", scene.name.c_str(),
+              made.parameters["photon"]["cut_nodes"].dump().c_str(), off.error, off.mean);
+  return off;
+}
+
 TEST(Photon, CutStandsForTheMap) {
   for (const char* name : {"cornell-box", "cornell-glossy"}) {
-    Settings set = {
-        {"photon.count", "100000"}, {"photon.clusters", "200"}, {"photon.gather_rays", "1024"}, {"photon.cut", "0"}};
-    const Film full = render(frame_of(scene::make_scene(name, {}), 32, 4, set)).film;
-    set["photon.cut"] = "4096";
-    const Rendered made = render(frame_of(scene::make_scene(name, {}), 32, 4, set));
-    const auto& expected = full.find("indirect.G")->values;
-    const auto& found = made.film.find("indirect.G")->values;
-    double squared = 0, mean = 0, sum = 0;
-    for (std::size_t i = 0; i < expected.size(); ++i) {
-      squared += std::pow(double{found[i]} - expected[i], 2);
-      mean += double{expected[i]};
-      sum += double{found[i]};
-    }
-    const double error = std::sqrt(squared * static_cast<double>(expected.size())) / mean;
-    std::printf("  %s: a cut of %s nodes is off by %.4f, %.4f in the mean\n", name,
-                made.parameters["photon"]["cut_nodes"].dump().c_str(), error, sum / mean - 1);
-    EXPECT_LT(error, 0.015) << name;
-    EXPECT_GT(error, 0) << name << ": the cut is not read";
-    EXPECT_NEAR(sum / mean, 1, 0.005) << name;
+    const CutOff off = cut_beside_map(scene::make_scene(name, {}), "100000");
+    EXPECT_LT(off.error, 0.015) << name;
+    EXPECT_GT(off.error, 0) << name << ": the cut is not read";
+    EXPECT_NEAR(off.mean, 0, 0.005) << name;
   }
+}
+
+// The sun shines through a blind, in stripes on a laid table of a room that is dark otherwise. All that the room sees
+// of it are some hundred photons.
+Scene laid_table() {
+  scene::SceneBuilder b("laid-table");
+  b.mesh("room");
+  const std::uint32_t grey = b.material("grey", scene::lambert(scene::grey(0.5)));
+  const std::uint32_t white = b.material("white", scene::lambert(scene::grey(0.8)));
+  const auto box = [&](double x0, double y0, double z0, double x1, double y1, double z1, std::uint32_t material) {
+    for (const double y : {y0, y1}) b.quad({x0, y, z0}, {x1, y, z0}, {x1, y, z1}, {x0, y, z1}, material);
+    for (const double z : {z0, z1}) b.quad({x0, y0, z}, {x1, y0, z}, {x1, y1, z}, {x0, y1, z}, material);
+    b.quad({x1, y0, z0}, {x1, y0, z1}, {x1, y1, z1}, {x1, y1, z0}, material);
+    b.quad({x0, y0, z0}, {x0, y0, z1}, {x0, y1, z1}, {x0, y1, z0}, material);
+  };
+  // All of the room but the wall at x = -2, which has a window.
+  for (const double y : {0.0, 3.0}) b.quad({-2, y, -2}, {2, y, -2}, {2, y, 2}, {-2, y, 2}, grey);
+  for (const double z : {-2.0, 2.0}) b.quad({-2, 0, z}, {2, 0, z}, {2, 3, z}, {-2, 3, z}, grey);
+  b.quad({2, 0, -2}, {2, 0, 2}, {2, 3, 2}, {2, 3, -2}, grey);
+  const auto wall = [&](double y0, double z0, double y1, double z1) {
+    b.quad({-2, y0, z0}, {-2, y0, z1}, {-2, y1, z1}, {-2, y1, z0}, grey);
+  };
+  wall(0, -2, 1, 2);
+  wall(2, -2, 3, 2);
+  wall(1, -2, 2, -0.5);
+  wall(1, 0.5, 2, 2);
+  for (int slat = 0; slat < 10; ++slat) wall(1.03 + 0.1 * slat, -0.5, 1.1 + 0.1 * slat, 0.5);
+  box(-1.6, 0.75, -0.6, 0.6, 0.8, 0.6, white);
+  for (int cup = 0; cup < 5; ++cup) {
+    const double x = -1.4 + 0.35 * cup, z = 0.3 - 0.15 * cup;
+    box(x, 0.8001, z, x + 0.1, 0.95, z + 0.1, white);
+  }
+  b.directional_light({1, -0.75, -0.1}, scene::grey(10));
+  b.camera("camera", {1.2, 1.7, 0.9}, {-0.6, 0.8, 0}, 50, 64, 64);
+  return b.finish();
+}
+
+// Where the light changes within a node, or from one node to the next, photons are read.
+TEST(Photon, CutStandsForAMapOfStripes) {
+  const CutOff off = cut_beside_map(laid_table(), "60000");
+  EXPECT_LT(off.error, 0.05);
+  EXPECT_GT(off.error, 0) << "the cut is not read";
+  EXPECT_NEAR(off.mean, 0, 0.01);
 }
 
 // A slanted floor, lit by a mirror beside it, seen from above; nothing beyond it.
@@ -946,12 +1002,14 @@ TEST(Photon, RefusesWhatIsOutOfRange) {
   refused("photon.cluster_gather", set_word(offsetof(PhotonClusterGatherParameters, records.samples.clamp), 0));
   refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, nodes), 0));
   refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, ratio), 0xbf800000u));  // -1
+  refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, spread), 0));
   refused("photon.cut", set_word(offsetof(kernels::PhotonCutParameters, estimate), 1000));
   // A cut whose header is wrong, whose boxes are not those of its blocks, or whose light is none.
   using Broken = std::pair<std::size_t, std::uint32_t>;
   const std::size_t cut_nodes = words_of(*made.tasks.at("photon.cluster_gather").inputs.at("cut").load())[MAP_NODES];
   for (const auto& [word, value] : {Broken{MAP_NODES, 1}, Broken{MAP_BLOCKS, 1u << 30}, Broken{MAP_BLOCKS, 0},
-                                    Broken{(1 + cut_nodes) * PHOTON_WORDS + CUT_IRRADIANCE * RAY_BLOCK, 0xbf800000u}})
+                                    Broken{(1 + cut_nodes) * PHOTON_WORDS + CUT_IRRADIANCE * RAY_BLOCK, 0xbf800000u},
+                                    Broken{(1 + cut_nodes) * PHOTON_WORDS + CUT_SPREAD * RAY_BLOCK, 0x7f800000u}})
     refused("photon.cluster_gather", [word = word, value = value](worker::StageTask& task) {
       scene::Bytes cut = *task.inputs.at("cut").load();
       std::memcpy(cut.data() + word * 4, &value, 4);

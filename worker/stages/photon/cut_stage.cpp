@@ -44,9 +44,10 @@ PhotonCutParameters read_parameters(const StageRun& run) {
   const auto p = run.parameters<PhotonCutParameters>();
   if (p.nodes == 0 || p.nodes > PHOTON_MOST_CUT)
     throw Error::bad_input(run.where(), "nodes", "1 to " + std::to_string(PHOTON_MOST_CUT), std::to_string(p.nodes));
-  if (p.rounds > 64 || !(p.ratio > 0) || !std::isfinite(p.ratio))
-    throw Error::bad_input(run.where(), "rounds and ratio", "at most 64, above 0",
-                           std::to_string(p.rounds) + " and " + std::to_string(p.ratio));
+  if (p.rounds > 64 || !(p.ratio > 0) || !std::isfinite(p.ratio) || !(p.spread > 0) || !std::isfinite(p.spread))
+    throw Error::bad_input(
+        run.where(), "rounds, ratio and spread", "at most 64, above 0 and above 0",
+        std::to_string(p.rounds) + ", " + std::to_string(p.ratio) + " and " + std::to_string(p.spread));
   check_photon_estimate(run, p.estimate);
   run.check_range(1);
   return p;
@@ -143,61 +144,49 @@ class Estimates {
   Program program_;
 };
 
-// The cut's nodes with their middles and the irradiance there.
-struct Nodes {
-  std::vector<CutPlace> places;
-  Irradiance irradiance;
-};
-
-// `from`: of each of the cut's nodes its number among `before`; GLEANER_NONE: it is new. Only new ones are estimated.
-Nodes estimate_new(const IlluminationCut& cut, const std::vector<std::uint32_t>& from, const Nodes& before,
-                   const Estimates& estimates, BatchResult& result) {
-  Nodes nodes{.places = std::vector<CutPlace>(from.size()), .irradiance = Irradiance(from.size())};
-  std::vector<CutPlace> fresh;
-  for (std::size_t i = 0; i < from.size(); ++i) {
-    if (from[i] != GLEANER_NONE) {
-      nodes.places[i] = before.places[from[i]];
-      nodes.irradiance[i] = before.irradiance[from[i]];
-    } else {
-      nodes.places[i] = cut.place(i);
-      fresh.push_back(nodes.places[i]);
-    }
+// A node's mean over its area, and how much irradiance varies there, from estimates at its photons: these lie the
+// denser the brighter it is, so that each counts by one over its estimate.
+void sum_up(std::span<const std::array<float, 3>> estimates, CutLight& light) {
+  double sum[3] = {}, bright = 0, weights = 0, count = 0;
+  for (const std::array<float, 3>& one : estimates) {
+    const double all = double{one[0]} + one[1] + one[2];
+    if (!(all > 0)) continue;
+    for (std::size_t k = 0; k < 3; ++k) sum[k] += double{one[k]} / all;
+    bright += all;
+    weights += 1 / all;
+    ++count;
   }
-  const Irradiance estimated = estimates.at(fresh, result);
-  std::size_t next = 0;
-  for (std::size_t i = 0; i < from.size(); ++i)
-    if (from[i] == GLEANER_NONE) nodes.irradiance[i] = estimated[next++];
-  return nodes;
+  if (count == 0) return;
+  for (std::size_t k = 0; k < 3; ++k) light.mean[k] = static_cast<float>((1 + kAreaVariance) * sum[k] / weights);
+  light.spread = static_cast<float>(std::max(0.0, bright * weights / (count * count) - 1));
 }
 
-// A node's mean over its area, from estimates at its photons: these lie the denser the brighter it is, so that each
-// counts by one over its estimate.
-Irradiance node_means(const IlluminationCut& cut, const Nodes& nodes, const Estimates& estimates, BatchResult& result) {
-  const std::size_t count = nodes.places.size();
-  std::vector<CutPlace> spread;
-  std::vector<std::size_t> ends;
-  for (std::size_t i = 0; i < count; ++i) {
-    const std::vector<CutPlace> of_node = cut.spread(i, nodes.places[i], kNodePlaces - 1);
-    spread.insert(spread.end(), of_node.begin(), of_node.end());
-    ends.push_back(spread.size());
+// Of the cut's nodes. `from`: of each its number among `before`; GLEANER_NONE: it is new. Only new ones are estimated.
+std::vector<CutLight> light_nodes(const IlluminationCut& cut, const std::vector<std::uint32_t>& from,
+                                  const std::vector<CutLight>& before, const Estimates& estimates,
+                                  BatchResult& result) {
+  std::vector<CutLight> lights(from.size());
+  std::vector<CutPlace> places;
+  std::vector<std::size_t> firsts;  // of each new node, and their end
+  for (std::size_t i = 0; i < from.size(); ++i) {
+    if (from[i] != GLEANER_NONE) {
+      lights[i] = before[from[i]];
+      continue;
+    }
+    firsts.push_back(places.size());
+    places.push_back(lights[i].place = cut.place(i));
+    const std::vector<CutPlace> others = cut.spread(i, lights[i].place, kNodePlaces - 1);
+    places.insert(places.end(), others.begin(), others.end());
   }
-  const Irradiance others = estimates.at(spread, result);
-  Irradiance means(count);
-  std::size_t at = 0;
-  for (std::size_t i = 0; i < count; ++i) {
-    double sum[3] = {}, weights = 0;
-    const auto add = [&](const std::array<float, 3>& one) {
-      const double bright = double{one[0]} + one[1] + one[2];
-      if (!(bright > 0)) return;
-      for (std::size_t k = 0; k < 3; ++k) sum[k] += double{one[k]} / bright;
-      weights += 1 / bright;
-    };
-    add(nodes.irradiance[i]);
-    for (; at < ends[i]; ++at) add(others[at]);
-    for (std::size_t k = 0; k < 3; ++k)
-      means[i][k] = static_cast<float>(weights > 0 ? (1 + kAreaVariance) * sum[k] / weights : 0);
+  firsts.push_back(places.size());
+  const Irradiance estimated = estimates.at(places, result);
+  for (std::size_t i = 0, next = 0; i < from.size(); ++i) {
+    if (from[i] != GLEANER_NONE) continue;
+    lights[i].middle = estimated[firsts[next]];
+    sum_up(std::span(estimated).subspan(firsts[next], firsts[next + 1] - firsts[next]), lights[i]);
+    ++next;
   }
-  return means;
+  return lights;
 }
 
 }  // namespace
@@ -211,15 +200,16 @@ BatchResult run_photon_cut_stage(const StageRun& run) {
   BatchResult result;
   PhotonCutFacts facts;
   cut.choose(p.nodes);
-  Nodes nodes = estimate_new(cut, std::vector(cut.size(), std::uint32_t{GLEANER_NONE}), {}, estimates, result);
+  std::vector<CutLight> lights =
+      light_nodes(cut, std::vector(cut.size(), std::uint32_t{GLEANER_NONE}), {}, estimates, result);
   for (std::uint32_t round = 0; round < p.rounds; ++round) {
     check_wanted();
-    const std::vector<std::uint32_t> from = cut.refine(nodes.irradiance, p.ratio);
-    if (from.size() == nodes.places.size()) break;
-    facts.opened += from.size() - nodes.places.size();
-    nodes = estimate_new(cut, from, nodes, estimates, result);
+    const std::vector<std::uint32_t> from = cut.refine(lights, p.ratio, p.spread);
+    if (from.size() == lights.size()) break;
+    facts.opened += from.size() - lights.size();
+    lights = light_nodes(cut, from, lights, estimates, result);
   }
-  const std::vector<std::uint32_t> rows = cut.rows(nodes.places, node_means(cut, nodes, estimates, result));
+  const std::vector<std::uint32_t> rows = cut.rows(lights);
   facts.nodes = cut.size();
   facts.radius = cut.median_radius();
   result.records.resize(rows.size() * 4);

@@ -208,7 +208,7 @@ bool IlluminationCut::bent(std::size_t node) const {
   return unlike;
 }
 
-std::vector<std::uint32_t> IlluminationCut::refine(const std::vector<std::array<float, 3>>& irradiance, double ratio) {
+std::vector<std::uint32_t> IlluminationCut::refine(const std::vector<CutLight>& lights, double ratio, float spread) {
   std::vector<std::uint32_t> refined, from;
   std::vector<bool> closed;
   const auto add = [&](std::size_t node, std::uint32_t number) {
@@ -219,8 +219,9 @@ std::vector<std::uint32_t> IlluminationCut::refine(const std::vector<std::array<
   for (std::size_t i = 0; i < cut_.size(); ++i) {
     const std::size_t node = cut_[i];
     const double rough = this->irradiance(node);
-    const double exact = double{irradiance[i][0]} + irradiance[i][1] + irradiance[i][2];
-    if (closed_[i] || leaf(node) || !(std::abs(exact - rough) > ratio * rough || bent(node))) {
+    const CutLight& light = lights[i];
+    const double exact = double{light.middle[0]} + light.middle[1] + light.middle[2];
+    if (closed_[i] || leaf(node) || !(std::abs(exact - rough) > ratio * rough || light.spread > spread || bent(node))) {
       add(node, static_cast<std::uint32_t>(i));
     } else {
       add(node + 1, GLEANER_NONE);
@@ -248,8 +249,7 @@ void IlluminationCut::each_run(std::size_t node, std::size_t first, std::size_t 
   each_run(right(node), middle, end, see);
 }
 
-std::vector<std::uint32_t> IlluminationCut::rows(const std::vector<CutPlace>& places,
-                                                 const std::vector<std::array<float, 3>>& irradiance) const {
+std::vector<std::uint32_t> IlluminationCut::rows(const std::vector<CutLight>& lights) const {
   std::vector<std::uint32_t> blocks;
   std::vector<ReachBox> boxes;
   each_run(0, 0, cut_.size(), [&](std::size_t first, std::size_t end) {
@@ -262,13 +262,15 @@ std::vector<std::uint32_t> IlluminationCut::rows(const std::vector<CutPlace>& pl
       };
       const float r = radius(cut_[i]);
       for (unsigned k = 0; k < 3; ++k) {
-        box.extend(k, places[i].position[k] - r, places[i].position[k] + r);
-        put(CUT_PLACE + k, places[i].position[k]);
-        put(CUT_NORMAL + k, places[i].normal[k]);
-        put(CUT_IRRADIANCE + k, irradiance[i][k]);
+        const CutPlace& place = lights[i].place;
+        box.extend(k, place.position[k] - r, place.position[k] + r);
+        put(CUT_PLACE + k, place.position[k]);
+        put(CUT_NORMAL + k, place.normal[k]);
+        put(CUT_IRRADIANCE + k, lights[i].mean[k]);
       }
       put(CUT_NEARNESS, 1 / (r * r));
-      put(CUT_ARRIVAL, std::bit_cast<float>(places[i].arrival));
+      put(CUT_ARRIVAL, std::bit_cast<float>(lights[i].place.arrival));
+      put(CUT_SPREAD, lights[i].spread);
     }
     boxes.push_back(box);
   });

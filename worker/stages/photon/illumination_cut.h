@@ -14,6 +14,14 @@ struct CutPlace {
   std::uint32_t arrival = 0;
 };
 
+// What stands for a node.
+struct CutLight {
+  CutPlace place;
+  std::array<float, 3> middle{};  // irradiance at the place, W/m^2
+  std::array<float, 3> mean{};    // over the node's area: E_p
+  float spread = 0;               // its variance over the area, over the squared mean
+};
+
 class IlluminationCut {
  public:
   // `map`: the words of a map's rows (kernels/photon_records.h), which have been checked.
@@ -26,17 +34,17 @@ class IlluminationCut {
   CutPlace place(std::size_t i) const;
   // Places of other photons on the surface of place(i), all over the node: at most `most`.
   std::vector<CutPlace> spread(std::size_t i, const CutPlace& place, std::uint32_t most) const;
-  // Opens nodes whose irradiance at place(i), RGB of each node, differs from eq. 3's by more than `ratio` of that, and
-  // nodes of several surfaces that face elsewhere. What a former call left closed stays so: its irradiance is the same.
-  // Returns of each node of the new cut its number in the old one; GLEANER_NONE: it is new.
-  std::vector<std::uint32_t> refine(const std::vector<std::array<float, 3>>& irradiance, double ratio);
+  // Opens nodes whose irradiance at place(i) differs from eq. 3's by more than `ratio` of that, those within which it
+  // varies by more than `spread`, and nodes of several surfaces that face elsewhere. What a former call left closed
+  // stays so: its light is the same. Returns of each node of the new cut its number in the old one; GLEANER_NONE: it is
+  // new.
+  std::vector<std::uint32_t> refine(const std::vector<CutLight>& lights, double ratio, float spread);
 
   // Of the i-th node, by eq. 3, all colours.
   double rough_irradiance(std::size_t i) const { return irradiance(cut_[i]); }
   double median_radius() const;  // m
-  // Words of the cut's rows (kernels/photon_records.h). Of each node its place and the irradiance that it stands for.
-  std::vector<std::uint32_t> rows(const std::vector<CutPlace>& places,
-                                  const std::vector<std::array<float, 3>>& irradiance) const;
+  // Words of the cut's rows (kernels/photon_records.h).
+  std::vector<std::uint32_t> rows(const std::vector<CutLight>& lights) const;
 
  private:
   std::uint32_t word(std::size_t node, unsigned word) const;

@@ -110,6 +110,7 @@ PhotonCutTable make_cut(const StageRun& run) {
   const Shape shape = read_header(rows, CUT_WORDS);
   check_groups(rows, shape);
   check_blocks(rows, shape, CUT_WORDS, CUT_NEARNESS, 4, "nearness and irradiance");
+  check_blocks(rows, shape, CUT_WORDS, CUT_SPREAD, 1, "spread");
   cl::CommandQueue queue = run.device.make_queue();
   return {.rows = rows.to_device(run.device, queue, {}),
           .blocks = static_cast<std::uint32_t>(shape.blocks),
