@@ -58,7 +58,9 @@ namespace gleaner::kernels {
 typedef struct {
   // Wanted: triangles are divided until there are about so many; 0: none is.
   gl_uint vertices;
-  gl_uint reserved[3];
+  // 1: the scene's own do not count among these. 0: they do, as many as closed surfaces of its triangles have.
+  gl_uint beside_own;
+  gl_uint reserved[2];
 } LinksMeshParameters;
 GLEANER_SIZE(LinksMeshParameters, 16);
 

@@ -41,10 +41,37 @@ std::uint32_t directions_of(double directions) {
   return 16 * side * side;
 }
 
-// With so many directions.
-std::uint32_t vertices_of(double vertices, double directions) {
-  const double most = std::clamp(kMostRays / (2 * directions), kLeastVertices, kMostVertices);
+// With so many directions, beside so many that are there anyway.
+std::uint32_t vertices_of(double vertices, double directions, double own) {
+  const double most =
+      std::max(kLeastVertices, std::clamp(kMostRays / (2 * directions), kLeastVertices, kMostVertices) - own);
   return static_cast<std::uint32_t>(std::lround(std::clamp(vertices, kLeastVertices, most)));
+}
+
+// Of a closed surface. They say nothing of what the large triangles among them interpolate: a wall's corners lie in the
+// dark corners of its room.
+double own_vertices(double triangles) { return triangles / 2; }
+
+// Vertices beside the scene's own, and directions, for the least rays. Own vertices need directions, too: where most
+// are own, more of the others cost little, and directions are dear.
+struct Balanced {
+  double vertices, directions;
+};
+Balanced balanced(double triangles, double squared_error) {
+  Balanced found{};
+  double added = 1;  // of all vertices
+  for (int step = 0; step < 8; ++step) {
+    const double ratio = kNoiseShare / (kInterpolationShare * added);
+    const double noise_share = (kNoiseShare + kInterpolationShare) * ratio / (1 + ratio);
+    const double interpolation_share = kNoiseShare + kInterpolationShare - noise_share;
+    found.directions =
+        std::pow(kDirectionNoise * kDirectionNoise / (noise_share * squared_error), 1 / kOrderOfDirections);
+    found.vertices =
+        1000 * std::pow(kInterpolation * kInterpolation / (interpolation_share * squared_error), 1 / kOrderOfVertices);
+    found.vertices *= std::max(1.0, triangles / kUsualTriangles);
+    added = found.vertices / (found.vertices + own_vertices(triangles));
+  }
+  return found;
 }
 
 std::uint32_t light_samples_of(double directions) {
@@ -57,19 +84,17 @@ LinksCounts choose_links_counts(double triangles, std::uint64_t pixels, std::uin
                                 const GivenLinksCounts& given) {
   const double samples = std::max(kLeastSamples, static_cast<double>(spp));
   const double squared_error = error > 0 ? error * error : kSampleError * kSampleError / (kPathShare * samples);
-  double directions =
-      std::pow(kDirectionNoise * kDirectionNoise / (kNoiseShare * squared_error), 1 / kOrderOfDirections);
-  double vertices =
-      1000 * std::pow(kInterpolation * kInterpolation / (kInterpolationShare * squared_error), 1 / kOrderOfVertices);
-  vertices *= std::max(1.0, triangles / kUsualTriangles);
+  const double own = own_vertices(triangles);
+  auto [vertices, directions] = balanced(triangles, squared_error);
   if (!(error > 0)) {
     const double most = kRaysOfASample * static_cast<double>(pixels) * samples;
-    const double part = std::min(1.0, most / (2 * vertices * directions));
+    const double part = std::min(1.0, most / (2 * (own + vertices) * directions));
     vertices *= std::sqrt(part), directions *= std::sqrt(part);
   }
   LinksCounts counts;
   counts.directions = given.directions.value_or(directions_of(directions));
-  counts.vertices = given.vertices.value_or(vertices_of(vertices, counts.directions));
+  counts.vertices = given.vertices.value_or(vertices_of(vertices, counts.directions, own));
+  counts.beside_own = !given.vertices;
   counts.light_samples = given.light_samples.value_or(light_samples_of(counts.directions));
   return counts;
 }
@@ -127,7 +152,7 @@ std::optional<LinksCounts> better_links_counts(const LinksCounts& counts, const 
   if (!given.vertices && off > kMostInterpolationShare)
     better.vertices =
         std::max(counts.vertices,
-                 vertices_of(counts.vertices * step(off, kInterpolationShare, kOrderOfVertices), better.directions));
+                 vertices_of(counts.vertices * step(off, kInterpolationShare, kOrderOfVertices), better.directions, 0));
   if (better.directions <= counts.directions && better.vertices <= counts.vertices) return std::nullopt;
   return better;
 }

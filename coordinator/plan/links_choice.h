@@ -12,6 +12,7 @@ namespace gleaner::coordinator {
 
 struct LinksCounts {
   std::uint32_t vertices = 0;       // 0: the scene's own
+  bool beside_own = false;          // these do not count among `vertices`
   std::uint32_t directions = 0;     // of an element: the square of a multiple of 4
   std::uint32_t light_samples = 0;  // of an element: a multiple of 16
 };

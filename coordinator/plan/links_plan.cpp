@@ -241,8 +241,8 @@ void LinksPlan::pose(const Artifact& divided) {
 // as closed surfaces of the scene's triangles.
 double LinksPlan::own_work() const {
   if (!indirect()) return 0;
-  const double wanted = links_.vertices;
-  const double elements = linked_ ? elements_ : 2 * std::max(wanted, triangles_ / 2);
+  const double wanted = links_.vertices, own = triangles_ / 2;
+  const double elements = linked_ ? elements_ : 2 * (links_.beside_own ? wanted + own : std::max(wanted, own));
   const double bounces = std::min(most_bounces_, kUsualBounces);
   const double probes = kInsideDirections + (links_.refine ? kProbeDirections / 2.0 : 0);
   return elements * (probes + links_.directions + links_.light_samples + 1 + bounces) + static_cast<double>(pixels());
@@ -258,7 +258,7 @@ Artifact LinksPlan::ask_mesh(const std::string& name, Pose pose, std::uint32_t v
                  .at_rest = pose == Pose::rest,
                  .priority = kFirst,
                  .output = reusable(retained_words(0xffffffffu))};
-  return graph_.add(std::move(mesh), LinksMeshParameters{vertices, {}}, std::move(inputs));
+  return graph_.add(std::move(mesh), LinksMeshParameters{vertices, links_.beside_own ? 1u : 0u, {}}, std::move(inputs));
 }
 
 void LinksPlan::probe(const Artifact& coarse) {
@@ -515,10 +515,16 @@ double LinksPlan::wanted_squared_error() const {
 
 std::optional<LinksCounts> LinksPlan::better_counts() const {
   if (!(settings_.target_error > 0) || links_made_ == kMostLinks) return std::nullopt;
-  // More than there are, should the scene's own be more than was asked for.
+  // More than there are, which are the scene's own and those that were asked for.
   LinksCounts counts = links_;
-  counts.vertices = std::max(counts.vertices, mesh_facts_.vertices);
-  return better_links_counts(counts, *found_, wanted_squared_error(), links_.given);
+  counts.vertices = links_.beside_own ? mesh_facts_.vertices : std::max(counts.vertices, mesh_facts_.vertices);
+  counts.beside_own = false;
+  std::optional<LinksCounts> better = better_links_counts(counts, *found_, wanted_squared_error(), links_.given);
+  if (better && better->vertices <= counts.vertices) {
+    better->vertices = links_.vertices;
+    better->beside_own = links_.beside_own;
+  }
+  return better;
 }
 
 std::vector<std::string> LinksPlan::warnings() const {
@@ -573,8 +579,9 @@ std::string LinksPlan::parameters_json() const {
 std::vector<std::string> LinksPlan::outline() const {
   std::vector<std::string> lines;
   if (indirect()) {
-    const std::string wanted =
-        links_.vertices ? "about " + std::to_string(links_.vertices) : std::string("the triangles' own");
+    std::string wanted = links_.vertices ? "about " + std::to_string(links_.vertices) : std::string();
+    if (links_.beside_own || !links_.vertices)
+      wanted += (wanted.empty() ? "" : " beside ") + std::string("the triangles' own");
     if (links_.refine && links_.vertices)
       lines.push_back("links.coarse_mesh and links.coarse_probe: where irradiance bends, solo and split");
     lines.push_back("links.mesh: " + wanted + " vertices, solo");

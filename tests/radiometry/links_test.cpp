@@ -268,6 +268,28 @@ TEST(Links, ErrorFallsWithDirectionsAndVertices) {
   EXPECT_LT(vertices, 1.1);
 }
 
+// A fine ball does not make the walls about it fine: their corners lie in the dark corners of the room, and between
+// these alone the light is too dark.
+TEST(Links, LargeWallsBesideFineObjectsAreDivided) {
+  Scene scene = scene::make_scene("cornell-glass", {});
+  for (auto& material : scene.materials)
+    if (material.transmission > 0) material = scene::lambert({0.7, 0.7, 0.7});
+  finish_materials(scene);
+  Frame frame = frame_of(std::move(scene), "", 48, 16, {});
+  const Rendered chosen = render(frame);
+  frame.settings.set = {{"links.vertices", "30000"}, {"links.directions", "256"}};
+  const Rendered finest = render(frame);
+  const std::vector<float> light = chosen.floats("links.shade"), truth = finest.floats("links.shade");
+  const double bias =
+      std::accumulate(light.begin(), light.end(), 0.0) / std::accumulate(truth.begin(), truth.end(), 0.0) - 1;
+  const double error = error_of(chosen, finest);
+  const nlohmann::json& links = chosen.parameters["links"];
+  std::printf("  %u vertices, %u directions: %+.4f too bright, off by %.4f\n", links["vertices"].get<unsigned>(),
+              links["directions"].get<unsigned>(), bias, error);
+  EXPECT_LT(std::abs(bias), 0.02);
+  EXPECT_LT(error, 0.12);
+}
+
 // --- What an audit says, and a target error ---
 
 // The error that the audit tells is that of the vertices' light: against the finest links.

@@ -43,6 +43,19 @@ TEST(LinksChoice, MoreSamplesTakeMoreOfAll) {
             5 * choose_links_counts(30, kPixels, 64, 0, {}).vertices);
 }
 
+// A scene's own vertices say nothing of what its large triangles interpolate. They want directions, too: where they are
+// many, others cost little beside them.
+TEST(LinksChoice, TheScenesOwnVerticesCountForNothing) {
+  const LinksCounts few = choose_links_counts(30, kPixels, 16, 0, {}),
+                    many = choose_links_counts(70'000, kPixels, 16, 0, {});
+  EXPECT_TRUE(few.beside_own && many.beside_own);
+  EXPECT_GT(many.vertices, 35'000u);
+  EXPECT_LE(many.directions, few.directions);
+  EXPECT_FALSE(choose_links_counts(70'000, kPixels, 16, 0, {.vertices = 5000}).beside_own);
+  // Both are bounded, so that links of a scene of any size have room.
+  EXPECT_LE(choose_links_counts(1e6, kPixels, 64, 0, {}).vertices, 500u);
+}
+
 // A small picture's links cost no more than a few times its paths; a promise is kept at any size.
 TEST(LinksChoice, SmallPicturesTakeFewer) {
   const LinksCounts large = choose_links_counts(30, kPixels, 64, 0, {}),

@@ -111,7 +111,8 @@ TEST(Wanted, MeshesEnd) {
   const WantedScope wanted(&given_up);
   kernels::LinksMeshFacts facts{};
   EXPECT_THAT(error_of([&] { make_links_mesh(triangle, {2}, &facts); }), HasSubstr(nobody_wants_it));
-  EXPECT_THAT(error_of([&] { even_levels(triangle, 100); }), HasSubstr(nobody_wants_it));
+  EXPECT_THAT(error_of([&] { even_levels(triangle, {.vertices = 100, .beside_own = 0, .reserved = {}}); }),
+              HasSubstr(nobody_wants_it));
 }
 
 }  // namespace

@@ -45,6 +45,11 @@ std::uint32_t level_for(double edge, double spacing) {
 // A vertex for each two small triangles.
 double vertices_of(std::uint32_t level) { return 0.5 * std::pow(4.0, level); }
 
+// How many vertices all triangles may have, by vertices_of().
+double allowed_vertices(const TriangleRows& triangles, const kernels::LinksMeshParameters& wanted) {
+  return wanted.vertices + (wanted.beside_own ? static_cast<double>(triangles.count) * vertices_of(0) : 0);
+}
+
 // The mean squared second difference of the probe along the grid lines of a triangle, each product of two independent
 // estimates. None where it is not divided.
 double bend_of(const HostMesh& mesh, std::uint64_t triangle, const std::vector<float>& probe) {
@@ -80,10 +85,10 @@ double bend_of(const HostMesh& mesh, std::uint64_t triangle, const std::vector<f
 
 }  // namespace
 
-std::vector<std::uint32_t> even_levels(const TriangleRows& triangles, std::uint32_t wanted) {
-  const auto most = static_cast<double>(wanted);
+std::vector<std::uint32_t> even_levels(const TriangleRows& triangles, const kernels::LinksMeshParameters& wanted) {
+  const double most = allowed_vertices(triangles, wanted);
   std::vector<std::uint32_t> levels(triangles.count, 0);
-  if (wanted == 0 || triangles.count == 0) return levels;
+  if (wanted.vertices == 0 || triangles.count == 0) return levels;
   std::vector<double> edges(triangles.count);
   for (std::uint64_t t = 0; t < triangles.count; ++t) edges[t] = longest_edge(triangles.rows + t * triangles.words);
   const double longest = std::max(1e-30, *std::ranges::max_element(edges));
@@ -103,8 +108,8 @@ std::vector<std::uint32_t> even_levels(const TriangleRows& triangles, std::uint3
   return levels;
 }
 
-std::vector<std::uint32_t> refined_levels(const TriangleRows& triangles, std::uint32_t wanted, const HostMesh& coarse,
-                                          const std::vector<float>& probe) {
+std::vector<std::uint32_t> refined_levels(const TriangleRows& triangles, const kernels::LinksMeshParameters& wanted,
+                                          const HostMesh& coarse, const std::vector<float>& probe) {
   struct Next {
     double gain;  // squared error taken off, by vertices added
     std::uint64_t triangle;
@@ -119,7 +124,7 @@ std::vector<std::uint32_t> refined_levels(const TriangleRows& triangles, std::ui
     const double vertices = vertices_of(levels[t] + 1) - vertices_of(levels[t]);
     if (error[t] > 0 && levels[t] < MESH_MOST_LEVEL) queue.push({error[t] / vertices, t});
   };
-  double left = static_cast<double>(wanted);
+  double left = allowed_vertices(triangles, wanted);
   for (std::uint64_t t = 0; t < triangles.count; ++t) {
     check_wanted();
     levels[t] = coarse.level(t);

@@ -183,7 +183,8 @@ LobeTables lobe_tables(const StageRun& run, const MeshTables& mesh) {
 
 namespace {
 
-std::vector<std::uint32_t> levels_of(const StageRun& run, const TriangleRows& triangles, std::uint32_t wanted) {
+std::vector<std::uint32_t> levels_of(const StageRun& run, const TriangleRows& triangles,
+                                     const kernels::LinksMeshParameters& wanted) {
   if (run.task.inputs.contains("divided")) {
     const HostMesh divided = read_mesh(run.task, "divided");
     if (divided.layout.triangles != triangles.count)
@@ -223,7 +224,7 @@ BatchResult run_links_mesh_stage(const StageRun& run) {
   std::vector<float> rows;
   const TriangleRows filled = read_triangles(run, rows);
   kernels::LinksMeshFacts facts{};
-  const std::vector<std::uint32_t> mesh = make_links_mesh(filled, levels_of(run, filled, p.vertices), &facts);
+  const std::vector<std::uint32_t> mesh = make_links_mesh(filled, levels_of(run, filled, p), &facts);
   BatchResult result;
   result.records.resize(mesh.size() * 4);
   std::memcpy(result.records.data(), mesh.data(), result.records.size());

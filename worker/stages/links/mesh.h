@@ -65,11 +65,11 @@ struct HostMesh {
 // Checked as mesh_to_device() does.
 HostMesh read_mesh(const StageTask& task, const char* input);
 
-// The level of each triangle for about so many vertices (LinksMeshParameters), all edges about as long; and where
-// irradiance bends, by a probe of a coarser mesh.
-std::vector<std::uint32_t> even_levels(const TriangleRows& triangles, std::uint32_t wanted);
-std::vector<std::uint32_t> refined_levels(const TriangleRows& triangles, std::uint32_t wanted, const HostMesh& coarse,
-                                          const std::vector<float>& probe);
+// The level of each triangle for about so many vertices, all edges about as long; and where irradiance bends, by a
+// probe of a coarser mesh.
+std::vector<std::uint32_t> even_levels(const TriangleRows& triangles, const kernels::LinksMeshParameters& wanted);
+std::vector<std::uint32_t> refined_levels(const TriangleRows& triangles, const kernels::LinksMeshParameters& wanted,
+                                          const HostMesh& coarse, const std::vector<float>& probe);
 
 // The scene's triangles, read from the device into `rows`.
 TriangleRows read_triangles(const StageRun& run, std::vector<float>& rows);
