@@ -44,7 +44,7 @@ double stream_copy(unsigned threads) {
 
 struct StageTime {
   double seconds = 0, trace = 0;
-  std::uint64_t bytes = 0, items = 0;
+  std::uint64_t bytes = 0, items = 0, rays = 0;
 };
 
 // A frame's stages, and how long each took in all.
@@ -71,7 +71,8 @@ std::map<std::string, StageTime> run(worker::Executor& on, const std::string& id
         return true;
       },
       [&](const auto& stage, const worker::BatchResult& result) {
-        times[stage.name] = {now() - start, result.counters.trace_seconds, result.records.size(), stage.items};
+        times[stage.name] = {now() - start, result.counters.trace_seconds, result.records.size(), stage.items,
+                             result.counters.scatter_rays};
       });
   return times;
 }
@@ -104,7 +105,7 @@ Growth measure(unsigned threads, std::uint32_t vertices) {
   const auto raw = run(on, "hall", *scene, vertices, false), times = run(on, "hall", *scene, vertices, true);
   const double stream = stream_copy(threads);  // now: other programs may take memory's time
   const StageTime &make = times.at("links.make"), &light = times.at("links.light");
-  const auto rays = static_cast<double>(make.items) * 256;
+  const auto rays = static_cast<double>(make.rays);
   // Compressed links take 6 bytes; so do raw ones.
   const double links = static_cast<double>(make.bytes) / 6,
                raw_links = static_cast<double>(raw.at("links.make").bytes) / 6;

@@ -71,8 +71,14 @@ GLEANER_SIZE(LinksMeshParameters, 16);
 // The share of the rays' hits that are on surfaces' backs: where that is most of them, the element lies inside of
 // something (the floor under a box), and nothing is interpolated from it unless it has no neighbour outside.
 #define PROBE_BACKS (2u * PROBE_LIGHTS)
-#define PROBE_WORDS (PROBE_BACKS + 1u)
+// The share of the rays that hit something.
+#define PROBE_HITS (PROBE_BACKS + 1u)
+#define PROBE_WORDS (PROBE_HITS + 1u)
 #define PROBE_MOST_BACKS 0.5f
+// An element is hidden where it lies inside of something and its vertex' other side sees fronts in so many rays at
+// least: what is behind a wall whose front is in a room. Where a room is seen from its walls' backs, these walls' other
+// sides see nothing.
+#define PROBE_LEAST_HITS 0.25f
 
 // What the plan is told of a mesh.
 typedef struct {
@@ -91,8 +97,12 @@ typedef struct {
   gl_uint compress;  // links_make: 1: links of the same end are one
   gl_uint exact;     // links_make: 1: weights are floats, else 16 bits
   gl_float wave;     // links_probe: of the test lights, 1/m
+  // links_make: rays of a hidden element, n^2 with n a multiple of 4 and at most `directions`; 0: as many as of others.
+  gl_uint hidden_directions;
+  gl_uint divided;  // links_probe: 1: only elements of divided triangles send rays; rows of others are 0
+  gl_uint reserved[2];
 } LinksParameters;
-GLEANER_SIZE(LinksParameters, 32);
+GLEANER_SIZE(LinksParameters, 48);
 
 #define LINKS_MOST_DIRECTIONS 4096u
 #define LINKS_MOST_SAMPLES 4096u

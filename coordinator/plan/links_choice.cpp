@@ -102,6 +102,11 @@ LinksCounts choose_links_counts(double triangles, std::uint64_t pixels, std::uin
 double LinksError::upper() const { return std::max(0.0, square) + 2 * deviation; }
 double LinksError::interpolation() const { return std::max(0.0, square - noise); }
 
+std::uint32_t hidden_directions(std::uint32_t directions) {
+  const auto side = static_cast<std::uint32_t>(std::lround(std::sqrt(directions))) / 8;
+  return 16 * std::max(1u, side * side);
+}
+
 std::uint32_t audit_directions(std::uint32_t directions) { return directions_of(directions / kAuditPart); }
 
 LinksError links_error(std::span<const float> records, std::size_t points, const LinksCounts& counts) {

@@ -38,6 +38,9 @@ struct LinksError {
   double upper() const;          // of the squared error
   double interpolation() const;  // the part of it that is no noise
 };
+// Rays of elements that hide behind walls (kernels/links_records.h), where others have so many: what they send is seen
+// by few, and interpolated where nothing else is.
+std::uint32_t hidden_directions(std::uint32_t directions);
 // Rays of each half of an audit: fewer than a vertex has, for more points. Errors are large at few places.
 std::uint32_t audit_directions(std::uint32_t directions);
 // `records`: rows of AUDIT_WORDS, `points` of each pixel; `counts`: of the links.

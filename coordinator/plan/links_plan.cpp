@@ -278,6 +278,7 @@ Graph::Artifact LinksPlan::ask_probe(const std::string& name, Pose pose, const A
   LinksParameters p = element_parameters();
   p.directions = directions;
   p.wave = wave_;
+  p.divided = pose == Pose::rest ? 1u : 0u;  // where levels are looked for: of what is not divided nothing is measured
   StageSpec probe = elements(name, "links_probe", kShapes, reusable(retained(PROBE_WORDS * 4)), directions);
   probe.at_rest = pose == Pose::rest;
   return graph_.add(std::move(probe), p, {{"mesh", mesh}});
@@ -353,6 +354,7 @@ void LinksPlan::link_elements() {
   p.directions = links_.directions;
   p.compress = links_.compress;
   p.exact = links_.exact;
+  p.hidden_directions = hidden_directions(links_.directions);
   made_ = graph_.add(
       elements(of_these_links("make"), "links_make", kShapes,
                reusable(retained_words(std::uint64_t{lobes_ ? 12u : 6u} * links_.directions)), links_.directions),
@@ -559,7 +561,7 @@ std::string LinksPlan::parameters_json() const {
                    {"bounces", bounces_.done},
                    {"left_after_bounces", bounces_.left},
                    {"lobe_elements", elements_ - plain_},
-                   {"rays", std::uint64_t{elements_} * links_.directions},
+                   {"hidden_directions", hidden_directions(links_.directions)},
                    {"bytes", link_words_ * 4}};
   if (found_) {
     nlohmann::json& links = json["links"];

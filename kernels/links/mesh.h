@@ -65,6 +65,14 @@ FN void weigh_outside(Corners* c, const vf* outside) {
   for (uint k = 0; k < 3u; ++k) c->weight[k] = pick(c->weight[k], weight[k] / sum, any);
 }
 
+// Whether one of the triangles that meet at a vertex is divided.
+FN int is_of_divided(const Mesh* mesh, uint vertex) {
+  global const float* steps = (global const float*)mesh->corners + CORNER_STEP;
+  for (uint k = mesh->rings[vertex]; k < mesh->rings[vertex + 1u]; ++k)
+    if (steps[CORNER_WORDS * k] < 1.0f) return 1;
+  return 0;
+}
+
 // A point of a vertex's one-ring, with density in proportion to the vertex's hat function: 1 at the vertex, 0 at the
 // ring's edge. All lanes ask for one vertex. Vertices at the edge of a wall or in a corner of the room are so sampled
 // where the wall is, and never behind the one that it meets.

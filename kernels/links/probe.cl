@@ -60,4 +60,5 @@ kernel void links_probe_sum(global const LinksParameters* restrict parameters, u
     backs += face > 1.0f ? 1u : 0u;
   }
   records[PROBE_WORDS * element + PROBE_BACKS] = hits ? (float)backs / (float)hits : 0.0f;
+  records[PROBE_WORDS * element + PROBE_HITS] = (float)hits / (float)directions;
 }

@@ -3,6 +3,7 @@
 #include <bit>
 #include <cmath>
 #include <cstdio>
+#include <functional>
 #include <set>
 
 #include "kernels/links_records.h"
@@ -142,6 +143,14 @@ Scene box_of(const scene::Material& material) {
   return scene;
 }
 
+// All but the lamp are seen from their backs: no vertex lies in the open.
+Scene seen_from_backs(Scene scene) {
+  for (std::size_t t = 0; t < scene.triangle_count(); ++t)
+    if (scene.materials[scene.triangle_material[t]].emission[0] == 0)
+      std::swap(scene.indices[3 * t + 1], scene.indices[3 * t + 2]);
+  return scene;
+}
+
 // Vertices of rough metal send light on, of every roughness that they take and of half metal; or leave it to the paths.
 TEST(Links, RoughMetalMeetsPath) {
   const auto meets_path = [](const std::string& what, const Scene& scene) {
@@ -171,12 +180,7 @@ TEST(Links, RoughMetalMeetsPath) {
   scene::Material half = scene::metal({0.9, 0.6, 0.3}, 0.7);
   half.metallic = 0.6f;
   meets_path("half metal", box_of(half));
-  // All but the lamp are seen from their backs: no vertex lies in the open.
-  Scene turned = box_of(scene::metal({0.9, 0.6, 0.3}, 0.7));
-  for (std::size_t t = 0; t < turned.triangle_count(); ++t)
-    if (turned.materials[turned.triangle_material[t]].emission[0] == 0)
-      std::swap(turned.indices[3 * t + 1], turned.indices[3 * t + 2]);
-  meets_path("backs", turned);
+  meets_path("backs", seen_from_backs(box_of(scene::metal({0.9, 0.6, 0.3}, 0.7))));
 }
 
 // Where nothing is rough metal, nothing is asked for: no stage, no other kernels.
@@ -268,14 +272,19 @@ TEST(Links, ErrorFallsWithDirectionsAndVertices) {
   EXPECT_LT(vertices, 1.1);
 }
 
-// A fine ball does not make the walls about it fine: their corners lie in the dark corners of the room, and between
-// these alone the light is too dark.
-TEST(Links, LargeWallsBesideFineObjectsAreDivided) {
+// Walls of two triangles about a diffuse ball of 9,000.
+Scene ball_in_a_box() {
   Scene scene = scene::make_scene("cornell-glass", {});
   for (auto& material : scene.materials)
     if (material.transmission > 0) material = scene::lambert({0.7, 0.7, 0.7});
   finish_materials(scene);
-  Frame frame = frame_of(std::move(scene), "", 48, 16, {});
+  return scene;
+}
+
+// A fine ball does not make the walls about it fine: their corners lie in the dark corners of the room, and between
+// these alone the light is too dark.
+TEST(Links, LargeWallsBesideFineObjectsAreDivided) {
+  Frame frame = frame_of(ball_in_a_box(), "", 48, 16, {});
   const Rendered chosen = render(frame);
   frame.settings.set = {{"links.vertices", "30000"}, {"links.directions", "256"}};
   const Rendered finest = render(frame);
@@ -288,6 +297,72 @@ TEST(Links, LargeWallsBesideFineObjectsAreDivided) {
               links["directions"].get<unsigned>(), bias, error);
   EXPECT_LT(std::abs(bias), 0.02);
   EXPECT_LT(error, 0.12);
+}
+
+// --- Rays that are not sent ---
+
+// A stage of `made` with other parameters.
+worker::BatchResult run_again(const Rendered& made, const std::string& stage,
+                              const std::function<void(kernels::LinksParameters&)>& change) {
+  worker::StageTask task = made.tasks.at(stage);
+  kernels::LinksParameters p{};
+  std::memcpy(&p, task.parameters.data(), sizeof p);
+  change(p);
+  std::memcpy(task.parameters.data(), &p, sizeof p);
+  return executor(worker::TraceKind::automatic).run(task, 0, p.elements);
+}
+
+// What lies behind a wall whose front is in a room sends fewer rays; all others' links are the same to the bit. A room
+// that is seen from its walls' backs has nothing hidden.
+TEST(Links, HiddenElementsSendFewerRays) {
+  const Settings set = {{"links.vertices", "800"}, {"links.directions", "144"}, {"links.refine", "0"}};
+  const Rendered made = render(frame_of(scene::make_scene("cornell-box", {}), "", 16, 1, set));
+  const worker::BatchResult& fewer = made.results.at("links.make");
+  const worker::BatchResult all = run_again(made, "links.make", [](auto& p) { p.hidden_directions = 0; });
+  const std::vector<float> probe = made.floats("links.probe");
+  const std::size_t elements = all.counts.size();
+  std::uint64_t hidden = 0, at = 0, at_all = 0;
+  for (std::size_t e = 0; e < elements; ++e) {
+    const float *own = &probe[PROBE_WORDS * e], *other = &probe[PROBE_WORDS * (e ^ 1)];
+    const bool hides = own[PROBE_BACKS] > 0.5f && other[PROBE_BACKS] <= 0.5f && other[PROBE_HITS] >= 0.25f;
+    hidden += hides;
+    if (!hides) {
+      ASSERT_EQ(fewer.counts[e], all.counts[e]) << e;
+      EXPECT_EQ(std::memcmp(&fewer.records[at * 4], &all.records[at_all * 4], std::size_t{4} * all.counts[e]), 0) << e;
+    } else {
+      EXPECT_LE(fewer.counts[e], 16 * 3 * 3 / 2) << e;
+    }
+    at += fewer.counts[e], at_all += all.counts[e];
+  }
+  std::printf("  %llu of %zu elements are hidden\n", static_cast<unsigned long long>(hidden), elements);
+  EXPECT_GT(hidden, elements / 20) << "the boxes' inner sides";
+  EXPECT_EQ(all.counters.scatter_rays, elements * 144);
+  EXPECT_EQ(fewer.counters.scatter_rays, (elements - hidden) * 144 + hidden * 16);
+
+  const Scene backs = seen_from_backs(scene::make_scene("cornell-box", {}));
+  const Rendered turned = render(frame_of(backs, "", 16, 1, set));
+  const worker::BatchResult& links = turned.results.at("links.make");
+  const std::vector<float> sees = turned.floats("links.probe");
+  std::uint64_t inside = 0;
+  for (std::size_t e = 0; e < links.counts.size(); ++e) inside += sees[PROBE_WORDS * e + PROBE_BACKS] > 0.5f;
+  EXPECT_GT(inside, links.counts.size() / 4);
+  // But for the boxes' sides within them, whose other sides see no fronts either.
+  EXPECT_EQ(links.counters.scatter_rays, links.counts.size() * 144);
+}
+
+// Where no triangle is divided nothing is measured: the mesh is the same without these rays.
+TEST(Links, OnlyWhatIsDividedIsProbed) {
+  Frame frame = frame_of(ball_in_a_box(), "", 48, 16, {});
+  const Rendered made = render(frame);
+  const std::string stage = "links.coarse_probe";
+  const worker::BatchResult all = run_again(made, stage, [](auto& p) { p.divided = 0; });
+  const std::uint64_t rays = made.results.at(stage).counters.scatter_rays;
+  EXPECT_EQ(all.counters.scatter_rays, made.specs.at(stage).items * 64);
+  EXPECT_LT(rays, all.counters.scatter_rays / 2);
+  EXPECT_GT(rays, 0u);
+  worker::StageTask mesh = made.tasks.at("links.mesh");
+  mesh.inputs["probe"] = worker::TaskInput(std::make_shared<scene::Bytes>(all.records));
+  EXPECT_TRUE(executor(worker::TraceKind::automatic).run(mesh, 0, 1).records == made.results.at("links.mesh").records);
 }
 
 // --- What an audit says, and a target error ---

@@ -51,7 +51,7 @@ double allowed_vertices(const TriangleRows& triangles, const kernels::LinksMeshP
 }
 
 // The mean squared second difference of the probe along the grid lines of a triangle, each product of two independent
-// estimates. None where it is not divided.
+// estimates. None where it is not divided, nor of sides that are hidden behind walls.
 double bend_of(const HostMesh& mesh, std::uint64_t triangle, const std::vector<float>& probe) {
   const std::uint32_t* row = &mesh.words[MESH_HEADER + MESH_TRIANGLE_WORDS * triangle];
   const std::uint32_t n = 1u << row[1];
@@ -60,6 +60,7 @@ double bend_of(const HostMesh& mesh, std::uint64_t triangle, const std::vector<f
   std::uint64_t count = 0;
   const auto add = [&](std::uint32_t a, std::uint32_t b, std::uint32_t c) {
     for (std::uint64_t side = 0; side < 2; ++side) {
+      if (is_hidden(probe, 2ull * nodes[b] + side)) continue;
       const float* p[3] = {&probe[(2ull * nodes[a] + side) * PROBE_WORDS],
                            &probe[(2ull * nodes[b] + side) * PROBE_WORDS],
                            &probe[(2ull * nodes[c] + side) * PROBE_WORDS]};

@@ -1,7 +1,5 @@
 #include "worker/stages/links/link_rays.h"
 
-#include <cmath>
-
 #include "kernels/rays.h"
 #include "worker/wavefront/path_wave.h"
 
@@ -21,15 +19,18 @@ LinkRayThread::LinkRayThread(const LinkRayBatch& batch, WorkQueue& work, unsigne
   make_rays_.set("parameters", batch.parameters)
       .set("mesh", batch.tables.mesh)
       .set("lobes", batch.lobes.lobes)
-      .set("side", static_cast<cl_uint>(std::lround(std::sqrt(directions_))))
-      .set("rays", hits_);
+      .set("hidden_directions", batch.hidden_directions)
+      .set("probe", batch.hidden_directions ? batch.tables.rows : batch.tables.mesh)
+      .set("rays", hits_)
+      .set("counters", device_counters());
 }
 
 std::uint32_t LinkRayThread::trace(std::uint64_t first, std::uint32_t count) {
   const std::uint32_t here = count * directions_;
+  clear_device_counters();
   make_rays_.set("first", static_cast<cl_uint>(first_item_ + first)).set("count", here);
   launch(make_rays_, here, rays());
-  counters.scatter += here;
+  counters.scatter += read_device_counters()[0];
   rays_.closest(hits_, single_rays(kRows, here));
   return here;
 }

@@ -15,6 +15,7 @@ struct LinkRayBatch {
   LobeTables lobes;
   Program program;  // includes kernels/links/rays.h
   cl::Buffer parameters{};
+  cl_uint hidden_directions = 0;  // of hidden elements; 0: as many as of others
 };
 
 class LinkRayThread : public HostThread {

@@ -83,6 +83,7 @@ BatchResult run_links_make_stage(const StageRun& run) {
   const LobeTables lobes = lobe_tables(run, tables);
   LinkRayBatch batch{run, read_links_parameters(run), tables, lobes, run.build("make.cl", lobes.options())};
   check_elements(run, batch.p.elements, tables.layout.elements() + lobes.elements);
+  if (batch.p.hidden_directions && is_seen_from_fronts(run)) batch.hidden_directions = batch.p.hidden_directions;
   const double start = seconds_now();
   BatchResult result;
   result.counts.resize(run.count);

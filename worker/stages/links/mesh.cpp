@@ -113,6 +113,9 @@ struct DeviceRows {
   std::size_t bytes() const { return rows.getInfo<CL_MEM_SIZE>(); }
 };
 
+// Of the elements that lie inside, where a scene is seen from its fronts.
+constexpr double kLeastHidden = 0.75;
+
 // Names what is kept of one input: neither the scene nor the stage has a part in it.
 StageTask only(const StageTask& task, const char* input) {
   StageTask key;
@@ -156,6 +159,26 @@ MeshTables mesh_tables(const StageRun& run, const char* rows, unsigned words) {
           .get<DeviceRows>(only(run.task, rows), [&] { return DeviceRows{input.to_device(run.device, queue, {})}; })
           ->rows;
   return tables;
+}
+
+bool is_seen_from_fronts(const StageRun& run) {
+  struct Fronts {
+    bool all = false;
+    static std::size_t bytes() { return sizeof(Fronts); }
+  };
+  StageTask key = only(run.task, "probe");
+  key.kind = "links fronts";
+  return run.tables
+      .get<Fronts>(
+          key,
+          [&] {
+            const std::vector<float> probe = input_rows(run.task, "probe", PROBE_WORDS);
+            std::uint64_t inside = 0, hidden = 0;
+            for (std::uint64_t e = 0; e < probe.size() / PROBE_WORDS; ++e)
+              inside += is_inside(probe, e), hidden += is_hidden(probe, e);
+            return Fronts{hidden > 0 && static_cast<double>(hidden) >= kLeastHidden * static_cast<double>(inside)};
+          })
+      ->all;
 }
 
 LobeTables lobe_tables(const StageRun& run, const MeshTables& mesh) {

@@ -71,6 +71,18 @@ std::vector<std::uint32_t> even_levels(const TriangleRows& triangles, const kern
 std::vector<std::uint32_t> refined_levels(const TriangleRows& triangles, const kernels::LinksMeshParameters& wanted,
                                           const HostMesh& coarse, const std::vector<float>& probe);
 
+// Rows of a probe: whether an element lies inside of something, and whether it is hidden (PROBE_LEAST_HITS).
+inline bool is_inside(const std::vector<float>& probe, std::uint64_t element) {
+  return probe[element * PROBE_WORDS + PROBE_BACKS] > PROBE_MOST_BACKS;
+}
+inline bool is_hidden(const std::vector<float>& probe, std::uint64_t element) {
+  return is_inside(probe, element) && !is_inside(probe, element ^ 1u) &&
+         probe[(element ^ 1u) * PROBE_WORDS + PROBE_HITS] >= PROBE_LEAST_HITS;
+}
+// Whether so many of the elements that lie inside are hidden that the scene is seen from its fronts: the input "probe"
+// of a task. A room and what stands in it that are seen from their backs look like solids and hollows.
+bool is_seen_from_fronts(const StageRun& run);
+
 // The scene's triangles, read from the device into `rows`.
 TriangleRows read_triangles(const StageRun& run, std::vector<float>& rows);
 

@@ -16,6 +16,11 @@ kernels::LinksParameters read_links_parameters(const StageRun& run) {
   if (p.samples == 0 || p.samples % 16 != 0 || p.samples > LINKS_MOST_SAMPLES)
     throw Error::bad_input(run.where(), "samples", "a multiple of 16, up to " + std::to_string(LINKS_MOST_SAMPLES),
                            std::to_string(p.samples));
+  const auto hidden = static_cast<std::uint32_t>(std::lround(std::sqrt(p.hidden_directions)));
+  if (hidden * hidden != p.hidden_directions || hidden % 4 != 0 || p.hidden_directions > p.directions)
+    throw Error::bad_input(run.where(), "hidden_directions",
+                           "0, or the square of a multiple of 4, up to " + std::to_string(p.directions),
+                           std::to_string(p.hidden_directions));
   run.check_range(p.elements);
   return p;
 }
