@@ -581,12 +581,13 @@ std::string LinksPlan::parameters_json() const {
 std::vector<std::string> LinksPlan::outline() const {
   std::vector<std::string> lines;
   if (indirect()) {
-    std::string wanted = links_.vertices ? "about " + std::to_string(links_.vertices) : std::string();
-    if (links_.beside_own || !links_.vertices)
-      wanted += (wanted.empty() ? "" : " beside ") + std::string("the triangles' own");
+    const std::string own = "the triangles' own", about = "about " + std::to_string(links_.vertices) + " vertices";
+    const std::string wanted = !links_.vertices    ? own + " vertices"
+                               : links_.beside_own ? about + " beside " + own
+                                                   : about;
     if (links_.refine && links_.vertices)
       lines.push_back("links.coarse_mesh and links.coarse_probe: where irradiance bends, solo and split");
-    lines.push_back("links.mesh: " + wanted + " vertices, solo");
+    lines.push_back("links.mesh: " + wanted + ", solo");
     lines.push_back("links.probe: which of them lie inside of something, split");
     lines.push_back("links.albedo: what each side of them reflects, split");
     lines.push_back("links.make: " + std::to_string(links_.directions) + " directions of each side, split");
