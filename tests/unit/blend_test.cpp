@@ -83,6 +83,21 @@ TEST(Blend, KnowsHowSureItIs) {
   EXPECT_NEAR(deviation / std::sqrt(square), 1, 0.5);
 }
 
+// A denoiser takes specks out of both halves; in what its picture is off from the other half they stay, as large as
+// they were.
+TEST(Blend, AFewSpecksDoNotDecideWhatItTells) {
+  for (const float speck : {1000.0f, -1000.0f, 100000.0f}) {
+    Case made(0.1f, 0.05f, 0.5f, 4);
+    const double before = std::sqrt(made.blended().error);
+    for (const std::size_t pixel : {40 * kSize + 100, 70 * kSize + 90, 90 * kSize + 120})
+      for (std::size_t k = 3 * pixel; k < 3 * pixel + 3; ++k) made.second[k] = speck;
+    const BlendedPicture picture = made.blended();
+    std::printf("  told %.4f without specks, %.4f with them; is %.4f\n", before, std::sqrt(picture.error),
+                std::sqrt(true_error(picture)));
+    EXPECT_NEAR(std::sqrt(picture.error) / std::sqrt(true_error(picture)), 1, 0.5) << speck;
+  }
+}
+
 // What it tells of each place, not of the whole alone: roots within a factor of two of the truth in nearly all blocks.
 // A picture with noise in it and noise on what it is denoised to, whose size differs between its halves.
 TEST(Blend, TellsWhereItIsOff) {

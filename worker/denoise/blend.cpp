@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 #include <numbers>
 #include <numeric>
 
@@ -109,6 +110,27 @@ Errors errors_of(const Halves& h) {
     errors.both[i] = static_cast<float>(both / 3);
   }
   return errors;
+}
+
+// A few pixels with a rare bright sample may decide the mean of such estimates. Values are cut to a bound, such that
+// none has more than one part in kOutliers of what they all scatter: the mean is then almost as sure as one of values
+// without rare large ones (Catoni 2012, "Challenging the empirical mean and empirical variance").
+constexpr std::size_t kOutliers = 10;
+
+void cut_outliers(Plane& values) {
+  std::vector<double> squares(values.begin(), values.end());
+  for (double& value : squares) value *= value;
+  const std::size_t most = std::min(kOutliers, squares.size());
+  std::ranges::partial_sort(squares, squares.begin() + static_cast<std::ptrdiff_t>(most), std::greater());
+  double sum = std::accumulate(squares.begin(), squares.end(), 0.0);
+  // The bound b for which the sum of min(value^2, b^2) is kOutliers b^2, where some values are beyond it.
+  for (std::size_t beyond = 0; beyond < most; sum -= squares[beyond++]) {
+    const double bound = sum / static_cast<double>(kOutliers - beyond);
+    if (squares[beyond] > bound) continue;
+    const auto limit = static_cast<float>(std::sqrt(bound));
+    for (float& value : values) value = std::clamp(value, -limit, limit);
+    return;
+  }
 }
 
 double smooth_step(double t) {
@@ -266,6 +288,7 @@ BlendedPicture blend(const Halves& h) {
                                                   2 * w * (1 - w) * errors.both[i]);
   }
   picture.denoised /= static_cast<double>(pixels);
+  cut_outliers(picture.squared_error);
   picture.error =
       std::accumulate(picture.squared_error.begin(), picture.squared_error.end(), 0.0) / static_cast<double>(pixels);
   picture.deviation = deviation_of_mean(picture.squared_error, h.width, h.height);
