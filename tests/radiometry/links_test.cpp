@@ -82,8 +82,9 @@ TEST_P(LinksMeetPath, Mean) {
   Frame path = links;
   path.settings.method = "path";
   path.settings.spp = 512;
+  auto truths = means_of(path, {"R", "B"}, 4), samples = means_of(links, {"R", "B"}, 4);
   for (const char* channel : {"R", "B"}) {
-    const Sample truth = means_of(path, channel, 4), sample = means_of(links, channel, 4);
+    const Sample truth = truths[channel], sample = samples[channel];
     const double error = std::hypot(truth.standard_error(), sample.standard_error());
     const double t = std::max(0.0, std::abs(sample.mean - truth.mean) - 0.006 * truth.mean) / error;
     std::printf("  %s %s: %.6f +- %.6f, path %.6f +- %.6f\n", GetParam(), channel, sample.mean, sample.standard_error(),
@@ -159,12 +160,11 @@ TEST(Links, RoughMetalMeetsPath) {
     Frame path = links;
     path.settings.method = "path";
     path.settings.spp = 512;
-    for (const char* channel : {"R", "B"}) {
-      const Sample truth = means_of(path, channel, 4);
-      for (const char* metal : {"1", "0"}) {
-        links.settings.set["links.metal"] = metal;
-        expect_means_meet(means_of(links, channel, 4), truth, what + ", metal " + metal + ", " + channel, 0.006);
-      }
+    auto truth = means_of(path, {"R", "B"}, 4);
+    for (const char* metal : {"1", "0"}) {
+      links.settings.set["links.metal"] = metal;
+      for (const auto& [channel, sample] : means_of(links, {"R", "B"}, 4))
+        expect_means_meet(sample, truth[channel], what + ", metal " + metal + ", " + channel, 0.006);
     }
     links.settings.set["links.metal"] = "1";
     const Rendered made = render(links);

@@ -89,14 +89,19 @@ inline double mean_of(const Film& film, const std::string& channel) {
   return std::accumulate(found->values.begin(), found->values.end(), 0.0) / static_cast<double>(found->values.size());
 }
 
-// Of pictures of seeds 1 to `seeds`.
-inline Sample means_of(Frame frame, const std::string& channel, unsigned seeds) {
-  Sample sample;
+// Of pictures of seeds 1 to `seeds`, by channel.
+inline std::map<std::string, Sample> means_of(Frame frame, const std::vector<std::string>& channels, unsigned seeds) {
+  std::map<std::string, Sample> samples;
   for (unsigned seed = 1; seed <= seeds; ++seed) {
     frame.settings.seed = seed;
-    sample.add(mean_of(render(frame).film, channel));
+    const Rendered made = render(frame);
+    for (const std::string& channel : channels) samples[channel].add(mean_of(made.film, channel));
   }
-  return sample;
+  return samples;
+}
+
+inline Sample means_of(const Frame& frame, const char* channel, unsigned seeds) {
+  return means_of(frame, std::vector<std::string>{channel}, seeds)[channel];
 }
 
 // Two estimates of one mean, which may differ by so large a share of it beside their noise, and are not too noisy to

@@ -63,12 +63,11 @@ TEST_P(VplMeetsPath, WithoutClusters) {
   Frame path = vpl;
   path.settings.method = "path";
   path.settings.spp = 256;
-  for (const char* channel : {"R", "B"}) {
-    const Sample truth = means_of(path, channel, 6);
+  auto truth = means_of(path, {"R", "B"}, 6);
+  for (const auto& [channel, sample] : means_of(vpl, {"R", "B"}, 10))
     // The truth's own noise is the allowance; three of its standard errors.
-    expect_mean(means_of(vpl, channel, 10), truth.mean, std::string(p.scene) + " " + channel, sidak(kFamily, 20), 0.05,
-                3 * truth.standard_error());
-  }
+    expect_mean(sample, truth[channel].mean, std::string(p.scene) + " " + channel, sidak(kFamily, 20), 0.05,
+                3 * truth[channel].standard_error());
 }
 
 INSTANTIATE_TEST_SUITE_P(Scenes, VplMeetsPath,
