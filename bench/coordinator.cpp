@@ -82,7 +82,7 @@ void work(const std::string& address, const std::string& name, double items_per_
   auto stream = stub->Work(&context);
   pb::WorkerMessage message;
   message.mutable_hello()->set_name(name);
-  message.mutable_hello()->set_protocol(gateway::protocol_version);
+  message.mutable_hello()->set_protocol(protocol_version);
   bool open = stream->Write(message);
   pb::HubMessage heard;
   std::string records;
@@ -94,10 +94,10 @@ void work(const std::string& address, const std::string& name, double items_per_
     piece.Clear();
     piece.set_lease(lease.lease());
     piece.set_epoch(lease.epoch());
-    for (std::size_t offset = 0; open && offset < records.size(); offset += gateway::piece_bytes) {
+    for (std::size_t offset = 0; open && offset < records.size(); offset += piece_bytes) {
       piece.set_offset(offset);
-      piece.set_records(records.data() + offset, std::min(gateway::piece_bytes, records.size() - offset));
-      if (offset + gateway::piece_bytes >= records.size())
+      piece.set_records(records.data() + offset, std::min(piece_bytes, records.size() - offset));
+      if (offset + piece_bytes >= records.size())
         piece.mutable_cost()->set_seconds(static_cast<double>(lease.count()) / items_per_second);
       open = stream->Write(message);
     }

@@ -107,8 +107,8 @@ void Client::upload_missing(const std::vector<std::pair<std::string, const scene
     part.mutable_header()->set_id(id);
     part.mutable_header()->set_bytes(bytes->size());
     bool open = writer->Write(part);
-    for (std::size_t offset = 0; open && offset < bytes->size(); offset += gateway::piece_bytes) {
-      part.set_data(bytes->data() + offset, std::min(gateway::piece_bytes, bytes->size() - offset));
+    for (std::size_t offset = 0; open && offset < bytes->size(); offset += piece_bytes) {
+      part.set_data(bytes->data() + offset, std::min(piece_bytes, bytes->size() - offset));
       open = writer->Write(part);
     }
     writer->WritesDone();

@@ -30,7 +30,7 @@ const std::vector<std::string> methods = {"/gleaner.v1.WorkerHub/Work", "/gleane
 std::string hello() {
   pb::WorkerMessage message;
   message.mutable_hello()->set_name("peer");
-  message.mutable_hello()->set_protocol(gateway::protocol_version);
+  message.mutable_hello()->set_protocol(protocol_version);
   return message.SerializeAsString();
 }
 

@@ -9,13 +9,11 @@
 #include "coordinator/jobs/job.h"
 #include "gleaner/v1/farm.pb.h"
 #include "gleaner/v1/worker.pb.h"
+#include "proto/protocol.h"
 
 namespace gleaner::gateway {
 
 namespace pb = gleaner::v1;
-
-inline constexpr std::uint32_t protocol_version = 3;
-inline constexpr std::size_t piece_bytes = std::size_t{1} << 20;  // largest piece of a blob, a file or a result
 
 gleaner::v1::Camera to_proto(const scene::Camera& camera);
 scene::Camera from_proto(const gleaner::v1::Camera& camera);  // throws as below

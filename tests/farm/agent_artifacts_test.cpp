@@ -240,7 +240,7 @@ class Liar final : public pb::WorkerPeer::Service {
     server_ = builder.BuildAndStart();
     stream_ = hub_->Work(&context_);
     pb::WorkerMessage hello;
-    hello.mutable_hello()->set_protocol(gateway::protocol_version);
+    hello.mutable_hello()->set_protocol(protocol_version);
     hello.mutable_hello()->set_name("liar");
     // As the other workers' devices, so that its records count as theirs.
     hello.mutable_hello()->mutable_device()->set_name("arithmetic");

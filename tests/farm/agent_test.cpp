@@ -128,7 +128,7 @@ TEST_F(FarmAgent, AStreamThatBreaksGivesItsItemsToOthers) {
   auto stub = pb::WorkerHub::NewStub(farm_.socket_channel());
   auto stream = stub->Work(broken_context.get());
   pb::WorkerMessage hello;
-  hello.mutable_hello()->set_protocol(gateway::protocol_version);
+  hello.mutable_hello()->set_protocol(protocol_version);
   hello.mutable_hello()->set_name("mortal");
   stream->Write(hello);
   pb::HubMessage heard;

@@ -207,7 +207,7 @@ TEST_F(Revoked, OpenStreamsAreEnded) {
   auto stream = workers->Work(&working);
   pb::WorkerMessage hello;
   hello.mutable_hello()->set_name("eve");
-  hello.mutable_hello()->set_protocol(gateway::protocol_version);
+  hello.mutable_hello()->set_protocol(protocol_version);
   ASSERT_TRUE(stream->Write(hello));
   pb::HubMessage heard;
   ASSERT_TRUE(stream->Read(&heard));

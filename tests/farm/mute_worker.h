@@ -23,7 +23,7 @@ class MuteWorker {
         stream_(stub_->Work(&context_)) {
     v1::WorkerMessage hello;
     hello.mutable_hello()->set_name(name);
-    hello.mutable_hello()->set_protocol(gateway::protocol_version);
+    hello.mutable_hello()->set_protocol(protocol_version);
     *hello.mutable_hello()->mutable_device() = device;
     stream_->Write(hello);
     reader_ = std::thread([this] {

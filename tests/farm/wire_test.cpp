@@ -71,7 +71,7 @@ class Wire : public testing::Test {
     return stream->Finish();
   }
 
-  static pb::WorkerMessage hello(const std::string& name = "peer", std::uint32_t protocol = gateway::protocol_version) {
+  static pb::WorkerMessage hello(const std::string& name = "peer", std::uint32_t protocol = protocol_version) {
     pb::WorkerMessage message;
     message.mutable_hello()->set_name(name);
     message.mutable_hello()->set_protocol(protocol);
@@ -346,7 +346,7 @@ TEST_F(Wire, WorkersSpeakInOrder) {
       {"silence", {}, StatusCode::OK},
       {"no hello", {heartbeat}, StatusCode::INVALID_ARGUMENT},
       {"an empty message", {nothing}, StatusCode::INVALID_ARGUMENT},
-      {"another protocol", {hello("peer", gateway::protocol_version + 1)}, StatusCode::FAILED_PRECONDITION},
+      {"another protocol", {hello("peer", protocol_version + 1)}, StatusCode::FAILED_PRECONDITION},
       {"no name", {hello("")}, StatusCode::INVALID_ARGUMENT},
       {"a name with a slash", {hello("../peer")}, StatusCode::INVALID_ARGUMENT},
       {"a long name", {long_name}, StatusCode::INVALID_ARGUMENT},
@@ -702,7 +702,7 @@ class SlowWorker : public testing::Test {
     auto stream = pb::WorkerHub::NewStub(farm.socket_channel())->Work(&context);
     pb::WorkerMessage hello;
     hello.mutable_hello()->set_name("slow");
-    hello.mutable_hello()->set_protocol(gateway::protocol_version);
+    hello.mutable_hello()->set_protocol(protocol_version);
     stream->Write(hello);
     return stream;
   }

@@ -17,6 +17,7 @@
 #include "gleaner/kernels_build.h"
 #include "gleaner/v1/worker.grpc.pb.h"
 #include "proto/packing.h"
+#include "proto/protocol.h"
 #include "proto/sha256.h"
 #include "scene/model/error.h"
 #include "scene/model/names.h"
@@ -31,8 +32,6 @@ namespace pb = gleaner::v1;
 
 namespace {
 
-constexpr std::uint32_t protocol_version = 3;
-constexpr std::size_t piece_bytes = std::size_t{1} << 20;
 constexpr std::size_t most_facts_bytes = std::size_t{64} << 10;
 constexpr std::size_t most_unsent = 2;  // results: a device faster than the network waits
 constexpr std::chrono::milliseconds unavailable_pause{200};

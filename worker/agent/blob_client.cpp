@@ -6,6 +6,7 @@
 #include <cstring>
 
 #include "proto/packing.h"
+#include "proto/protocol.h"
 #include "proto/sha256.h"
 #include "scene/model/error.h"
 
@@ -14,8 +15,6 @@ namespace gleaner::worker {
 namespace pb = gleaner::v1;
 
 namespace {
-
-constexpr std::size_t piece_bytes = std::size_t{1} << 20;  // the largest, unpacked
 
 // What could not be fetched is no fault of the items that read it, whatever went wrong on the way; but for a range that
 // the blob does not have.

@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cstring>
 
+#include "proto/protocol.h"
 #include "proto/sha256.h"
 #include "scene/model/error.h"
 #include "worker/artifacts/part_image.h"
@@ -18,7 +19,6 @@ using grpc::StatusCode;
 
 namespace {
 
-constexpr std::uint64_t piece_bytes = std::uint64_t{1} << 20;
 constexpr unsigned responder_threads = 2;    // one reads while the other one's answer is on its way
 constexpr std::size_t most_requests = 1024;  // that wait; the coordinator has fewer in flight
 constexpr int most_calls = 64;               // of peers at the same time
