@@ -48,12 +48,9 @@ std::uint32_t vertices_of(double vertices, double directions, double own) {
   return static_cast<std::uint32_t>(std::lround(std::clamp(vertices, kLeastVertices, most)));
 }
 
-// Of a closed surface. They say nothing of what the large triangles among them interpolate: a wall's corners lie in the
-// dark corners of its room.
-double own_vertices(double triangles) { return triangles / 2; }
-
-// Vertices beside the scene's own, and directions, for the least rays. Own vertices need directions, too: where most
-// are own, more of the others cost little, and directions are dear.
+// Vertices beside the scene's own, and directions, for the least rays. The scene's own say nothing of what the large
+// triangles among them interpolate: a wall's corners lie in the dark corners of its room. Own vertices need directions,
+// too: where most are own, more of the others cost little, and directions are dear.
 struct Balanced {
   double vertices, directions;
 };
@@ -79,6 +76,8 @@ std::uint32_t light_samples_of(double directions) {
 }
 
 }  // namespace
+
+double own_vertices(double triangles) { return triangles / 2; }
 
 LinksCounts choose_links_counts(double triangles, std::uint64_t pixels, std::uint32_t spp, double error,
                                 const GivenLinksCounts& given) {

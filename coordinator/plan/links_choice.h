@@ -22,6 +22,9 @@ struct GivenLinksCounts {
   std::optional<std::uint32_t> vertices{}, directions{}, light_samples{};
 };
 
+// Vertices of so many triangles of a closed surface.
+double own_vertices(double triangles);
+
 // `triangles`: of the scene. `spp`: samples of a pixel; or `error` > 0: RMSE over the mean radiance of the picture.
 LinksCounts choose_links_counts(double triangles, std::uint64_t pixels, std::uint32_t spp, double error,
                                 const GivenLinksCounts& given);

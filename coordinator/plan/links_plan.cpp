@@ -241,7 +241,7 @@ void LinksPlan::pose(const Artifact& divided) {
 // as closed surfaces of the scene's triangles.
 double LinksPlan::own_work() const {
   if (!indirect()) return 0;
-  const double wanted = links_.vertices, own = triangles_ / 2;
+  const double wanted = links_.vertices, own = own_vertices(triangles_);
   const double elements = linked_ ? elements_ : 2 * (links_.beside_own ? wanted + own : std::max(wanted, own));
   const double bounces = std::min(most_bounces_, kUsualBounces);
   const double probes = kInsideDirections + (links_.refine ? kProbeDirections / 2.0 : 0);

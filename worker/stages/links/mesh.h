@@ -73,7 +73,7 @@ std::vector<std::uint32_t> refined_levels(const TriangleRows& triangles, const k
 
 // Rows of a probe: whether an element lies inside of something, and whether it is hidden (PROBE_LEAST_HITS).
 inline bool is_inside(const std::vector<float>& probe, std::uint64_t element) {
-  return probe[element * PROBE_WORDS + PROBE_BACKS] > PROBE_MOST_BACKS;
+  return !(probe[element * PROBE_WORDS + PROBE_BACKS] <= PROBE_MOST_BACKS);
 }
 inline bool is_hidden(const std::vector<float>& probe, std::uint64_t element) {
   return is_inside(probe, element) && !is_inside(probe, element ^ 1u) &&

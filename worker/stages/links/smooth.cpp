@@ -141,8 +141,7 @@ BatchResult smooth_links(const StageTask& task) {
     if (!(noise[e] >= 0))
       throw Error::bad_input("stage links_smooth", "input irradiance[" + std::to_string(e) + "].noise", "0 or more",
                              std::to_string(noise[e]));
-    rows[e * RADIOSITY_WORDS + RADIOSITY_OUTSIDE] =
-        probe[e * PROBE_WORDS + PROBE_BACKS] <= PROBE_MOST_BACKS ? 1.0f : 0.0f;
+    rows[e * RADIOSITY_WORDS + RADIOSITY_OUTSIDE] = is_inside(probe, e) ? 0.0f : 1.0f;
   }
   Smoothing smoothing(mesh, rows);
   std::vector<float> out = p.least_cosine <= 1 ? smoothing.smooth(p.least_cosine, noise) : rows;
