@@ -5,6 +5,9 @@
 #include "kernels/records.h"
 
 #ifndef __OPENCL_VERSION__
+#include <algorithm>
+#include <cmath>
+
 namespace gleaner::kernels {
 #endif
 
@@ -171,23 +174,30 @@ struct LinksFluxFacts {
 };
 
 // Bounces until all that are left would add less than a share of the light. They shrink by a ratio that soon is steady:
-// what is left of them is a geometric series.
+// what is left of them is a geometric series. Light is measured after bounces 1 and 2, and then after as many as that
+// series asks for, which are too few while the ratio still grows.
 struct LinksBounces {
-  std::uint32_t done = 0;
-  double left = 0;  // the share that those to come would add
+  std::uint32_t done = 0, next = 1;  // measured last; to be measured next
+  double left = 0;                   // the share that those to come would add
 
-  // After one more bounce: whether the light is all there but for `least_share`.
+  // After bounce `next`: whether the light is all there but for `least_share`; else `next` is further on.
   bool is_enough(const LinksFluxFacts& facts, double least_share) {
-    ++done;
+    const std::uint32_t since = next - done;
+    const bool first = done == 0;
+    done = next;
     if (!(facts.flux > 0)) return true;
-    const double shrinks = facts.grown / grown;
-    const double ratio = done > 1 && grown > 0 ? (shrinks < 0 ? 0 : shrinks > 0.99 ? 0.99 : shrinks) : 0.5;
+    const double shrinks = first ? 0.5 : grown > 0 ? std::pow(facts.grown / grown, 1.0 / since) : 0.5;
+    const double ratio = shrinks >= 0 ? std::min(shrinks, 0.99) : 0;
     grown = facts.grown;
     left = facts.grown / facts.flux * ratio / (1 - ratio);
-    return done > 1 && left < least_share;
+    if (!first && left < least_share) return true;
+    ++next;
+    if (!first)  // at most as many again: the ratio is not known that well
+      for (double then = left * ratio; then >= least_share && next < 2 * done; then *= ratio) ++next;
+    return false;
   }
 
-  double grown = 0;  // by the last bounce, W
+  double grown = 0;  // by the bounce measured last, W
 };
 #endif
 

@@ -91,6 +91,22 @@ void Farm::Impl::release_all_retained(Frame& frame) {
 // --- Placing and pausing (mutex held)
 // ---------------------------------------------------------------------------------
 
+namespace {
+
+// A batch that reads several parts of an input holds a copy of them: more are no faster.
+constexpr std::uint64_t most_span_bytes = std::uint64_t{64} << 20;
+
+// Parts that follow each other are one span.
+void add_span(std::vector<ItemSpan>& spans, const ItemRange& items, std::uint64_t most_items) {
+  if (!spans.empty() && spans.back().first + spans.back().count == items.first &&
+      spans.back().count + items.count <= most_items)
+    spans.back().count += items.count;
+  else
+    spans.push_back({items.first, items.count});
+}
+
+}  // namespace
+
 void Farm::Impl::place_near_inputs(const RunningStage& stage, ScheduledStage& scheduled) {
   std::vector<ArtifactId> read;
   ArtifactId largest;  // of those of which a batch reads its own items
@@ -106,8 +122,11 @@ void Farm::Impl::place_near_inputs(const RunningStage& stage, ScheduledStage& sc
     std::erase_if(scheduled.preferred,
                   [&](WorkerId id) { return std::ranges::find(stage.avoid, id) != stage.avoid.end(); });
   } else if (!largest.empty()) {
+    // A batch is a whole span where its worker can do so much in time.
+    const std::uint64_t most_items =
+        most_span_bytes / std::max<std::uint64_t>(1, registry.bytes(largest) / stage.spec.items);
     for (const HeldPart& part : registry.parts(largest, {0, stage.spec.items}))
-      for (const WorkerId holder : part.holders) scheduled.near[holder].push_back({part.items.first, part.items.count});
+      for (const WorkerId holder : part.holders) add_span(scheduled.near[holder], part.items, most_items);
   }
 }
 

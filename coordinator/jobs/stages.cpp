@@ -213,7 +213,8 @@ void Farm::Impl::start(const std::shared_ptr<RunningStage>& stage) {
                            .preferred = {},
                            .only = {},
                            .avoid = stage->avoid,
-                           .near = {}};
+                           .near = {},
+                           .adjoining = stage->retained()};
   if (spec.denoises)
     for (const auto& [id, worker] : workers)
       if (worker.hello.device.denoiser.empty()) scheduled.avoid.push_back(id);

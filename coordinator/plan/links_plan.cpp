@@ -403,7 +403,7 @@ void LinksPlan::gather(std::uint32_t bounce) {
                       {"light", light_, kOwnItems},
                       {"albedo", albedo_, kOwnItems},
                       {"radiosity", before}});
-  if (links_.bounces && bounce < most_bounces_) {
+  if (bounce < (links_.bounces ? most_bounces_ : std::min(bounces_.next, most_bounces_))) {
     gather(bounce + 1);
     return;
   }

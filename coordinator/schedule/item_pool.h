@@ -3,6 +3,8 @@
 
 #include <cstdint>
 #include <map>
+#include <set>
+#include <utility>
 #include <vector>
 
 #include "coordinator/schedule/scheduler.h"
@@ -48,6 +50,11 @@ class ItemPool {
   // cut at multiples of `tile` (or where the run itself ends). None: count is 0.
   Piece within(std::uint64_t first, std::uint64_t count, std::uint32_t tile) const;
 
+  // The items that nobody failed from `first` on, up to the next that is not free. None: count is 0.
+  Piece from(std::uint64_t first) const;
+  // The longest run of items that nobody failed. None: count is 0.
+  Piece longest() const;
+
   // Takes `count` items from `first` on: off the beginning of a piece that failed, from anywhere in one that did not.
   void take(std::uint64_t first, std::uint64_t count);
 
@@ -55,8 +62,14 @@ class ItemPool {
   const Piece* any_failed() const { return failed_.empty() ? nullptr : &failed_.begin()->second; }
 
  private:
-  std::map<std::uint64_t, std::uint64_t> clean_;  // first -> count; neighbours are merged
-  std::map<std::uint64_t, Piece> failed_;         // kept apart: each piece has its own history
+  using Clean = std::map<std::uint64_t, std::uint64_t>;  // first -> count
+  void insert(std::uint64_t first, std::uint64_t count);
+  void erase(Clean::iterator run);
+  Clean::const_iterator run_of(std::uint64_t item) const;
+
+  Clean clean_;                                                 // neighbours are merged
+  std::set<std::pair<std::uint64_t, std::uint64_t>> by_count_;  // (count, first) of the same
+  std::map<std::uint64_t, Piece> failed_;                       // kept apart: each piece has its own history
   std::uint64_t items_ = 0;
 };
 

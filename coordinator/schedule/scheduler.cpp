@@ -8,6 +8,7 @@
 #include <tuple>
 #include <unordered_map>
 
+#include "coordinator/schedule/adjoining.h"
 #include "coordinator/schedule/item_pool.h"
 #include "coordinator/schedule/throughput.h"
 #include "scene/model/error.h"
@@ -85,7 +86,9 @@ struct Stage {
   // Into each worker's spans of spec.near: those before it have no free items. A cursor, so that an offer costs O(log
   // n).
   mutable std::map<WorkerId, std::size_t> near_cursor;
+  std::map<std::uint64_t, std::pair<std::uint64_t, WorkerId>> holders;  // the same by first item: count, worker
   ItemPool pool;
+  Adjoining adjoining;
   std::map<std::uint64_t, HeldRange> held;  // by first item
   std::uint64_t held_items = 0, done_items = 0;
   Candidates running, waiting;  // leases held once
@@ -131,6 +134,7 @@ enum class Refusal {
   full,
   failed_it,
   others_preferred,
+  others_hold_inputs,
   not_measured,
   has_its_share
 };
@@ -140,6 +144,7 @@ struct Offer {
   Piece piece;
   std::uint64_t count = 0;
   bool cut_short = false;
+  bool adjoining = false;  // the piece begins where the worker goes on
 
   Offer& refuse(Refusal why) {
     why_not = why;
@@ -539,6 +544,22 @@ struct Scheduler::Impl {
     return {};
   }
 
+  // Who holds the inputs of a piece's first item and will soon be done with all of the stage: to fetch them would take
+  // as long.
+  bool left_to_holder(const Worker& worker, const Stage& stage, const Piece& piece, Seconds now) const {
+    auto span = stage.holders.upper_bound(piece.first);
+    ++steps;
+    if (span == stage.holders.begin()) return false;
+    --span;
+    const auto& [count, id] = span->second;
+    if (id == worker.id || piece.first >= span->first + count) return false;
+    const auto holder = workers.find(id);
+    if (holder == workers.end() || !usable(holder->second) || holder->second.straggles || holds_solo(holder->second))
+      return false;
+    const Seconds all = expected_seconds(holder->second, stage, stage.pool.items());
+    return all > 0 && when_free(holder->second, now) - now + all < settings.worth_fetching;
+  }
+
   // What of the stage the worker would get now, or why it gets nothing.
   Offer offer(const Worker& worker, const Stage& stage, Seconds now) const {
     Offer out;
@@ -552,7 +573,10 @@ struct Scheduler::Impl {
     out.piece = stage.pool.front([&](const FailureHistory& f) { return may_run(worker, f); }, steps);
     if (out.piece.count == 0) return out.refuse(Refusal::failed_it);
     if (out.piece.failures.clean()) {
-      if (const Piece near = near_piece(stage, worker.id); near.count > 0) out.piece = near;
+      if (const Piece near = near_piece(stage, worker.id); near.count > 0)
+        out.piece = near;
+      else
+        out.adjoining = stage.spec.adjoining;
     }
     if (stage.spec.solo) {
       out.count = out.piece.count;
@@ -562,13 +586,17 @@ struct Scheduler::Impl {
       if (idle > 0 && !worker.in_flight.empty()) return out.refuse(Refusal::has_its_share);
       return out;
     }
+    const auto cut = [&](double items) {
+      if (out.adjoining) out.piece = stage.adjoining.offer(stage.pool, worker.id, stage.spec.tile, items);
+      out.count = round_to_tiles(items, stage, out.piece);
+    };
     if (settings.fixed_batch_items > 0) {
-      out.count = round_to_tiles(static_cast<double>(settings.fixed_batch_items), stage, out.piece);
+      cut(static_cast<double>(settings.fixed_batch_items));
       return out;
     }
 
     if (stage.spec.at_once) {
-      out.count = round_to_tiles(0, stage, out.piece);
+      cut(0);
       return out;
     }
     const std::uint64_t held_items = items_in_flight(worker, stage.id);
@@ -582,7 +610,8 @@ struct Scheduler::Impl {
     const double fair = kShareAtOnce * part * static_cast<double>(stage.pool.items());
     double wanted = std::max(std::min(target, fair), std::min(target, throughput.smallest_items(settings)));
     if (stage.spec.most_items > 0) wanted = std::min(wanted, static_cast<double>(stage.spec.most_items));
-    out.count = round_to_tiles(wanted, stage, out.piece);
+    cut(wanted);
+    if (left_to_holder(worker, stage, out.piece, now)) return out.refuse(Refusal::others_hold_inputs);
     out.cut_short = static_cast<double>(out.count) + stage.spec.tile <= target;
 
     // A waiting lease beyond the fair share of all that is left would be missed by a worker that idles sooner.
@@ -594,8 +623,14 @@ struct Scheduler::Impl {
     return out;
   }
 
+  // The worker gets no more items of any stage.
+  void ends_here(WorkerId worker) {
+    for (const Place& place : order) stages.at(std::get<StageId>(place)).adjoining.forget(worker);
+  }
+
   Lease hand_out(Worker& worker, Stage& stage, const Offer& what, Seconds now) {
     stage.pool.take(what.piece.first, what.count);
+    if (what.adjoining) stage.adjoining.gave(worker.id, what.piece.first + what.count);
     stage.held.emplace(what.piece.first, HeldRange{what.count, what.piece.failures, {}});
     stage.held_items += what.count;
     steps += 2;
@@ -733,6 +768,8 @@ StageId Scheduler::add_stage(const ScheduledStage& spec, Seconds now) {
     return id;
   }
   m.order.insert(place_of(stage));
+  for (const auto& [worker, spans] : spec.near)
+    for (const ItemSpan& span : spans) stage.holders.emplace(span.first, std::pair(span.count, worker));
   if (spec.solo) {
     // Workers that are at work ask again within a batch's time, or two where one waits.
     stage.preferred_until = now + 2 * m.settings.target_batch;
@@ -778,6 +815,7 @@ void Scheduler::worker_lost(WorkerId id, Seconds now) {
     m.give_back(m.stages.at(lease.stage), lease.first);
   }
   m.leave_sums(worker);
+  m.ends_here(id);
   if (worker.quarantined) m.timers.erase({worker.quarantined_until, TimerKind::quarantine, id});
   --m.joined;
   m.workers.erase(at);
@@ -788,6 +826,7 @@ void Scheduler::worker_draining(WorkerId id) {
   if (at == impl_->workers.end()) return;
   impl_->leave_sums(at->second);
   at->second.draining = true;
+  impl_->ends_here(id);
   impl_->enter_sums(at->second);
 }
 
@@ -1077,6 +1116,9 @@ std::string Scheduler::why_waiting(StageId id, Seconds now, const Names& names) 
                 (stage.spec.preferred.empty()
                      ? "a worker that has answered before"
                      : m.describe(stage.spec.preferred, "which holds its inputs", "which hold its inputs", names));
+        break;
+      case Refusal::others_hold_inputs:
+        line += "it is kept for the workers that hold its inputs, which will soon be done";
         break;
       case Refusal::not_measured:
         line += m.describe(who, "runs its first batch of " + stage.spec.kind,

@@ -39,6 +39,8 @@ struct ScheduledStage {
   // Split: what of its own items' inputs a worker holds. It gets items of its spans before others, as long as any wait
   // there.
   std::map<WorkerId, std::vector<ItemSpan>> near{};  // spans in order
+  bool adjoining =
+      false;  // split: a worker's batches follow each other where they can; else the first items come first
 };
 
 // Items [first, first + count) of a stage, handed to a worker. `epoch` is unique for every handing out.
@@ -56,6 +58,8 @@ struct SchedulerSettings {
   Seconds target_batch = 0.5;              // how long a batch should take
   Seconds smallest_batch = 0.05;           // below it, overhead rules
   double good_news = 0.2, bad_news = 0.5;  // weights of a new throughput above or below the remembered one
+  // Items whose inputs another worker holds are left to it where it will be done with all of them sooner.
+  Seconds worth_fetching = 0.1;
   double growth = 2.0;                     // a batch is at most so many times the worker's last one of the kind
   Seconds shortest_sample = 0.005;         // shorter measurements say nothing
   Seconds lease_floor = 10;                // a lease lasts at least so long

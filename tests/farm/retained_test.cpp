@@ -202,7 +202,7 @@ TEST_F(FarmRetained, RecordsStayWithTheirWorkersAndReadersAreToldWhere) {
   ASSERT_TRUE(of_ada && of_bob);
   EXPECT_EQ(of_ada->work->stage, "spread");
   EXPECT_EQ(of_ada->lease.first, 0u);
-  EXPECT_EQ(of_bob->lease.first, 512u);
+  EXPECT_EQ(of_bob->lease.first, 1024u);
   const StageWork::Input& input = of_ada->work->inputs.at(0);
   EXPECT_EQ(input.data, nullptr);
   EXPECT_TRUE(input.own_items);

@@ -1,6 +1,7 @@
 // How method `links` chooses vertices, directions and light samples that are not set.
 
 #include "coordinator/plan/links_choice.h"
+#include "kernels/links_records.h"
 
 #include <gtest/gtest.h>
 
@@ -12,6 +13,39 @@ namespace gleaner::coordinator {
 namespace {
 
 constexpr std::uint64_t kPixels = 512 * 512;
+
+using kernels::LinksBounces;
+
+// The light of bounce k grows by shrinks^k.
+struct Series {
+  double shrinks = 0;
+  kernels::LinksFluxFacts after(std::uint32_t bounce) const {
+    const double left = std::pow(shrinks, bounce + 1);
+    return {(1 - left) / (1 - shrinks), std::pow(shrinks, bounce)};
+  }
+};
+
+TEST(LinksBouncesTest, LightThatShrinksEvenlyIsMeasuredSeldom) {
+  for (const double shrinks : {0.2, 0.6, 0.9}) {
+    const Series light{shrinks};
+    LinksBounces bounces;
+    unsigned measured = 1;
+    for (; !bounces.is_enough(light.after(bounces.next), 0.001); ++measured) ASSERT_LT(measured, 20u);
+    const double left = std::pow(shrinks, bounces.done + 1);  // of all light 1
+    EXPECT_LT(left, 0.001 * 1.01) << shrinks;
+    EXPECT_GT(left / shrinks, 0.001 * 0.99) << shrinks << ": one bounce fewer would have done";
+    EXPECT_LT(measured, 9u) << shrinks;
+  }
+}
+
+TEST(LinksBouncesTest, LightThatDoesNotGrowIsEnough) {
+  LinksBounces dark;
+  EXPECT_TRUE(dark.is_enough({0, 0}, 0.001));
+  LinksBounces still;
+  EXPECT_FALSE(still.is_enough({1, 0}, 0.001)) << "one bounce tells no ratio";
+  EXPECT_TRUE(still.is_enough({1, 0}, 0.001));
+  EXPECT_EQ(still.done, 2u);
+}
 
 TEST(LinksChoice, WhatIsSetStays) {
   const GivenLinksCounts given = {.vertices = 0, .directions = 16, .light_samples = 64};

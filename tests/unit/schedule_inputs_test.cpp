@@ -79,6 +79,102 @@ TEST(ScheduleNear, ItemsThatComeBackAreOfferedToWhoHoldsTheirInputs) {
   EXPECT_EQ(served(farm, {ada, ada}), (std::vector<Range>{{20, 10}, {10, 10}}));
 }
 
+SchedulerSettings one_at_a_time() {
+  SchedulerSettings settings;
+  settings.in_flight = 1;
+  settings.first_batch_items = 100;
+  return settings;
+}
+
+// Both have done 1,000 items a second.
+void measure_both(Scheduler& farm) {
+  for (const WorkerId worker : {ada, bob}) farm.worker_joined(worker, 0);
+  const StageId all = farm.add_stage(stage_of(200), 0);
+  while (!farm.complete(all))
+    for (const WorkerId worker : {ada, bob})
+      if (const auto lease = farm.next_lease(worker, 0))
+        farm.result(worker, lease->id, lease->epoch, static_cast<double>(lease->count) / 1000, 0);
+}
+
+TEST(ScheduleNear, ItemsAreLeftToWhoHoldsTheirInputsWhereItIsSoonDone) {
+  for (const std::uint64_t others : {50u, 5000u}) {
+    Scheduler farm(one_at_a_time());
+    measure_both(farm);
+    ScheduledStage stage = stage_of(100 + others);
+    stage.near = {{ada, {{0, 100}}}, {bob, {{100, others}}}};
+    const StageId id = farm.add_stage(stage, 1);
+    for (std::uint64_t own = 0; own < 100;) {
+      const auto lease = farm.next_lease(ada, 1);
+      ASSERT_TRUE(lease);
+      ASSERT_EQ(lease->first, own);
+      own += lease->count;
+      farm.result(ada, lease->id, lease->epoch, static_cast<double>(lease->count) / 1000, 1.1);
+    }
+    const auto next = farm.next_lease(ada, 1.1);
+    if (others == 5000) {
+      EXPECT_TRUE(next) << "bob would take five seconds";
+      continue;
+    }
+    EXPECT_FALSE(next) << "bob takes 50 ms";
+    EXPECT_THAT(farm.why_waiting(id, 1.1), HasSubstr("not asked")) << "bob may have them";
+    farm.worker_lost(bob, 1.2);
+    const auto left = farm.next_lease(ada, 1.2);
+    ASSERT_TRUE(left) << "nobody holds their inputs any more";
+    EXPECT_EQ(left->first, 100u);
+  }
+}
+
+TEST(ScheduleNear, WhoIsBusyWithASoloStageKeepsNoItems) {
+  Scheduler farm(one_at_a_time());
+  measure_both(farm);
+  ScheduledStage solo = stage_of(1);
+  solo.kind = "tree";
+  solo.solo = true;
+  solo.preferred = {bob};
+  farm.add_stage(solo, 1);
+  ASSERT_TRUE(farm.next_lease(bob, 1));
+  ScheduledStage stage = stage_of(50);
+  stage.near = {{bob, {{0, 50}}}};
+  farm.add_stage(stage, 1);
+  EXPECT_TRUE(farm.next_lease(ada, 1));
+}
+
+TEST(ScheduleAdjoining, EachWorkersItemsLieTogether) {
+  Scheduler farm(fixed(10));
+  for (const WorkerId worker : {ada, bob, eve}) farm.worker_joined(worker, 0);
+  ScheduledStage stage = stage_of(100);
+  stage.adjoining = true;
+  const StageId id = farm.add_stage(stage, 0);
+  EXPECT_EQ(served(farm, {ada, bob, eve, ada, bob, eve}),
+            (std::vector<Range>{{0, 10}, {50, 10}, {80, 10}, {10, 10}, {60, 10}, {90, 10}}));
+  // Eve has come to the end: she gets the last of what ada would come to.
+  EXPECT_EQ(served(farm, {eve, bob, eve, ada}), (std::vector<Range>{{30, 10}, {70, 10}, {40, 10}, {20, 10}}));
+  EXPECT_TRUE(farm.complete(id));
+}
+
+TEST(ScheduleAdjoining, NobodyMakesRoomForWhoIsGone) {
+  Scheduler farm(fixed(16));
+  for (const WorkerId worker : {ada, bob}) farm.worker_joined(worker, 0);
+  ScheduledStage stage = stage_of(96, 16);
+  stage.adjoining = true;
+  farm.add_stage(stage, 0);
+  EXPECT_EQ(served(farm, {ada}), (std::vector<Range>{{0, 16}}));
+  farm.worker_lost(ada, 1);
+  EXPECT_EQ(served(farm, {bob, bob}), (std::vector<Range>{{16, 16}, {32, 16}}));
+}
+
+TEST(ScheduleAdjoining, ItemsThatFailedComeFirstAndMoveNobody) {
+  Scheduler farm(fixed(10));
+  for (const WorkerId worker : {ada, bob}) farm.worker_joined(worker, 0);
+  ScheduledStage stage = stage_of(100);
+  stage.adjoining = true;
+  farm.add_stage(stage, 0);
+  const auto bad = farm.next_lease(ada, 0);
+  EXPECT_EQ(served(farm, {bob}), (std::vector<Range>{{50, 10}}));
+  farm.failed(ada, bad->id, bad->epoch, 0);
+  EXPECT_EQ(served(farm, {bob, bob, ada}), (std::vector<Range>{{0, 10}, {60, 10}, {10, 10}}));
+}
+
 TEST(ScheduleRanges, RunsThoseAloneThatAreAskedFor) {
   Scheduler farm(fixed(15));
   farm.worker_joined(ada, 0);

@@ -88,6 +88,14 @@ void append_offsets(Offsets& offsets, std::span<const std::uint32_t> counts) {
   for (const std::uint32_t count : counts) offsets.push_back(offsets.back() + count);
 }
 
+// What the bytes that a batch may read are known by. Ranges of retained artifacts are read again: a bounce over links
+// reads what the last one read. Those of the plan's own data are read once: empty.
+std::string name_of(const pb::StageInput& input, const pb::Lease& lease) {
+  if (!input.own_items()) return input.artifact();
+  if (!input.retained()) return {};
+  return input.artifact() + " " + std::to_string(lease.first()) + " + " + std::to_string(lease.count());
+}
+
 // Sizes that the coordinator says are believed where they can be: none may overflow.
 void check_sizes(const pb::StageInput& input, const pb::Lease& lease) {
   constexpr std::uint64_t most = std::uint64_t{1} << 60;
@@ -105,18 +113,18 @@ void check_sizes(const pb::StageInput& input, const pb::Lease& lease) {
 
 TaskInput InputLoader::load(const pb::StageInput& input, const pb::Lease& lease) {
   check_sizes(input, lease);
+  const std::string name = name_of(input, lease);
   TaskInput out;
-  if (CachedBytes cached; !input.own_items() && (cached = cache_->find(input.artifact())).bytes) {
+  if (CachedBytes cached; !name.empty() && (cached = cache_->find(name)).bytes) {
     out = TaskInput(cached.bytes);
     out.offsets = cached.offsets;
   } else {
     out = input.retained() ? load_parts(input, lease) : load_from_coordinator(input, lease);
-    settle(out, input.own_items() ? std::string() : input.artifact());
+    settle(out, name);
   }
   out.own_items = input.own_items();
   out.first_item = input.own_items() ? lease.first() : 0;
-  // Ranges of it are other bytes under other leases: no table may be kept by its name.
-  if (!input.own_items()) out.artifact = input.artifact();
+  out.artifact = name;
   return out;
 }
 

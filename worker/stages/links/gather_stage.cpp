@@ -1,6 +1,9 @@
 // Stage kinds "links_gather": one bounce of light over the links (kernels/links/gather.cl), and "links_exchange": all
 // bounces on one worker.
 
+#include <array>
+#include <span>
+
 #include "scene/model/error.h"
 #include "worker/stages/links/flux.h"
 #include "worker/stages/links/mesh.h"
@@ -55,18 +58,37 @@ void copy_sent(std::span<const std::byte> rows, std::uint64_t first, std::uint64
   }
 }
 
-cl::Buffer sent_by_all(const StageRun& run, cl::CommandQueue& queue, const char* name, std::uint64_t elements,
-                       std::uint64_t plain) {
+void put_sent(const StageRun& run, cl::CommandQueue& queue, const char* name, std::uint64_t elements,
+              std::uint64_t plain, cl::Buffer& buffer) {
   const InputRows rows(run.task, name, kRowBytes);
   rows.expect_rows(elements);
-  cl::Buffer buffer = run.workspace.take("links.sent", elements * kSentBytes);
   auto* out = static_cast<std::byte*>(
       queue.enqueueMapBuffer(buffer, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, elements * kSentBytes));
   rows.visit(0, elements,
              [&](std::uint64_t row, std::span<const std::byte> bytes) { copy_sent(bytes, row, plain, out); });
   queue.enqueueUnmapMemObject(buffer, out);
   queue.finish();
-  return buffer;
+}
+
+// For all batches of a bounce.
+struct SentTable {
+  cl::Buffer sent{};
+  std::size_t bytes() const { return sent.getInfo<CL_MEM_SIZE>(); }
+};
+
+cl::Buffer kept_sent(const StageRun& run, cl::CommandQueue& queue, const LinksGatherParameters& p) {
+  StageTask radiosity;
+  radiosity.kind = run.task.kind;
+  radiosity.parameters = run.task.parameters;
+  radiosity.inputs["radiosity"] = run.task.inputs.at("radiosity");
+  return run.tables
+      .get<SentTable>(radiosity,
+                      [&] {
+                        SentTable table{run.device.make_buffer(p.elements * kSentBytes)};
+                        put_sent(run, queue, "radiosity", p.elements, p.plain, table.sent);
+                        return table;
+                      })
+      ->sent;
 }
 
 // Links on the device, and where each element's begin.
@@ -99,6 +121,17 @@ LinkTables links_of(const StageRun& run, cl::CommandQueue& queue, std::uint64_t 
   queue.enqueueWriteBuffer(tables.starts, CL_TRUE, 0, starts.size() * 4, starts.data());
   tables.words = as_buffer(run, queue, rows, input, offset[0] * 4, words * 4);
   return tables;
+}
+
+// Links serve every light and every bounce: they stay on the device, whatever else the stage reads.
+std::shared_ptr<const LinkTables> kept_links(const StageRun& run, cl::CommandQueue& queue, std::uint64_t elements) {
+  StageTask links;
+  links.kind = run.task.kind;
+  links.inputs["links"] = run.task.inputs.at("links");
+  const std::array<std::uint64_t, 2> items = {run.first, run.count};
+  const auto bytes = std::as_bytes(std::span(items));
+  links.parameters.assign(bytes.begin(), bytes.end());
+  return run.tables.get<LinkTables>(links, [&] { return links_of(run, queue, elements); });
 }
 
 class GatherThread : public HostThread {
@@ -177,12 +210,12 @@ BatchResult run_links_gather_stage(const StageRun& run) {
   cl::CommandQueue queue = run.device.make_queue();
   GatherBatch batch;
   put_parameters(run, queue, p, batch);
-  const LinkTables links = links_of(run, queue, p.elements);
-  batch.words = links.words;
-  batch.starts = links.starts;
+  const std::shared_ptr<const LinkTables> links = kept_links(run, queue, p.elements);
+  batch.words = links->words;
+  batch.starts = links->starts;
   batch.light = own_rows(run, queue, "light", kRowBytes, p.elements);
   batch.albedo = own_rows(run, queue, "albedo", ALBEDO_WORDS * 4, p.elements);
-  batch.sent = sent_by_all(run, queue, "radiosity", p.elements, p.plain);
+  batch.sent = kept_sent(run, queue, p);
   make_room(run, queue, batch);
   BatchResult result;
   result.records.resize(run.count * kRowBytes);
@@ -201,14 +234,6 @@ void send(cl::CommandQueue& queue, const scene::Bytes& rows, std::uint64_t plain
   copy_sent(rows, 0, plain, out);
   queue.enqueueUnmapMemObject(sent, out);
   queue.finish();
-}
-
-// Links serve every light: they stay on the device, whatever else the stage reads.
-std::shared_ptr<const LinkTables> kept_links(const StageRun& run, cl::CommandQueue& queue, std::uint64_t elements) {
-  StageTask links;
-  links.kind = run.task.kind;
-  links.inputs["links"] = run.task.inputs.at("links");
-  return run.tables.get<LinkTables>(links, [&] { return links_of(run, queue, elements); });
 }
 
 }  // namespace
@@ -231,7 +256,8 @@ BatchResult run_links_exchange_stage(const StageRun& run) {
   batch.starts = links->starts;
   batch.light = own_rows(run, queue, "light", kRowBytes, p.elements);
   batch.albedo = own_rows(run, queue, "albedo", ALBEDO_WORDS * 4, p.elements);
-  batch.sent = sent_by_all(run, queue, "light", p.elements, p.plain);
+  batch.sent = run.workspace.take("links.sent", p.elements * kSentBytes);
+  put_sent(run, queue, "light", p.elements, p.plain, batch.sent);
   make_room(run, queue, batch);
   const std::vector<float> areas = p.least_share > 0 ? element_areas(run.task) : std::vector<float>{};
   if (p.least_share > 0 && areas.size() != p.elements)
@@ -241,17 +267,19 @@ BatchResult run_links_exchange_stage(const StageRun& run) {
   result.records.resize(run.count * kRowBytes);
   std::vector<float> before = input_rows(run.task, "light", RADIOSITY_WORDS), after(before.size());
   kernels::LinksBounces bounces;
-  for (bool enough = false; !enough && bounces.done < p.most_bounces;) {
+  std::uint32_t bounce = 0;
+  for (bool enough = false; !enough && bounce < p.most_bounces;) {
+    ++bounce;
+    const bool measures = p.least_share > 0 && bounce == bounces.next && bounce < p.most_bounces;
+    if (measures && bounce > 1) std::memcpy(before.data(), result.records.data(), result.records.size());
     gather(run, queue, batch, result);
-    send(queue, result.records, p.plain, batch.sent);
-    std::memcpy(after.data(), result.records.data(), result.records.size());
-    if (p.least_share > 0)
+    if (measures) {
+      std::memcpy(after.data(), result.records.data(), result.records.size());
       enough = bounces.is_enough(flux_of(areas, after, before), double{p.least_share});
-    else
-      ++bounces.done;
-    after.swap(before);
+    }
+    if (!enough && bounce < p.most_bounces) send(queue, result.records, p.plain, batch.sent);
   }
-  set_facts(result, kernels::LinksExchangeFacts{bounces.done, 0, bounces.left});
+  set_facts(result, kernels::LinksExchangeFacts{bounce, 0, bounces.left});
   result.counters.seconds = seconds_now() - start;
   return result;
 }
