@@ -7,7 +7,7 @@
 #include "cli/call_again.h"
 #include "cli/client.h"
 #include "cli/commands.h"
-#include "cli/status_words.h"
+#include "coordinator/gateway/status_json.h"
 #include "scene/model/error.h"
 #include "scene/model/names.h"
 
@@ -33,7 +33,7 @@ int events(const EventsOptions& options) {
       client.events(seen, options.job, [&](const coordinator::FarmEvent& event) {
         call_again.answered();
         seen = event.number;
-        std::cout << dump(event_json(event)) << std::endl;
+        std::cout << gateway::dump(gateway::event_json(event)) << std::endl;
         if (!std::cout) throw Error::failed("standard output: cannot write");
       });
       return 0;

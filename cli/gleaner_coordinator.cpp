@@ -47,6 +47,7 @@ constexpr Seconds grace = 5;             // for a plan that computes when the co
 struct CoordinatorOptions {
   std::string listen = "127.0.0.1:8780";
   std::string http;  // empty: none
+  std::vector<std::string> http_hosts;
   bool insecure = false;
   std::string check;  // HOST:PORT; empty: be a coordinator
   std::string data;
@@ -136,7 +137,7 @@ int coordinate(const CoordinatorOptions& options) {
   server_settings.upload_bytes = static_cast<std::uint64_t>(options.upload_gib * gib);
   gateway::Server server(farm, blobs, server_settings);
   std::optional<gateway::HttpServer> http;
-  if (!options.http.empty()) http.emplace(farm, options.http);
+  if (!options.http.empty()) http.emplace(farm, options.http, options.http_hosts);
   // Alone on standard output, so that scripts that ask for port 0 learn what they got.
   std::cout << server.address() << std::endl;
   log->info("listening on " + server.address() + (http ? ", HTTP on " + http->address() : "") + ", data in " +
@@ -170,7 +171,13 @@ int main(int argc, char** argv) {
   CoordinatorOptions options;
   app.add_option("--listen", options.listen, "HOST:PORT; port 0 takes a free one. Prints HOST:PORT on standard output")
       ->capture_default_str();
-  app.add_option("--http", options.http, "HOST:PORT of /healthz and /metrics (default: none)");
+  app.add_option("--http", options.http,
+                 "HOST:PORT of a page that shows the farm, /healthz and /metrics (default: none)");
+  app.add_option("--http-host", options.http_hosts,
+                 "NAME by which --http may be asked for, beside localhost and addresses; may be given again (default: "
+                 "on loopback none, else any)")
+      ->take_all()
+      ->allow_extra_args(false);
   add_keys_option(app);
   app.add_flag("--insecure", options.insecure,
                "other machines may reach the listeners, without encryption or authentication");

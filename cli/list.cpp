@@ -7,6 +7,7 @@
 #include "cli/client.h"
 #include "cli/commands.h"
 #include "cli/status_words.h"
+#include "coordinator/gateway/status_json.h"
 
 namespace gleaner::cli {
 
@@ -21,8 +22,8 @@ int list(const ListOptions& options) {
   auto jobs = Client(options.coordinator).list();
   if (options.json) {
     nlohmann::json all = nlohmann::json::array();
-    for (const auto& status : jobs) all.push_back(job_json(status));
-    std::cout << dump(all) << "\n";
+    for (const auto& status : jobs) all.push_back(gateway::job_json(status));
+    std::cout << gateway::dump(all) << "\n";
   } else if (options.csv) {
     std::cout << job_csv(jobs);
   } else {

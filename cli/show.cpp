@@ -8,6 +8,7 @@
 #include "cli/commands.h"
 #include "cli/progress.h"
 #include "cli/status_words.h"
+#include "coordinator/gateway/status_json.h"
 
 namespace gleaner::cli {
 
@@ -21,7 +22,7 @@ struct ShowOptions {
 int show(const ShowOptions& options) {
   coordinator::JobStatus status = Client(options.coordinator).show(options.job);
   if (options.json) {
-    std::cout << dump(job_json(status)) << "\n";
+    std::cout << gateway::dump(gateway::job_json(status)) << "\n";
     return 0;
   }
   std::cout << job_line(status) << "\n";

@@ -18,6 +18,7 @@
 #include "cli/commands.h"
 #include "cli/progress.h"
 #include "cli/status_words.h"
+#include "coordinator/gateway/status_json.h"
 #include "proto/atomic_file.h"
 #include "scene/model/error.h"
 #include "scene/model/names.h"
@@ -131,7 +132,7 @@ class Watch {
 
  private:
   void show(const JobStatus& status) {
-    if (options_.json) std::cout << dump(job_json(status)) << std::endl;
+    if (options_.json) std::cout << gateway::dump(gateway::job_json(status)) << std::endl;
     progress_.show(status);
     tell_written(status);
     explain(status);

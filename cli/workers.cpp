@@ -7,7 +7,7 @@
 #include "cli/client.h"
 #include "cli/commands.h"
 #include "cli/progress.h"
-#include "cli/status_words.h"
+#include "coordinator/gateway/status_json.h"
 
 namespace gleaner::cli {
 
@@ -22,8 +22,8 @@ int workers(const WorkersOptions& options) {
   auto all = Client(options.coordinator).workers();
   if (options.json) {
     nlohmann::json out = nlohmann::json::array();
-    for (const auto& status : all) out.push_back(worker_json(status));
-    std::cout << dump(out) << "\n";
+    for (const auto& status : all) out.push_back(gateway::worker_json(status));
+    std::cout << gateway::dump(out) << "\n";
     return 0;
   }
   for (const auto& status : all) {

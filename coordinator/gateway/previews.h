@@ -12,9 +12,14 @@
 
 namespace gleaner::gateway {
 
+struct PreviewSettings {
+  std::uint32_t longest_side = 0;  // to which pictures are shrunk; 0: they are not
+  double least_pause = 0;          // s, between two that are drawn anew of what was sampled
+};
+
 class Previews {
  public:
-  explicit Previews(coordinator::Farm& farm) : farm_(farm) {}
+  explicit Previews(coordinator::Farm& farm, const PreviewSettings& settings = {}) : farm_(farm), settings_(settings) {}
   // Nobody calls any more.
   ~Previews();
   Previews(const Previews&) = delete;
@@ -22,7 +27,7 @@ class Previews {
 
   // The bytes of a PNG; empty: there is nothing to show yet. Never waits for a worker: the first one of a job is as it
   // was sampled, and those after it are the last that was denoised. While a plan computes, the one before is shown
-  // again. Without `denoise` it is what was sampled, and always new.
+  // again. Without `denoise` it is what was sampled: new, unless the settings ask for pauses.
   std::string show(const std::string& job, double exposure_stops, bool denoise);
 
  private:
@@ -30,6 +35,7 @@ class Previews {
   struct Shown {
     std::string sampled, denoised;  // the last ones
     Clock::time_point due{};        // when to denoise again
+    Clock::time_point draw_due{};   // when to draw what was sampled again
     bool busy = false;              // the thread denoises
     std::jthread thread{};
   };
@@ -43,7 +49,10 @@ class Previews {
   // In a thread of its own.
   Denoised denoised(const std::string& job, double exposure_stops, const std::stop_token& stop);
 
+  std::string png_of(const coordinator::Film& film, double exposure_stops) const;
+
   coordinator::Farm& farm_;
+  const PreviewSettings settings_;
   std::mutex mutex_;
   std::map<std::string, Shown> shown_;  // by job
 };

@@ -18,6 +18,7 @@
 #include "coordinator/jobs/farm.h"
 #include "coordinator/jobs/frame.h"
 #include "coordinator/jobs/kept_records.h"
+#include "coordinator/jobs/overview.h"
 #include "coordinator/jobs/running_job.h"
 #include "coordinator/journal/journal.h"
 
@@ -36,6 +37,7 @@ struct Worker {
   std::set<std::string> rechecked_kinds;  // of stages of which its first batch was computed again
   unsigned waits = 0;                     // results of its that wait for the plan: it cannot be heard meanwhile
   std::set<Epoch> leases;
+  std::optional<AcceptedBatch> last_batch;
   Seconds idle_since = -1;  // it could work, and has had no lease since then; negative: it has one
 };
 
@@ -95,6 +97,12 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   void watch_clock();
   void tick();
   void note_idle(Worker& worker);  // after its leases may have become none, or some
+  WorkerStatus worker_status(const Worker& worker, Seconds time) const;
+
+  // What a page shows (overview.cpp; mutex held).
+  void add_workers(const OverviewLimits& limits, Seconds time, FarmOverview& overview) const;
+  void add_jobs(const OverviewLimits& limits, Seconds time, FarmOverview& overview) const;
+  std::optional<GivenBatch> batch_of(const Worker& worker, Seconds time) const;
 
   // Jobs (job_queue.cpp).
   void changed(Job& job);  // mutex held
@@ -307,7 +315,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
             const BatchOutput::Retained& part);
   void stream_in(RunningStage& stage, const Lease& lease, Bytes records, std::optional<std::uint64_t> on_file,
                  std::unique_lock<std::mutex>& lock);
-  void account(RunningStage& stage, const Worker& worker, const Lease& lease, const BatchCost& cost,
+  void account(RunningStage& stage, Worker& worker, const Lease& lease, const BatchCost& cost,
                std::size_t bytes);  // mutex held
   void failed(WorkerId id, LeaseId lease_id, Epoch epoch, const std::string& message, bool input_unavailable);
 
@@ -335,6 +343,7 @@ struct Farm::Impl : std::enable_shared_from_this<Farm::Impl> {
   std::set<WorkerId> liars;
   std::mt19937_64 random{std::random_device{}()};
   std::map<WorkerId, std::string> names_of_gone;  // the last few: they may still be in dispute
+  std::deque<GoneWorker> gone_workers;            // the last few, the latest first
   EventLog event_log{settings.scheduler.incarnation};
   KeptRecords kept{settings.kept_bytes};
   std::map<std::string, std::shared_ptr<Job>> jobs;

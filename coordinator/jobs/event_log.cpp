@@ -11,9 +11,11 @@ constexpr std::size_t most_events = 10000;
 
 }  // namespace
 
+double unix_now() { return std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count(); }
+
 void EventLog::add(FarmEvent event) {
   event.number = ++last_;
-  event.unix_seconds = std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
+  event.unix_seconds = unix_now();
   events_.push_back(std::move(event));
   if (events_.size() > most_events) events_.pop_front();
 }
@@ -33,6 +35,11 @@ std::vector<FarmEvent> EventLog::after(std::uint64_t number, const std::string& 
   for (auto event = events_.begin() + static_cast<std::ptrdiff_t>(skip); event != events_.end(); ++event)
     if (job.empty() || event->job == job) found.push_back(*event);
   return found;
+}
+
+std::vector<FarmEvent> EventLog::latest(std::size_t most) const {
+  const auto count = static_cast<std::ptrdiff_t>(std::min(most, events_.size()));
+  return {events_.rbegin(), events_.rbegin() + count};
 }
 
 }  // namespace gleaner::coordinator

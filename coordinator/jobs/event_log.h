@@ -8,6 +8,8 @@
 
 namespace gleaner::coordinator {
 
+double unix_now();  // s, of the system's clock
+
 struct FarmEvent {
   std::uint64_t number = 0;  // grows by one; those of a coordinator's next start are greater than all before
   double unix_seconds = 0;
@@ -29,6 +31,7 @@ class EventLog {
   // Those after the event of that number, of the job where it is not empty. Where some of them are no longer there,
   // the first one says so.
   std::vector<FarmEvent> after(std::uint64_t number, const std::string& job) const;
+  std::vector<FarmEvent> latest(std::size_t most) const;  // the latest first
 
  private:
   std::uint64_t last_;

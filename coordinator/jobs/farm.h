@@ -18,6 +18,7 @@
 #include "coordinator/film/film.h"
 #include "coordinator/jobs/event_log.h"
 #include "coordinator/jobs/job.h"
+#include "coordinator/jobs/overview.h"
 #include "coordinator/jobs/report.h"
 #include "coordinator/jobs/session.h"
 #include "coordinator/plan/plan.h"
@@ -143,6 +144,7 @@ class Farm {
   void heard(WorkerId worker);            // it lives
   std::vector<WorkerStatus> workers() const;
   FarmTotals totals() const;
+  FarmOverview overview(const OverviewLimits& limits = {}) const;
 
   // How many bytes the result of this lease has (of a counted output: at most); none where the lease is not (or no
   // longer) this worker's.

@@ -1,7 +1,6 @@
 // Jobs from submission to their end: who runs next, and what remains of one that ended.
 
 #include <algorithm>
-#include <chrono>
 #include <cstdlib>
 #include <functional>
 #include <iterator>
@@ -95,8 +94,7 @@ std::shared_ptr<Job> Farm::Impl::accept(const JobRequest& request) {
                        std::to_string(request.settings.height) + " pixels by " + request.settings.method + " needs " +
                        gibibytes(job->memory) + " of the coordinator's memory, of which it may take " +
                        gibibytes(settings.memory_bytes));
-  job->submitted_unix_seconds =
-      std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
+  job->submitted_unix_seconds = unix_now();
   return job;
 }
 

@@ -253,7 +253,7 @@ void Farm::Impl::stream_in(RunningStage& stage, const Lease& lease, Bytes record
   }
 }
 
-void Farm::Impl::account(RunningStage& stage, const Worker& worker, const Lease& lease, const BatchCost& cost,
+void Farm::Impl::account(RunningStage& stage, Worker& worker, const Lease& lease, const BatchCost& cost,
                          std::size_t bytes) {
   Seconds time = now();
   stage.items_done += lease.count;
@@ -261,6 +261,8 @@ void Farm::Impl::account(RunningStage& stage, const Worker& worker, const Lease&
   ++totals.batches_accepted;
   stage.last_result = time;
   remember_progress(stage, time);
+  worker.last_batch = {
+      .stage = stage.spec.name, .kind = stage.spec.kind, .items = lease.count, .seconds = cost.seconds};
   Frame& frame = *stage.frame;
   frame.makers.insert(worker.id);
   frame.work_done += stage.work_per_item() * static_cast<double>(lease.count);

@@ -28,6 +28,8 @@ void update_progress(Job& job, Seconds now) {
 
 namespace {
 
+constexpr std::size_t most_brief_stages = 8;
+
 void add_progress(const Job& job, Seconds now, JobStatus& status) {
   status.progress = job.progress.part();
   status.seconds_left = job.progress.seconds_left();
@@ -56,12 +58,14 @@ void add_progress(const Job& job, Seconds now, JobStatus& status) {
     status.seconds_left = status.frame_seconds_left;
 }
 
-void add_frames(const Job& job, JobStatus& status) {
+void add_frames(const Job& job, bool brief, JobStatus& status) {
   const auto number = [&](std::uint64_t place) { return frame_at(job.request, place); };
+  for (const auto& [place, frame] : job.frames) status.running.push_back(number(frame->place));
   status.frames = static_cast<std::uint32_t>(frames_of(job.request));
   status.frame_step = job.request.numbers.empty() ? job.request.frame_step : 1;
   status.frames_done = static_cast<std::uint32_t>(job.written.count());
   status.frames_failed = static_cast<std::uint32_t>(job.failed.count());
+  if (brief) return;
   for (const auto& [first, last] : job.written.ranges()) {
     status.written.emplace_back(number(first), number(last));
     if (job.request.numbers.empty()) continue;
@@ -74,19 +78,31 @@ void add_frames(const Job& job, JobStatus& status) {
         status.written.emplace_back(number(place), number(place));
     }
   }
-  for (const auto& [place, frame] : job.frames) status.running.push_back(number(frame->place));
+}
+
+void add_stages(const Job& job, Seconds now, bool brief, JobStatus& status) {
+  if (job.frames.empty()) status.stages = job.last_stages;
+  for (const auto& [place, frame] : job.frames)
+    for (const auto& stage : frame->stages) {
+      status.preview_available = status.preview_available || stage->items_done > 0;
+      if (brief && (stage->complete || status.stages.size() == most_brief_stages)) continue;
+      status.stages.push_back(status_of(*stage, now));
+    }
+  for (const StageStatus& stage : status.stages)
+    status.preview_available = status.preview_available || stage.items_done > 0;
+  if (brief && job.frames.empty()) status.stages.clear();
 }
 
 }  // namespace
 
-JobStatus status_of(const Job& job, Seconds now) {
+JobStatus status_of(const Job& job, Seconds now, bool brief) {
   JobStatus status;
   status.id = job.id;
   status.owner = job.request.owner;
   status.name = job.request.name;
   status.paused = job.paused;
   status.priority = job.request.priority;
-  status.after = job.request.after;
+  if (!brief) status.after = job.request.after;
   status.worker_seconds = job.worker_seconds;
   status.rays = job.rays;
   status.state = job.state;
@@ -94,17 +110,13 @@ JobStatus status_of(const Job& job, Seconds now) {
   status.method = job.request.settings.method;
   status.width = job.request.settings.width;
   status.height = job.request.settings.height;
-  add_frames(job, status);
-  if (job.frames.empty()) status.stages = job.last_stages;
-  for (const auto& [place, frame] : job.frames)
-    for (const auto& stage : frame->stages) status.stages.push_back(status_of(*stage, now));
+  add_frames(job, brief, status);
+  status.preview_available = job.state == JobState::done;
+  add_stages(job, now, brief, status);
   status.seconds = (ended(job.state) ? job.ended : now) - job.accepted;
   status.submitted_unix_seconds = job.submitted_unix_seconds;
   status.message = job.message;
   status.exposure_stops = job.request.exposure_stops;
-  status.preview_available = job.state == JobState::done;
-  for (const StageStatus& stage : status.stages)
-    status.preview_available = status.preview_available || stage.items_done > 0;
   status.version = job.version;
   if (job.state == JobState::running) add_progress(job, now, status);
   if (job.state == JobState::done) status.progress = status.frame_progress = 1;

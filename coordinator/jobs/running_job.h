@@ -13,6 +13,7 @@
 
 #include "coordinator/jobs/frame.h"
 #include "coordinator/jobs/frame_set.h"
+#include "coordinator/jobs/overview.h"
 
 namespace gleaner::coordinator {
 
@@ -46,6 +47,7 @@ struct Job : std::enable_shared_from_this<Job> {
   std::vector<std::string> warnings;              // of the frames so far
   std::map<WorkerId, std::uint32_t> frames_with;  // frames written with a worker's help
   std::vector<StageStatus> last_stages;           // of the frame that ended last
+  std::optional<FrameError> error;                // of the frame that was written last
   double worker_seconds = 0;                      // of accepted batches
   std::uint64_t rays = 0;
 
@@ -63,6 +65,8 @@ struct Job : std::enable_shared_from_this<Job> {
 
 // Brings the job's progress up to date with its frames'.
 void update_progress(Job& job, Seconds now);
-JobStatus status_of(const Job& job, Seconds now);
+// `brief`: without what there may be much of: the numbers of written frames, the jobs that are waited for, and stages
+// but the first few that run.
+JobStatus status_of(const Job& job, Seconds now, bool brief = false);
 
 }  // namespace gleaner::coordinator

@@ -18,7 +18,8 @@ constexpr std::chrono::milliseconds idle_look{100};
 constexpr std::chrono::milliseconds calm_look{1000};
 constexpr std::chrono::milliseconds offer_interval{2};
 constexpr std::size_t most_names_of_gone = 4096;
-constexpr Seconds between_costs = 5;  // of running jobs, for the journal
+constexpr std::size_t most_gone = 100;  // whom people are told of
+constexpr Seconds between_costs = 5;    // of running jobs, for the journal
 
 }  // namespace
 
@@ -91,6 +92,12 @@ void Farm::Impl::lose(WorkerId id, const std::string& why) {
   for (Epoch epoch : std::set<Epoch>(found->second.leases)) leases.erase(epoch);
   if (!why.empty()) found->second.session->close(why);
   tokens.erase(found->second.hello.token);
+  gone_workers.push_front({.name = found->second.name,
+                           .device = found->second.hello.device.name,
+                           .unix_seconds = unix_now(),
+                           .lost = !found->second.draining || !found->second.aside.empty(),
+                           .why = why.empty() ? found->second.aside : why});
+  if (gone_workers.size() > most_gone) gone_workers.pop_back();
   names_of_gone[id] = found->second.name;
   if (names_of_gone.size() > most_names_of_gone) names_of_gone.erase(names_of_gone.begin());
   workers.erase(found);
@@ -209,27 +216,29 @@ void Farm::heard(WorkerId id) {
   if (auto worker = impl_->workers.find(id); worker != impl_->workers.end()) worker->second.heard = impl_->now();
 }
 
+WorkerStatus Farm::Impl::worker_status(const Worker& worker, Seconds time) const {
+  WorkerStatus status{.id = worker.name,
+                      .address = worker.hello.address,
+                      .device = worker.hello.device,
+                      .leases = static_cast<std::uint32_t>(worker.leases.size()),
+                      .draining = worker.draining && worker.aside.empty(),
+                      .aside = worker.aside,
+                      .connected_seconds = time - worker.joined,
+                      .silent_seconds = time - worker.heard,
+                      .items_per_second = {}};
+  if (const auto until = scheduler.quarantined_until(worker.id); until && status.aside.empty())
+    status.aside = "failures or leases that ran out; it is asked again in " +
+                   std::to_string(static_cast<int>(std::ceil(std::max(0.0, *until - time)))) + " s";
+  for (const auto& kind : kinds)
+    if (double rate = scheduler.items_per_second(worker.id, kind); rate > 0) status.items_per_second[kind] = rate;
+  return status;
+}
+
 std::vector<WorkerStatus> Farm::workers() const {
   std::lock_guard lock(impl_->mutex);
-  Seconds time = impl_->now();
+  const Seconds time = impl_->now();
   std::vector<WorkerStatus> all;
-  for (const auto& [id, worker] : impl_->workers) {
-    WorkerStatus status{.id = worker.name,
-                        .address = worker.hello.address,
-                        .device = worker.hello.device,
-                        .leases = static_cast<std::uint32_t>(worker.leases.size()),
-                        .draining = worker.draining && worker.aside.empty(),
-                        .aside = worker.aside,
-                        .connected_seconds = time - worker.joined,
-                        .silent_seconds = time - worker.heard,
-                        .items_per_second = {}};
-    if (const auto until = impl_->scheduler.quarantined_until(id); until && status.aside.empty())
-      status.aside = "failures or leases that ran out; it is asked again in " +
-                     std::to_string(static_cast<int>(std::ceil(std::max(0.0, *until - time)))) + " s";
-    for (const auto& kind : impl_->kinds)
-      if (double rate = impl_->scheduler.items_per_second(id, kind); rate > 0) status.items_per_second[kind] = rate;
-    all.push_back(std::move(status));
-  }
+  for (const auto& [id, worker] : impl_->workers) all.push_back(impl_->worker_status(worker, time));
   return all;
 }
 

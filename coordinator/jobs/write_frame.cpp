@@ -5,6 +5,7 @@
 #include <span>
 #include <system_error>
 
+#include "coordinator/film/metrics.h"
 #include "coordinator/film/write.h"
 #include "coordinator/jobs/engine.h"
 #include "proto/atomic_file.h"
@@ -17,6 +18,16 @@ namespace fs = std::filesystem;
 namespace {
 
 constexpr std::chrono::seconds between_tries{2};  // to write on a full disk
+
+std::optional<FrameError> error_of(const Film& film, std::uint32_t frame) {
+  try {
+    const OwnNoise noise = own_noise({film, "the frame"});
+    if (!noise.standard_error) return std::nullopt;
+    return FrameError{.frame = frame, .relative = *noise.standard_error, .denoised = noise.denoised};
+  } catch (const Error&) {
+    return std::nullopt;  // without RGB, or not finite: nothing is known of its error, and the files say what it is
+  }
+}
 
 }  // namespace
 
@@ -83,8 +94,10 @@ void Farm::Impl::write_files(Frame& frame, const Film& film) {
     std::string text = report_json(report);
     write_atomically(paths.report.string(), std::as_bytes(std::span(text)));
   }
+  const std::optional<FrameError> error = error_of(film, report.frame);
   std::lock_guard lock(mutex);
   frame.report = std::move(report);
+  if (error) frame.job->error = error;
 }
 
 }  // namespace gleaner::coordinator

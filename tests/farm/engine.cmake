@@ -4,4 +4,5 @@ gleaner_test(NAME farm_jobs SOURCES jobs_test.cpp LIBRARIES gleaner_jobs nlohman
 gleaner_test(NAME farm_retained SOURCES retained_test.cpp LIBRARIES gleaner_jobs nlohmann_json::nlohmann_json)
 gleaner_test(NAME farm_recheck SOURCES recheck_test.cpp LIBRARIES gleaner_jobs nlohmann_json::nlohmann_json)
 gleaner_test(NAME farm_journal SOURCES journal_test.cpp LIBRARIES gleaner_jobs nlohmann_json::nlohmann_json)
+gleaner_test(NAME farm_overview SOURCES overview_test.cpp LIBRARIES gleaner_jobs nlohmann_json::nlohmann_json)
 gleaner_test(NAME farm_side_by_side SOURCES side_by_side_test.cpp LIBRARIES gleaner_jobs nlohmann_json::nlohmann_json)

@@ -154,7 +154,14 @@ class FakePlan final : public coordinator::Plan {
   }
 
   Film preview_film(bool) const override { return film_; }
-  Film film() const override { return film_; }
+  // With --set variance=V it says of every pixel that its mean has this variance.
+  Film film() const override {
+    Film film = film_;
+    if (const auto variance = settings_.set.find("variance"); variance != settings_.set.end())
+      for (const char* name : {"variance.R", "variance.G", "variance.B"})
+        film.channel(name).values.assign(std::size_t{film.width} * film.height, std::stof(variance->second));
+    return film;
+  }
   std::vector<coordinator::Skip> skips() const override { return {{"photons", "the fake has no light", 7}}; }
   std::vector<std::string> warnings() const override {
     const auto warning = settings_.set.find("warn");
