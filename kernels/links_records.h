@@ -83,6 +83,13 @@ GLEANER_SIZE(LinksMeshParameters, 16);
 // sides see nothing.
 #define PROBE_LEAST_HITS 0.25f
 
+// What kernels are told of that: SIDE_BITS an element, from the lowest of a word on. The host makes it of the probe's
+// rows: a few words stay in a core's cache, where rows do not.
+#define SIDE_BITS 2u
+#define SIDE_INSIDE 1u
+#define SIDE_HIDDEN 2u
+#define SIDES_OF_WORD 16u
+
 // What the plan is told of a mesh.
 typedef struct {
   gl_uint vertices, nodes, divided, triangles;

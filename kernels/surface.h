@@ -270,7 +270,11 @@ FN vi shines_towards(const Hit* h, v3 direction) {
 #endif
 }
 
-// Colour and opacity: all that emission and alpha tests ask of a material.
+// Colour and opacity: all that emission and alpha tests ask of a material. Programs that see no colour define
+// SEES_NO_COLOR, and look textures up where these hold alpha: their texels lie all over the memory.
+#if defined(NEED_TEXTURES) && (defined(NEED_ALPHA) || !defined(SEES_NO_COLOR))
+#define LOOKS_TEXTURES_UP
+#endif
 FN void load_color(const Scene* scene, const Hit* h, Surface* m, vi active) {
   m->base = words3(h->words, MATERIAL_BASE_COLOR);
 #ifdef NEED_VERTEX_COLORS
@@ -283,10 +287,13 @@ FN void load_color(const Scene* scene, const Hit* h, Surface* m, vi active) {
   m->opacity = m->opacity * h->color_alpha;
 #endif
 #endif
-#ifdef NEED_TEXTURES
+#ifdef LOOKS_TEXTURES_UP
   {
     vu texture = as_vu(h->words[MATERIAL_BASE_COLOR_TEXTURE]);
     vi textured = active & (texture != GLEANER_NONE);
+#ifdef SEES_NO_COLOR
+    textured = textured & ((flags & (GLEANER_MATERIAL_ALPHA_MASK | GLEANER_MATERIAL_ALPHA_BLEND)) != 0u);
+#endif
     if (any_lane(textured)) {
       vf alpha;
       v3 color = texture_at(scene, h, texture, textured, &alpha);

@@ -49,7 +49,7 @@ kernel WIDE void links_audit_rays(global const LinksParameters* restrict paramet
 // `radiosity`: rows of RADIOSITY_WORDS; `seen`: rows of SEEN_WORDS. The ray's number is its slot.
 kernel WIDE void links_audit_hits(global const LinksParameters* restrict parameters, SCENE_PARAMETERS,
                                   global const uint* restrict mesh, global const uint* restrict lobes,
-                                  global const float* restrict probe, global const float* restrict albedos,
+                                  global const uint* restrict sides, global const float* restrict albedos,
                                   global const float* restrict radiosity, uint first, uint count,
                                   global const float* restrict rays, global float* restrict seen,
                                   global float* restrict shadows, global float* restrict slots, uint slot_count,
@@ -69,7 +69,7 @@ kernel WIDE void links_audit_hits(global const LinksParameters* restrict paramet
   elements.hit = no_vertex();
   if (any_lane(hit)) {
     Mesh m = load_mesh(mesh);
-    elements = seen_elements(scene, &m, lobes, probe, rays, block, hit);
+    elements = seen_elements(scene, &m, lobes, sides, rays, block, hit);
     vf weight = zero_f();
     for (uint k = 0; k < 3u; ++k) {
       vu at = elements.element[k] * RADIOSITY_WORDS;

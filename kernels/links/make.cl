@@ -9,6 +9,9 @@
 //
 // A link's weight is the share of the element's hemisphere that its rays see of the other's hat function, less what
 // opacity and the layers above both diffuse layers take.
+#ifndef LINKS_LOBES
+#define SEES_NO_COLOR
+#endif
 #include "kernels/links/rays.h"
 
 // ENDS ends and weights a ray: three, and with lobes as many more for what these send; weight 0: no link.
@@ -19,7 +22,7 @@
 #endif
 
 kernel WIDE void links_hits(SCENE_PARAMETERS, global const uint* restrict mesh, global const uint* restrict lobes,
-                            global const float* restrict probe, uint count, global const float* restrict rays,
+                            global const uint* restrict sides, uint count, global const float* restrict rays,
                             global uint* restrict ends, global float* restrict weights) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
@@ -34,7 +37,7 @@ kernel WIDE void links_hits(SCENE_PARAMETERS, global const uint* restrict mesh, 
     return;
   }
   Mesh m = load_mesh(mesh);
-  SeenElements seen = seen_elements(scene, &m, lobes, probe, rays, block, hit);
+  SeenElements seen = seen_elements(scene, &m, lobes, sides, rays, block, hit);
   for (uint k = 0; k < 3u; ++k) {
     scatter_u(ends + k, to, LINK_END(seen.element[k], m.elements >> 1));
     scatter_f(weights + k, to, seen.weight[k]);

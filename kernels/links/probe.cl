@@ -9,6 +9,7 @@
 //
 // A mesh that interpolates this light well does so with any light of no finer structure: what is measured knows
 // nothing of the scene's lights, and links are kept while these move.
+#define SEES_NO_COLOR
 #include "kernels/links/rays.h"
 
 // The wave's direction and length, and its phase.

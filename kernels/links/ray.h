@@ -57,8 +57,8 @@ typedef struct {
   Vertex hit;  // as scattering has it
 } SeenElements;
 
-// Of lanes whose ray met something. `probe`: rows of PROBE_WORDS.
-FN SeenElements seen_elements(const Scene* scene, const Mesh* mesh, global const uint* lobes, global const float* probe,
+// Of lanes whose ray met something. `sides`: as of SIDE_BITS.
+FN SeenElements seen_elements(const Scene* scene, const Mesh* mesh, global const uint* lobes, global const uint* sides,
                               global const float* rays, uint block, vi hit) {
   vf weight = row_f(rays, LINK_ROWS, block, ROW_WEIGHT);
   v3 direction = row_3(rays, LINK_ROWS, block, ROW_DIRECTION);
@@ -79,9 +79,11 @@ FN SeenElements seen_elements(const Scene* scene, const Mesh* mesh, global const
   Corners c = corners_at(mesh, v.primitive, v.hit.b1, v.hit.b2);
   vu side = pick_u((vu)0u, (vu)1u, v.frame.from_back);
   vf outside[3];
-  for (uint k = 0; k < 3u; ++k)
-    outside[k] = pick(zero_f(), one_f(),
-                      gather_f(probe + PROBE_BACKS, (c.vertex[k] * 2u + side) * PROBE_WORDS) <= (vf)PROBE_MOST_BACKS);
+  for (uint k = 0; k < 3u; ++k) {
+    vu element = c.vertex[k] * 2u + side;
+    vu bits = gather_u(sides, element / SIDES_OF_WORD) >> (element % SIDES_OF_WORD * SIDE_BITS);
+    outside[k] = pick(one_f(), zero_f(), (bits & SIDE_INSIDE) != 0u);
+  }
   weigh_outside(&c, outside);
   SeenElements seen;
   seen.hit = v;

@@ -10,15 +10,12 @@
 // on the other wall.
 #define LINK_REACH 0.25f
 
-// How many rays an element sends. `probe`: rows of PROBE_WORDS, read where hidden elements send fewer.
-FN uint rays_of(global const LinksParameters* parameters, uint hidden_directions, const Mesh* mesh,
-                global const float* probe, uint element) {
+// How many rays an element sends. `sides`: as of SIDE_BITS, read where hidden elements send fewer.
+FN uint rays_of(global const LinksParameters* parameters, const Mesh* mesh, global const uint* sides, uint element) {
   if (parameters->divided && !is_of_divided(mesh, element >> 1)) return 0u;
-  if (hidden_directions == 0u) return parameters->directions;
-  global const float *own = probe + PROBE_WORDS * element, *other = probe + PROBE_WORDS * (element ^ 1u);
-  int hidden = own[PROBE_BACKS] > PROBE_MOST_BACKS && other[PROBE_BACKS] <= PROBE_MOST_BACKS &&
-               other[PROBE_HITS] >= PROBE_LEAST_HITS;
-  return hidden ? hidden_directions : parameters->directions;
+  if (parameters->hidden_directions == 0u) return parameters->directions;
+  uint side = sides[element / SIDES_OF_WORD] >> (element % SIDES_OF_WORD * SIDE_BITS);
+  return side & SIDE_HIDDEN ? parameters->hidden_directions : parameters->directions;
 }
 FN uint side_of(uint rays) {
   uint side = 4u;
@@ -35,8 +32,8 @@ FN void send_no_ray(global float* rays, uint block) {
 // Ray r of element first + e is number e * directions + r of `count`. Elements that send fewer leave the last ones out,
 // and the others weigh more. `counters`: the first counts rays.
 kernel WIDE void links_rays(global const LinksParameters* restrict parameters, SCENE_PARAMETERS,
-                            global const uint* restrict mesh, global const uint* restrict lobes, uint hidden_directions,
-                            global const float* restrict probe, uint first, uint count, global float* restrict rays,
+                            global const uint* restrict mesh, global const uint* restrict lobes,
+                            global const uint* restrict sides, uint first, uint count, global float* restrict rays,
                             global uint* restrict counters) {
   uint block = (uint)get_global_id(0);
   uint first_lane = block * LANES;
@@ -47,7 +44,7 @@ kernel WIDE void links_rays(global const LinksParameters* restrict parameters, S
   uint element = first + first_lane / directions;
   Mesh m = load_mesh(mesh);
   vi active = (vi)(element < parameters->elements ? all_lanes() : no_lanes());
-  uint owner = owner_of(&m, lobes, element), sent = rays_of(parameters, hidden_directions, &m, probe, owner);
+  uint owner = owner_of(&m, lobes, element), sent = rays_of(parameters, &m, sides, owner);
   if (first_lane % directions == 0u) atomic_add(counters, sent);
   if (first_lane % directions >= sent) {
     send_no_ray(rays, block);

@@ -24,7 +24,7 @@ constexpr std::size_t kSeenBytes = 6 * 4;
 struct AuditBatch {
   const StageRun& run;
   kernels::LinksParameters p;
-  cl::Buffer mesh{}, probe{}, radiosity{}, albedo{};
+  cl::Buffer mesh{}, sides{}, radiosity{}, albedo{};
   LobeTables lobes{};
   cl::Buffer points{};  // of all items
   Program shading;      // has links_interpolate
@@ -57,7 +57,7 @@ class AuditThread : public ConnectingThread {
     look_.set("parameters", parameters)
         .set("mesh", batch.mesh)
         .set("lobes", batch.lobes.lobes)
-        .set("probe", batch.probe)
+        .set("sides", batch.sides)
         .set("albedos", batch.albedo)
         .set("radiosity", batch.radiosity)
         .set("rays", hits_)
@@ -122,9 +122,9 @@ class AuditThread : public ConnectingThread {
 BatchResult run_links_audit_stage(const StageRun& run) {
   AuditBatch batch{.run = run, .p = read_links_parameters(run), .shading = run.build("shade.cl")};
   const double start = seconds_now();
-  const MeshTables tables = mesh_tables(run, "probe", PROBE_WORDS);
+  const MeshTables tables = mesh_tables(run, nullptr, 0);
   batch.mesh = tables.mesh;
-  batch.probe = tables.rows;
+  batch.sides = element_sides(run, tables.layout.elements());
   batch.lobes = lobe_tables(run, tables);
   batch.albedo = tables.mesh;  // read for lobes alone
   if (batch.lobes.elements) batch.albedo = mesh_tables(run, "albedo", ALBEDO_WORDS).rows;

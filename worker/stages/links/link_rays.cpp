@@ -19,8 +19,7 @@ LinkRayThread::LinkRayThread(const LinkRayBatch& batch, WorkQueue& work, unsigne
   make_rays_.set("parameters", batch.parameters)
       .set("mesh", batch.tables.mesh)
       .set("lobes", batch.lobes.lobes)
-      .set("hidden_directions", batch.hidden_directions)
-      .set("probe", batch.hidden_directions ? batch.tables.rows : batch.tables.mesh)
+      .set("sides", batch.sides)
       .set("rays", hits_)
       .set("counters", device_counters());
 }

@@ -13,9 +13,9 @@ struct LinkRayBatch {
   kernels::LinksParameters p;
   MeshTables tables;
   LobeTables lobes;
-  Program program;  // includes kernels/links/rays.h
+  Program program;     // includes kernels/links/rays.h
+  cl::Buffer sides{};  // element_sides(); where nobody reads them, any buffer
   cl::Buffer parameters{};
-  cl_uint hidden_directions = 0;  // of hidden elements; 0: as many as of others
 };
 
 class LinkRayThread : public HostThread {

@@ -26,7 +26,7 @@ class MakeThread : public LinkRayThread {
     batch.run.scene.set_arguments(link_);
     link_.set("mesh", batch.tables.mesh)
         .set("lobes", batch.lobes.lobes)
-        .set("probe", batch.tables.rows)
+        .set("sides", batch.sides)
         .set("rays", hits_)
         .set("ends", ends_)
         .set("weights", weights_);
@@ -79,11 +79,11 @@ class MakeThread : public LinkRayThread {
 }  // namespace
 
 BatchResult run_links_make_stage(const StageRun& run) {
-  const MeshTables tables = mesh_tables(run, "probe", PROBE_WORDS);
+  const MeshTables tables = mesh_tables(run, nullptr, 0);
   const LobeTables lobes = lobe_tables(run, tables);
   LinkRayBatch batch{run, read_links_parameters(run), tables, lobes, run.build("make.cl", lobes.options())};
   check_elements(run, batch.p.elements, tables.layout.elements() + lobes.elements);
-  if (batch.p.hidden_directions && is_seen_from_fronts(run)) batch.hidden_directions = batch.p.hidden_directions;
+  batch.sides = element_sides(run, tables.layout.elements());
   const double start = seconds_now();
   BatchResult result;
   result.counts.resize(run.count);

@@ -116,6 +116,21 @@ struct DeviceRows {
 // Of the elements that lie inside, where a scene is seen from its fronts.
 constexpr double kLeastHidden = 0.75;
 
+// SIDE_BITS of each element of a probe's rows.
+std::vector<std::uint32_t> side_words(const std::vector<float>& probe) {
+  const std::uint64_t elements = probe.size() / PROBE_WORDS;
+  std::uint64_t inside = 0, hidden = 0;
+  for (std::uint64_t e = 0; e < elements; ++e) inside += is_inside(probe, e), hidden += is_hidden(probe, e);
+  const bool from_fronts = hidden > 0 && static_cast<double>(hidden) >= kLeastHidden * static_cast<double>(inside);
+  std::vector<std::uint32_t> words(elements / SIDES_OF_WORD + 1, 0);
+  for (std::uint64_t e = 0; e < elements; ++e) {
+    const std::uint32_t bits =
+        (is_inside(probe, e) ? SIDE_INSIDE : 0u) | (from_fronts && is_hidden(probe, e) ? SIDE_HIDDEN : 0u);
+    words[e / SIDES_OF_WORD] |= bits << (e % SIDES_OF_WORD * SIDE_BITS);
+  }
+  return words;
+}
+
 // Names what is kept of one input: neither the scene nor the stage has a part in it.
 StageTask only(const StageTask& task, const char* input) {
   StageTask key;
@@ -161,24 +176,17 @@ MeshTables mesh_tables(const StageRun& run, const char* rows, unsigned words) {
   return tables;
 }
 
-bool is_seen_from_fronts(const StageRun& run) {
-  struct Fronts {
-    bool all = false;
-    static std::size_t bytes() { return sizeof(Fronts); }
+cl::Buffer element_sides(const StageRun& run, std::uint64_t elements) {
+  const auto make = [&] {
+    const InputRows input(run.task, "probe", PROBE_WORDS * 4);
+    input.expect_rows(elements);
+    const std::vector<std::uint32_t> words = side_words(input_rows(run.task, "probe", PROBE_WORDS));
+    cl::CommandQueue queue = run.device.make_queue();
+    DeviceRows made{run.device.make_buffer(words.size() * 4)};
+    queue.enqueueWriteBuffer(made.rows, CL_TRUE, 0, words.size() * 4, words.data());
+    return made;
   };
-  StageTask key = only(run.task, "probe");
-  key.kind = "links fronts";
-  return run.tables
-      .get<Fronts>(
-          key,
-          [&] {
-            const std::vector<float> probe = input_rows(run.task, "probe", PROBE_WORDS);
-            std::uint64_t inside = 0, hidden = 0;
-            for (std::uint64_t e = 0; e < probe.size() / PROBE_WORDS; ++e)
-              inside += is_inside(probe, e), hidden += is_hidden(probe, e);
-            return Fronts{hidden > 0 && static_cast<double>(hidden) >= kLeastHidden * static_cast<double>(inside)};
-          })
-      ->all;
+  return run.tables.get<DeviceRows>(only(run.task, "probe"), make)->rows;
 }
 
 LobeTables lobe_tables(const StageRun& run, const MeshTables& mesh) {

@@ -79,9 +79,10 @@ inline bool is_hidden(const std::vector<float>& probe, std::uint64_t element) {
   return is_inside(probe, element) && !is_inside(probe, element ^ 1u) &&
          probe[(element ^ 1u) * PROBE_WORDS + PROBE_HITS] >= PROBE_LEAST_HITS;
 }
-// Whether so many of the elements that lie inside are hidden that the scene is seen from its fronts: the input "probe"
-// of a task. A room and what stands in it that are seen from their backs look like solids and hollows.
-bool is_seen_from_fronts(const StageRun& run);
+// What kernels are told of the mesh's `elements` (SIDE_BITS), from the input "probe". None is hidden where few of those
+// inside look so: then the scene is not seen from its fronts, and a room and what stands in it look like solids and
+// hollows. Kept for all stages and frames that read the same.
+cl::Buffer element_sides(const StageRun& run, std::uint64_t elements);
 
 // The scene's triangles, read from the device into `rows`.
 TriangleRows read_triangles(const StageRun& run, std::vector<float>& rows);

@@ -45,7 +45,8 @@ class ProbeThread : public LinkRayThread {
 
 BatchResult run_links_probe_stage(const StageRun& run) {
   const MeshTables tables = mesh_tables(run, nullptr, 0);
-  LinkRayBatch batch{run, read_links_parameters(run), tables, lobe_tables(run, tables), run.build("probe.cl")};
+  LinkRayBatch batch{run,        read_links_parameters(run), tables, lobe_tables(run, tables), run.build("probe.cl"),
+                     tables.mesh};
   check_elements(run, batch.p.elements, batch.tables.layout.elements());
   if (!std::isfinite(batch.p.wave))
     throw Error::bad_input(run.where(), "wave", "a finite number", std::to_string(batch.p.wave));
