@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "coordinator/plan/noise_left.h"
+
 namespace gleaner::coordinator {
 namespace {
 
@@ -18,6 +20,8 @@ constexpr double kInterpolation = 0.026, kOrderOfVertices = 0.86;
 constexpr double kUsualTriangles = 2000;
 // Where no error was promised, links cost no more than so many times the paths.
 constexpr double kRaysOfASample = 8;
+// ... nor of those that are denoised, where links soon take most of the time.
+constexpr double kRaysOfADenoisedSample = 2;
 constexpr double kLeastVertices = 500, kMostVertices = 1u << 18;
 constexpr double kLeastDirections = 64, kMostDirections = 1024;
 // Of all elements: their links take 9 bytes a ray, as seen.
@@ -79,14 +83,16 @@ std::uint32_t light_samples_of(double directions) {
 
 double own_vertices(double triangles) { return triangles / 2; }
 
-LinksCounts choose_links_counts(double triangles, std::uint64_t pixels, std::uint32_t spp, double error,
-                                const GivenLinksCounts& given) {
-  const double samples = std::max(kLeastSamples, static_cast<double>(spp));
-  const double squared_error = error > 0 ? error * error : kSampleError * kSampleError / (kPathShare * samples);
+LinksCounts choose_links_counts(double triangles, const LinksTarget& target, const GivenLinksCounts& given) {
+  const double samples = std::max(kLeastSamples, static_cast<double>(target.spp));
+  const double of_paths = kSampleError * kSampleError / samples * (target.denoised ? noise_left(samples) : 1);
+  const bool promised = target.error > 0;
+  const double squared_error = promised ? target.error * target.error : of_paths / kPathShare;
   const double own = own_vertices(triangles);
   auto [vertices, directions] = balanced(triangles, squared_error);
-  if (!(error > 0)) {
-    const double most = kRaysOfASample * static_cast<double>(pixels) * samples;
+  if (!promised) {
+    const double rays = target.denoised ? kRaysOfADenoisedSample : kRaysOfASample;
+    const double most = rays * static_cast<double>(target.pixels) * samples;
     const double part = std::min(1.0, most / (2 * (own + vertices) * directions));
     vertices *= std::sqrt(part), directions *= std::sqrt(part);
   }

@@ -25,9 +25,16 @@ struct GivenLinksCounts {
 // Vertices of so many triangles of a closed surface.
 double own_vertices(double triangles);
 
-// `triangles`: of the scene. `spp`: samples of a pixel; or `error` > 0: RMSE over the mean radiance of the picture.
-LinksCounts choose_links_counts(double triangles, std::uint64_t pixels, std::uint32_t spp, double error,
-                                const GivenLinksCounts& given);
+// What a picture is to be.
+struct LinksTarget {
+  std::uint64_t pixels = 0;
+  std::uint32_t spp = 0;  // samples of a pixel
+  double error = 0;       // above 0: RMSE over the mean radiance, whatever the samples
+  bool denoised = false;  // the paths' noise is taken out of it; light between vertices stays as it is
+};
+
+// `triangles`: of the scene.
+LinksCounts choose_links_counts(double triangles, const LinksTarget& target, const GivenLinksCounts& given);
 
 // What an audit found: means over pixels and channels.
 struct LinksError {

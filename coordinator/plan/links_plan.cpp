@@ -59,9 +59,13 @@ LinksSettings read_settings(const FrameSettings& settings, double triangles) {
   links.given = {.vertices = whole_setting(settings, "links.vertices"),
                  .directions = whole_setting(settings, "links.directions"),
                  .light_samples = whole_setting(settings, "links.light_samples")};
-  const std::uint32_t spp = settings.looks.empty() ? settings.method_spp() : kSessionSamples;
-  static_cast<LinksCounts&>(links) = choose_links_counts(triangles, std::uint64_t{settings.width} * settings.height,
-                                                         spp, settings.target_error, links.given);
+  // All pictures of a session have the same links, whether they are denoised or not.
+  const bool one_picture = settings.looks.empty();
+  const LinksTarget target{.pixels = std::uint64_t{settings.width} * settings.height,
+                           .spp = one_picture ? settings.method_spp() : kSessionSamples,
+                           .error = settings.target_error,
+                           .denoised = one_picture && settings.denoise != Denoise::off};
+  static_cast<LinksCounts&>(links) = choose_links_counts(triangles, target, links.given);
   links.bounces = whole_setting(settings, "links.bounces").value_or(0);
   links.smooth_angle = real_setting(settings, "links.smooth_angle").value_or(0);
   links.least_share =

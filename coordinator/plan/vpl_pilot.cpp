@@ -6,6 +6,7 @@
 #include <limits>
 #include <string>
 
+#include "coordinator/plan/noise_left.h"
 #include "kernels/vpl_records.h"
 #include "scene/model/error.h"
 
@@ -23,11 +24,6 @@ constexpr double kResidualFitted = 0.45;
 
 // What VPLs leave is smooth, seen for longer than noise of the same strength, and predicted less surely than it.
 constexpr double kVplWeight = 3;
-
-// Of the paths' squared error, the part that a denoiser leaves. Of 8 samples it was 0.02 to 0.03 (Cornell boxes,
-// modern-hall, `fast`); it falls more slowly than noise does.
-constexpr double kNoiseLeft = 0.02;
-double noise_left(double spp) { return std::min(1.0, kNoiseLeft * std::sqrt(spp)); }
 
 // Samples a pixel that leave this squared error of a sample's `variance`.
 double samples_for(double variance, double error, bool denoised) {

@@ -49,7 +49,7 @@ TEST(LinksBouncesTest, LightThatDoesNotGrowIsEnough) {
 
 TEST(LinksChoice, WhatIsSetStays) {
   const GivenLinksCounts given = {.vertices = 0, .directions = 16, .light_samples = 64};
-  const LinksCounts counts = choose_links_counts(30, kPixels, 64, 0.01, given);
+  const LinksCounts counts = choose_links_counts(30, {kPixels, 64, 0.01}, given);
   EXPECT_EQ(counts.vertices, 0u) << "the scene's own";
   EXPECT_EQ(counts.directions, 16u);
   EXPECT_EQ(counts.light_samples, 64u);
@@ -58,9 +58,9 @@ TEST(LinksChoice, WhatIsSetStays) {
 }
 
 TEST(LinksChoice, MoreSamplesTakeMoreOfAll) {
-  LinksCounts last = choose_links_counts(30, kPixels, 1, 0, {});
+  LinksCounts last = choose_links_counts(30, {kPixels, 1, 0}, {});
   for (const std::uint32_t spp : {4u, 16u, 64u, 256u, 4096u}) {
-    const LinksCounts next = choose_links_counts(30, kPixels, spp, 0, {});
+    const LinksCounts next = choose_links_counts(30, {kPixels, spp, 0}, {});
     EXPECT_GE(next.vertices, last.vertices) << spp;
     EXPECT_GE(next.directions, last.directions) << spp;
     EXPECT_GE(next.light_samples, last.light_samples) << spp;
@@ -73,32 +73,45 @@ TEST(LinksChoice, MoreSamplesTakeMoreOfAll) {
   EXPECT_EQ(last.directions, 1024u);
   // Links have a bound, which leaves no room for more vertices.
   EXPECT_NEAR(2.0 * last.vertices * last.directions, 1.5e8, 1e6);
-  EXPECT_GT(choose_links_counts(20'000, kPixels, 64, 0, {}).vertices,
-            5 * choose_links_counts(30, kPixels, 64, 0, {}).vertices);
+  EXPECT_GT(choose_links_counts(20'000, {kPixels, 64, 0}, {}).vertices,
+            5 * choose_links_counts(30, {kPixels, 64, 0}, {}).vertices);
 }
 
 // A scene's own vertices say nothing of what its large triangles interpolate. They want directions, too: where they are
 // many, others cost little beside them.
 TEST(LinksChoice, TheScenesOwnVerticesCountForNothing) {
-  const LinksCounts few = choose_links_counts(30, kPixels, 16, 0, {}),
-                    many = choose_links_counts(70'000, kPixels, 16, 0, {});
+  const LinksCounts few = choose_links_counts(30, {kPixels, 16, 0}, {}),
+                    many = choose_links_counts(70'000, {kPixels, 16, 0}, {});
   EXPECT_TRUE(few.beside_own && many.beside_own);
   EXPECT_GT(many.vertices, 35'000u);
   EXPECT_LE(many.directions, few.directions);
-  EXPECT_FALSE(choose_links_counts(70'000, kPixels, 16, 0, {.vertices = 5000}).beside_own);
+  EXPECT_FALSE(choose_links_counts(70'000, {kPixels, 16, 0}, {.vertices = 5000}).beside_own);
   // Both are bounded, so that links of a scene of any size have room.
-  EXPECT_LE(choose_links_counts(1e6, kPixels, 64, 0, {}).vertices, 500u);
+  EXPECT_LE(choose_links_counts(1e6, {kPixels, 64, 0}, {}).vertices, 500u);
+}
+
+// Paths' noise goes; what vertices are off by stays, unless it was promised to be less.
+TEST(LinksChoice, DenoisedPicturesTakeMore) {
+  const LinksCounts noisy = choose_links_counts(30, {.pixels = kPixels, .spp = 8}, {}),
+                    denoised = choose_links_counts(30, {.pixels = kPixels, .spp = 8, .denoised = true}, {});
+  EXPECT_GT(denoised.vertices, 4 * noisy.vertices);
+  EXPECT_GT(denoised.directions, noisy.directions);
+  EXPECT_LT(2.0 * denoised.vertices * denoised.directions, 12.0 * kPixels * 8) << "and cost no more than others may";
+  const LinksTarget promised{.pixels = kPixels, .spp = 8, .error = 0.02};
+  LinksTarget promised_denoised = promised;
+  promised_denoised.denoised = true;
+  EXPECT_EQ(choose_links_counts(30, promised, {}).vertices, choose_links_counts(30, promised_denoised, {}).vertices);
 }
 
 // A small picture's links cost no more than a few times its paths; a promise is kept at any size.
 TEST(LinksChoice, SmallPicturesTakeFewer) {
-  const LinksCounts large = choose_links_counts(30, kPixels, 64, 0, {}),
-                    small = choose_links_counts(30, 48 * 48, 64, 0, {});
+  const LinksCounts large = choose_links_counts(30, {kPixels, 64, 0}, {}),
+                    small = choose_links_counts(30, {48 * 48, 64, 0}, {});
   EXPECT_LT(small.vertices, large.vertices);
   EXPECT_LT(2.0 * small.vertices * small.directions, 12.0 * 48 * 48 * 64);
-  const LinksCounts promised = choose_links_counts(30, 48 * 48, 1, 0.02, {});
-  EXPECT_EQ(promised.vertices, choose_links_counts(30, kPixels, 4096, 0.02, {}).vertices);
-  EXPECT_GT(promised.vertices, 4 * choose_links_counts(30, kPixels, 1, 0.06, {}).vertices);
+  const LinksCounts promised = choose_links_counts(30, {48 * 48, 1, 0.02}, {});
+  EXPECT_EQ(promised.vertices, choose_links_counts(30, {kPixels, 4096, 0.02}, {}).vertices);
+  EXPECT_GT(promised.vertices, 4 * choose_links_counts(30, {kPixels, 1, 0.06}, {}).vertices);
 }
 
 constexpr std::size_t kPoints = 4;
