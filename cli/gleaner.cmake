@@ -16,5 +16,5 @@ file(CONFIGURE OUTPUT ${CMAKE_BINARY_DIR}/generated/cli/present_commands.h
      CONTENT "#define GLEANER_COMMANDS(X)@gleaner_commands@\n" @ONLY)
 
 add_executable(gleaner ${gleaner_sources})
-target_link_libraries(gleaner PRIVATE gleaner_gateway gleaner_status_json gleaner_agent gleaner_import gleaner_bvh gleaner_library CLI11::CLI11 fmt::fmt
+target_link_libraries(gleaner PRIVATE gleaner_gateway gleaner_status_json gleaner_agent gleaner_import gleaner_bvh gleaner_library gleaner_viewer CLI11::CLI11 fmt::fmt
                                       nlohmann_json::nlohmann_json)

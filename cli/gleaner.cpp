@@ -13,13 +13,21 @@
 
 namespace {
 
-// "--denoise fast" as "--denoise=fast": the word may be missing, and then what follows may be the scene's name.
+bool is_host_and_port(std::string_view word) {
+  const std::size_t colon = word.rfind(':');
+  return colon != std::string_view::npos && colon + 1 < word.size() &&
+         word.find_first_not_of("0123456789", colon + 1) == std::string_view::npos;
+}
+
+// "--denoise fast" as "--denoise=fast", and "--web HOST:PORT" likewise: the word may be missing, and then what follows
+// may be the scene's name.
 std::vector<std::string> with_joined_words(int argc, char** argv) {
   std::vector<std::string> words;
   for (int i = 0; i < argc; ++i) {
     const std::string_view word(argv[i]);
-    const bool joins =
-        !words.empty() && words.back() == "--denoise" && (word == "off" || word == "fast" || word == "high");
+    const std::string_view before = words.empty() ? std::string_view() : words.back();
+    const bool joins = (before == "--denoise" && (word == "off" || word == "fast" || word == "high")) ||
+                       (before == "--web" && is_host_and_port(word));
     if (joins)
       words.back() += "=" + std::string(word);
     else

@@ -14,11 +14,11 @@
 
 #include "cli/client.h"
 #include "cli/data_lock.h"
+#include "cli/listeners.h"
 #include "cli/machine_memory.h"
 #include "cli/program.h"
 #include "cli/signals.h"
 #include "coordinator/blobs/store.h"
-#include "coordinator/gateway/address.h"
 #include "coordinator/gateway/http.h"
 #include "coordinator/gateway/listener.h"
 #include "coordinator/gateway/server.h"
@@ -64,15 +64,8 @@ struct CoordinatorOptions {
   gateway::CallerLimits caller = gateway::ServerSettings{}.caller;
 };
 
-// Who reaches a listener can do everything: in the clear it is for this machine's own, unless the user says otherwise.
-void refuse_strangers(const std::string& option, const std::string& listen) {
-  if (!gateway::is_loopback(gateway::parse_listen_address(option, listen)))
-    throw Error::usage(
-        option + " " + listen +
-        " is open to other machines, and the connection is neither encrypted nor authenticated: "
-        "give --keys (gleaner keys init makes them), listen on 127.0.0.1, or say --insecure on a network that "
-        "you trust");
-}
+constexpr const char* against_strangers =
+    "give --keys (gleaner keys init makes them), listen on 127.0.0.1, or say --insecure on a network that you trust";
 
 // For health checks: cheaper to start than `gleaner`. The farm itself must answer, not its sockets alone.
 int check(const std::string& address) {
@@ -98,8 +91,8 @@ int coordinate(const CoordinatorOptions& options) {
   const std::shared_ptr<const Keys> keys = own_keys();
   if (keys) require_certificate(*keys, "a coordinator");
   if (!options.insecure) {
-    if (!keys) refuse_strangers("--listen", options.listen);
-    if (!options.http.empty()) refuse_strangers("--http", options.http);
+    if (!keys) refuse_strangers("--listen", options.listen, against_strangers);
+    if (!options.http.empty()) refuse_strangers("--http", options.http, against_strangers);
   }
   Signals signals;
   auto log = std::make_shared<spdlog::logger>("gleaner-coordinator", std::make_shared<spdlog::sinks::stderr_sink_mt>());

@@ -1,16 +1,13 @@
 // `gleaner session`: a scene that its user changes, and pictures of it.
 
-#include <grpcpp/grpcpp.h>
-
 #include <CLI/CLI.hpp>
 #include <condition_variable>
 #include <cstdio>
+#include <cstring>
 #include <filesystem>
 #include <iostream>
-#include <map>
 #include <memory>
 #include <mutex>
-#include <nlohmann/json.hpp>
 #include <set>
 #include <span>
 #include <string>
@@ -19,18 +16,15 @@
 
 #include "cli/client.h"
 #include "cli/commands.h"
-#include "cli/embedded.h"
 #include "cli/frame_options.h"
-#include "cli/kernel_compiler.h"
 #include "cli/program.h"
+#include "cli/session_stream.h"
+#include "cli/session_web.h"
 #include "cli/session_words.h"
-#include "coordinator/blobs/sha256.h"
+#include "cli/viewer/picture_json.h"
 #include "coordinator/film/write.h"
-#include "coordinator/gateway/convert.h"
 #include "proto/atomic_file.h"
-#include "scene/bvh/build.h"
 #include "scene/import/sequence.h"
-#include "scene/model/edited_scene.h"
 #include "scene/model/error.h"
 #include "scene/model/names.h"
 
@@ -40,15 +34,6 @@ namespace pb = gleaner::v1;
 namespace fs = std::filesystem;
 
 namespace {
-
-struct SessionOptions {
-  FrameOptions frame;
-  std::string coordinator, output, trace = "auto";
-  std::vector<std::string> movable;
-  std::uint32_t refine_to = 16;
-  unsigned workers = 1;
-  int device = -1;
-};
 
 // Where pictures go, and what is said of each.
 class Pictures {
@@ -67,16 +52,7 @@ class Pictures {
   void take(const pb::SessionPicture& picture) {
     write(picture);
     if (quiet_) return;
-    nlohmann::json line = {{"shows", picture.shows()},
-                           {"behind", picture.received() - picture.shows()},
-                           {"samples", picture.samples_per_pixel()},
-                           {"seconds", picture.seconds()},
-                           {"latency_seconds", picture.latency_seconds()},
-                           {"frames_per_second", picture.frames_per_second()},
-                           {"made", picture.made()},
-                           {"reused", picture.reused()},
-                           {"last", picture.last()}};
-    (output_ == "-" ? std::cerr : std::cout) << line.dump() << std::endl;
+    (output_ == "-" ? std::cerr : std::cout) << picture_json(picture).dump() << std::endl;
   }
 
  private:
@@ -196,52 +172,12 @@ void converse(Conversation& talk, const SessionWords& words) {
   talk.wait(SessionPause::shown);
 }
 
-std::unique_ptr<EmbeddedFarm> open_farm(const SessionOptions& options) {
-  EmbeddedSettings settings;
-  settings.workers = options.workers;
-  settings.device.device = options.device;
-  settings.device.trace = worker::parse_trace_kind(options.trace);
-  settings.device.compiler = kernel_compiler();
-  settings.paths = [](const std::string&, std::uint32_t) { return coordinator::FramePaths{}; };
-  return std::make_unique<EmbeddedFarm>(settings);
-}
-
-int session(const SessionOptions& options) {
+int session_by_words(const SessionOptions& options) {
   Pictures pictures(options);
-  FrameOptions asked = options.frame;
-  const bool denoise_as_usual = asked.denoise.empty();
-  if (denoise_as_usual) asked.denoise = "off";
-  LoadedFrame frame = load_frame(asked);
-  frame.scene.rig = {};
-  std::map<std::string, std::uint32_t> objects;
-  for (const std::string& name : options.movable) objects[name] = scene::make_movable(frame.scene, name);
-  const SessionWords words(frame.scene, frame.settings, objects);
-  std::unique_ptr<EmbeddedFarm> embedded;
-  if (options.coordinator.empty()) embedded = open_farm(options);
-  Client client = embedded ? Client(embedded->channel()) : Client(options.coordinator);
-
-  pb::SessionRequest open;
-  {
-    const scene::Bytes scene_blob = scene::serialize(frame.scene);
-    open.mutable_open()->set_scene_blob(coordinator::sha256_hex(scene_blob));
-    client.upload_missing({{open.open().scene_blob(), &scene_blob}});
-    if (!embedded || embedded->needs_bvh()) {
-      const scene::Bytes bvh_blob = scene::serialize(scene::build_bvh(frame.scene));
-      open.mutable_open()->set_bvh_blob(coordinator::sha256_hex(bvh_blob));
-      client.upload_missing({{open.open().bvh_blob(), &bvh_blob}});
-    }
-  }
-  open.mutable_open()->set_scene_name(frame.scene_name);
-  *open.mutable_open()->mutable_settings() = gateway::to_proto(frame.settings);
-  if (denoise_as_usual) open.mutable_open()->mutable_settings()->clear_denoise();
-  open.mutable_open()->set_exposure_stops(options.frame.exposure_stops);
-  open.mutable_open()->set_format(pictures.format());
-  open.mutable_open()->set_refine_to(options.refine_to);
-  frame.scene = {};
-
-  grpc::ClientContext context;
-  const std::unique_ptr<Client::Session> stream = client.session(context);
-  Conversation talk(*stream, pictures);
+  SessionScene scene = load_session_scene(options);
+  const SessionWords words(scene.frame.scene, scene.frame.settings, scene.objects);
+  SessionStream stream(options, std::move(scene.frame), pictures.format());
+  Conversation talk(stream.stream(), pictures);
   std::exception_ptr failure;
   {
     std::jthread listener([&] {
@@ -249,16 +185,21 @@ int session(const SessionOptions& options) {
         talk.listen();
       } catch (...) {
         failure = std::current_exception();
-        context.TryCancel();
+        stream.cancel();
       }
     });
-    talk.say(std::move(open));
     converse(talk, words);
-    stream->WritesDone();
+    stream.stream().WritesDone();
   }
   if (failure) std::rethrow_exception(failure);
-  client.end(*stream);
+  stream.end();
   return 0;
+}
+
+int session(const SessionOptions& options) {
+  if (options.web.empty()) return session_by_words(options);
+  if (!options.output.empty()) throw Error::usage("-o: expected none with --web, which shows pictures in a browser");
+  return session_in_browser(options);
 }
 
 }  // namespace
@@ -288,6 +229,12 @@ void add_session(CLI::App& app, Run& run) {
       ->take_all()
       ->allow_extra_args(false);
   add_keys_option(*command);
+  command->add_flag("--web{127.0.0.1:0}", options->web,
+                    "HOST:PORT: pictures in a browser, where lights, materials and the camera can be changed with the "
+                    "mouse (default: a free port of 127.0.0.1). Prints the page's address on standard output");
+  command->add_flag(
+      "--insecure", options->insecure,
+      "other machines may reach --web, without encryption; who knows the page's address may change the scene");
   command->add_option("--workers", options->workers, "workers of the embedded farm")
       ->capture_default_str()
       ->check(CLI::Range(1u, 256u));

@@ -20,6 +20,7 @@ constexpr PreviewSettings pictures{.longest_side = 960, .least_pause = 1};
 Dashboard::Dashboard(Farm& farm) : farm_(farm), previews_(farm, pictures) {}
 
 void Dashboard::add_to(web::WebServer& server) {
+  server.add_files("/", web::common_files());
   server.add_files("/", dashboard_files());
   server.get("/farm.json",
              [this](const web::Request&) { return web::Answer{.type = "application/json", .body = told()}; });

@@ -11,4 +11,7 @@ struct PageFile {
   std::string_view text;
 };
 
+// What our pages share: the folder common/.
+const std::vector<PageFile>& common_files();
+
 }  // namespace gleaner::web

@@ -42,6 +42,8 @@ struct WebSettings {
   std::string listen;  // HOST:PORT, port 0 = any free one
   // By which it may be asked for, beside localhost and addresses. None: by any, but on loopback by no other.
   std::vector<std::string> names{};
+  // All paths lie below the folder of this name, which is told to those alone who may come. Empty: they do not.
+  std::string secret{};
   std::size_t threads = 8;
   std::size_t largest_body = 1 << 10;
 };

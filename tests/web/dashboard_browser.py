@@ -8,9 +8,8 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 
-from devtools import Browser, find_chromium, wait_for
+from devtools import Browser, run, wait_for
 
 NAME = "<img src=x onerror=alert(1)>"
 
@@ -96,24 +95,19 @@ def check_trouble(browser, farm, scene):
     assert "has not answered since" in words and "cannot be reached" in words, words
 
 
-def main():
-    if not find_chromium():
-        print("SKIPPED: there is no Chromium on this machine (apt-get install chromium)")
-        return 77
-    with tempfile.TemporaryDirectory(prefix="gleaner-web-") as folder:
-        farm, browser = Farm(sys.argv[1], folder), Browser()
-        try:
-            scene = os.path.join(folder, "box.glb")
-            farm.gleaner("scene", "cornell-box", "-o", scene)
-            check_running(browser, farm, scene)
-            check_shape(browser)
-            check_trouble(browser, farm, scene)
-        finally:
-            browser.close()
-            farm.end()
+def test(folder):
+    farm, browser = Farm(sys.argv[1], folder), Browser()
+    try:
+        scene = os.path.join(folder, "box.glb")
+        farm.gleaner("scene", "cornell-box", "-o", scene)
+        check_running(browser, farm, scene)
+        check_shape(browser)
+        check_trouble(browser, farm, scene)
+    finally:
+        browser.close()
+        farm.end()
     print("the page shows what the farm does")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(test))

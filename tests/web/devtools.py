@@ -132,6 +132,16 @@ class Browser:
         shutil.rmtree(self.profile, ignore_errors=True)
 
 
+def run(test):
+    """`test` gets a folder that goes with it. Returns the exit status: 77 where there is no browser to test with."""
+    if not find_chromium():
+        print("SKIPPED: there is no Chromium on this machine (apt-get install chromium)")
+        return 77
+    with tempfile.TemporaryDirectory(prefix="gleaner-web-") as folder:
+        test(folder)
+    return 0
+
+
 def wait_for(condition, what, seconds=30):
     end = time.monotonic() + seconds
     while time.monotonic() < end:
