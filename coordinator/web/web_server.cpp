@@ -50,6 +50,15 @@ std::string http_date() {
   return text;
 }
 
+// The library prefers Brotli, at its slowest: 30 ms for 16 kB, which gzip packs in a fraction of one. `request` is the
+// library's own, which it reads again when it packs the answer.
+void forgo_brotli(const httplib::Request& request) {
+  const auto [first, last] = request.headers.equal_range("Accept-Encoding");
+  for (auto header = first; header != last; ++header)
+    if (header->second.find("br") != std::string::npos)
+      const_cast<std::string&>(header->second) = header->second.find("gzip") == std::string::npos ? "identity" : "gzip";
+}
+
 // Among the tags of an If-None-Match header.
 bool has_tag(const std::string& header, const std::string& tag) {
   return !tag.empty() && (header == "*" || header.find("\"" + tag + "\"") != std::string::npos);
@@ -204,6 +213,7 @@ void WebServer::start() {
   httplib::Server& server = impl_->server;
   // What needs no body is answered before one is read.
   server.set_pre_routing_handler([this](const httplib::Request& request, httplib::Response& response) {
+    forgo_brotli(request);
     std::optional<Answer> answer = impl_->answer(request);
     if (!answer) return httplib::Server::HandlerResponse::Unhandled;
     Impl::give(request, std::move(*answer), response);
