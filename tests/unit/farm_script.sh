@@ -145,6 +145,7 @@ expect_nothing_left 'up without workers'
 GLEANER_LISTEN=0.0.0.0:8780 GLEANER_HTTP=127.0.0.1:8781 "$farm" up --insecure 1 >"$log" 2>&1 || true
 expect_text 'up --insecure' "$place/coordinator-words" '--listen 0.0.0.0:8780'
 expect_text 'up --insecure' "$place/coordinator-words" '--insecure --http 127.0.0.1:8781'
+expect_text 'up --insecure' "$log" 'in a browser: http://127.0.0.1:8781/'
 for words in '--insecur' '0' '-1' '3 x'; do
   status=0
   # shellcheck disable=SC2086 # several words are meant
@@ -166,10 +167,12 @@ E2
 expect_text 'up --docker' "$place/docker" 'compose -p gleaner -f deploy/docker-compose.yml build; BIND=127.0.0.1 PORT=8780'
 expect_text 'up --docker' "$place/docker" 'up -d --no-build --scale worker=3;'
 expect_text 'up --docker' "$log" 'export GLEANER_COORDINATOR=127.0.0.1:8780'
+expect_text 'up --docker' "$log" 'in a browser: http://127.0.0.1:8781/'
 GLEANER_LISTEN=0.0.0.0:9000 GLEANER_HTTP=127.0.0.1:9001 "$farm" up 3 --docker --insecure >"$log" 2>&1 ||
   fail "up --docker --insecure: exit status $?"
 expect_text 'up --docker' "$place/docker" 'worker=3; BIND=0.0.0.0 PORT=9000 HTTP=127.0.0.1:9001'
 expect_text 'up --docker' "$log" 'export GLEANER_COORDINATOR=127.0.0.1:9000'
+expect_text 'up --docker' "$log" 'in a browser: http://127.0.0.1:9001/'
 rm "$place/docker"
 for variable in GLEANER_LISTEN GLEANER_HTTP; do
   status=0
