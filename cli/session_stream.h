@@ -39,6 +39,11 @@ class SessionStream {
   // Client and EmbeddedFarm do.
   SessionStream(const SessionOptions& options, LoadedFrame frame, gleaner::v1::PictureFormat format);
 
+  // Whatever is still to come is given up: else a farm of this process's own would wait for more to be said.
+  ~SessionStream() { cancel(); }
+  SessionStream(const SessionStream&) = delete;
+  SessionStream& operator=(const SessionStream&) = delete;
+
   Client::Session& stream() { return *stream_; }
   void cancel() { context_.TryCancel(); }
   // Once stream() has no more to read. Throws what ended the session, unless it was asked to.

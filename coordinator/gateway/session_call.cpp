@@ -21,10 +21,11 @@ using namespace gleaner::coordinator;
 
 namespace {
 
-constexpr std::size_t most_refused = 100;  // words that wait to be told
-constexpr Seconds rate_window = 3;         // over which pictures a second are counted
-constexpr std::uint32_t refines_by = 4;    // samples of a picture over those of the one before
-constexpr std::size_t most_looks = 256;    // cameras that a picture may begin with; then the next one stands alone
+constexpr std::chrono::milliseconds look_interval{50};  // at whether the caller is still there
+constexpr std::size_t most_refused = 100;               // words that wait to be told
+constexpr Seconds rate_window = 3;                      // over which pictures a second are counted
+constexpr std::uint32_t refines_by = 4;                 // samples of a picture over those of the one before
+constexpr std::size_t most_looks = 256;  // cameras that a picture may begin with; then the next one stands alone
 constexpr std::string_view stage_word = "stage ";  // a skip's words for a stage that was made before
 
 // What makes first pictures come sooner, unless the request says otherwise.
@@ -121,6 +122,7 @@ std::vector<scene::Camera> SessionCall::looks_with(const scene::Camera& camera) 
 
 void SessionCall::run(grpc::ServerContext& context, Stream& stream) {
   std::jthread reader([&] { read(context, stream); });
+  const std::unique_ptr<SessionCall, void (*)(SessionCall*)> ends(this, [](SessionCall* self) { self->end(); });
   // A picture goes out while the next one is rendered.
   std::future<bool> sent;
   try {
@@ -141,6 +143,12 @@ void SessionCall::run(grpc::ServerContext& context, Stream& stream) {
   }
 }
 
+void SessionCall::end() {
+  std::lock_guard lock(mutex_);
+  ended_ = true;
+  ends_.notify_all();
+}
+
 void SessionCall::read(const grpc::ServerContext& context, Stream& stream) {
   pb::SessionRequest request;
   while (stream.Read(&request)) {
@@ -157,9 +165,15 @@ void SessionCall::read(const grpc::ServerContext& context, Stream& stream) {
     if (refused_.size() < most_refused) refused_.push_back({request.change().number(), why});
     wakes_.notify_all();
   }
-  std::lock_guard lock(mutex_);
+  std::unique_lock lock(mutex_);
   over_ = true;
-  if (context.IsCancelled() || refining_) stop_.request_stop();
+  if (refining_) stop_.request_stop();
+  wakes_.notify_all();
+  // Who has said all waits for the last picture, or goes away at any time: before it is begun, too.
+  while (!ended_ && !context.IsCancelled()) ends_.wait_for(lock, look_interval, [&] { return ended_; });
+  if (ended_) return;
+  gone_ = true;
+  stop_.request_stop();
   wakes_.notify_all();
 }
 
@@ -218,7 +232,7 @@ std::optional<SessionCall::Wanted> SessionCall::next(Stream& stream) {
     }
     lock.lock();
   }
-  if (!changed_ && over_) return std::nullopt;
+  if (over_ && (gone_ || !changed_)) return std::nullopt;
   refining_ = !changed_;
   stop_ = std::stop_source();
   return Wanted{.change = received_,

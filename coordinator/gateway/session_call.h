@@ -53,6 +53,7 @@ class SessionCall {
   };
 
   void read(const grpc::ServerContext& context, Stream& stream);  // on a thread of its own
+  void end();                                                     // nothing more is rendered
   void take(const gleaner::v1::SessionChange& change);
   std::optional<Wanted> next(Stream& stream);  // waits; none: the caller says no more
   bool may_refine() const { return shown_spp_ > 0 && shown_spp_ < refine_to_; }
@@ -89,7 +90,10 @@ class SessionCall {
   std::optional<Seconds> changed_;  // as in Wanted: something waits to be shown
   std::uint32_t shown_spp_ = 0;     // of the last picture of the scene as it is; 0: there is none
   std::deque<Refused> refused_;
-  bool over_ = false;
+  bool over_ = false;   // the caller says no more
+  bool gone_ = false;   // and is not there any more
+  bool ended_ = false;  // run() returns
+  std::condition_variable ends_;
   std::stop_source stop_;  // of the frame that is being rendered
   bool refining_ = false;  // it may be given up for a change
 };

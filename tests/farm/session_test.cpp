@@ -300,6 +300,34 @@ TEST_F(Session, RefusesWhatTheSceneLacksAndGoesOn) {
   EXPECT_EQ(pictures({opening(scene), light_at(1, 0.2f)}).at(1).picture() == all[6].picture(), true);
 }
 
+// Before its first picture is begun, or while it waits for the last one: nobody is left to render it for.
+TEST_F(Session, ACallerThatGoesIsRenderedForNoMore) {
+  pb::SessionRequest opening_of_hours = opening(lit_box());
+  opening_of_hours.mutable_open()->mutable_settings()->set_samples_per_pixel(1 << 20);
+  for (const auto pause : {std::chrono::milliseconds(0), std::chrono::milliseconds(300)})
+    for (const bool all_is_said : {false, true}) {
+      grpc::ClientContext context;
+      auto stream = stub_->Session(&context);
+      stream->Write(opening_of_hours);
+      if (all_is_said) stream->WritesDone();
+      std::this_thread::sleep_for(pause);
+      context.TryCancel();
+      stream->Finish();
+      const auto idle = [&] { return farm_.farm().workers().at(0).leases == 0; };
+      bool calm = false;
+      for (int tried = 0; tried < 200 && !calm; ++tried) {
+        std::this_thread::sleep_for(std::chrono::milliseconds(100));
+        calm = idle();
+        for (int again = 0; again < 10 && calm; ++again) {  // no stage follows
+          std::this_thread::sleep_for(std::chrono::milliseconds(20));
+          calm = idle();
+        }
+      }
+      EXPECT_TRUE(calm) << pause.count() << " ms, " << all_is_said;
+      if (!calm) return;
+    }
+}
+
 TEST_F(Session, RefusesToOpenWhatCannotBeRendered) {
   const auto refusal = [&](const pb::SessionRequest& request) {
     grpc::ClientContext context;

@@ -111,6 +111,15 @@ TEST_F(SessionWeb, IsForThisMachineUnlessSomebodySaysOtherwise) {
   EXPECT_EQ(end_of(*nowhere), 2);
 }
 
+// What goes wrong once the session is open ends it: the farm in the process does not wait for more to be said.
+TEST_F(SessionWeb, APortThatIsTakenEndsIt) {
+  const auto first = begin({"--web"});
+  const std::string address = address_of(*first).first.substr(std::string("http://").size());
+  const auto second = begin({"--web", address});
+  EXPECT_EQ(end_of(*second), 1) << second->err();
+  EXPECT_THAT(second->err(), HasSubstr("cannot listen on " + address));
+}
+
 // "--web SCENE": the scene is not taken for an address.
 TEST_F(SessionWeb, TheAddressMayBeMissing) {
   Process session({(programs / "gleaner").string(), "session", "--web", scene_, "--size", "16x16", "--quiet"},
