@@ -399,7 +399,9 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 #endif
 #ifdef PHOTON_GATHER
   write_reads(reads, block, &path, &filter, &v, slot_count, most);
-  if (!any_lane(goes_on(&filter, &v))) {
+  // Of lanes too whose neighbours go on: what is left of their light is roundings.
+  v.active = goes_on(&filter, &v);
+  if (!any_lane(v.active)) {
     write_no_connection(shadows, block, slot_count);
     return;
   }
