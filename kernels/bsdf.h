@@ -9,6 +9,7 @@
 #ifndef GLEANER_KERNELS_BSDF_H
 #define GLEANER_KERNELS_BSDF_H
 
+#include "kernels/lobe_rows.h"
 #include "kernels/sampling.h"
 #include "kernels/scene_access.h"
 
@@ -189,9 +190,6 @@ FN v3 lobe_fresnel(const Surface* m, vf vh) {
 }
 
 // --- Rough lobes: those that virtual point lights may stand in for ---
-
-// Below this alpha (glTF's roughness, squared) a lobe shows single lights, and is left to paths.
-#define ROUGH_LOBE_ALPHA 0.2f
 
 // The lobe's colours: f0 at normal incidence, f90 at grazing incidence (lobe_fresnel()).
 FN v3 lobe_f0(const Surface* m) {

@@ -25,7 +25,8 @@
 // scatters, and the map is read for its CAUSTIC light alone.
 // With LAYER as well, records of shading clusters carry what leaves the first surface by its diffuse layer, but for
 // CAUSTIC light. Paths that left by the layer then find direct light and, where photons do not carry CAUSTIC, that;
-// those that left by a rough lobe gather as before.
+// those that left by a rough lobe gather as before. With LOBE beside it, what leaves by a rough lobe that harmonics of
+// LOBE_ORDER hold is the records' just as what leaves by the layer.
 // Radiance links between vertices take another class, by itself: RADIOSITY, or METAL_RADIOSITY where metal is rough
 // (kernels/radiosity_filter.h). So does an
 // irradiance cache: IRRADIANCE; and with rough lobes a radiance cache: RADIANCE (kernels/irradiance_filter.h).
@@ -36,6 +37,7 @@
 #ifndef GLEANER_KERNELS_PATH_FILTER_H
 #define GLEANER_KERNELS_PATH_FILTER_H
 
+#include "kernels/lobe_rows.h"
 #include "kernels/path_records.h"
 #include "kernels/transport/parts.h"
 #include "kernels/transport/scattering.h"
@@ -62,12 +64,15 @@
          // partner's but what layers are read for
 
 #define FILTER_LAYERED \
-  -6.0f  // PATH_CLASS_LAYER: left the first surface by its layer, and has met nothing but sharp parts since: all light
-         // but direct light and CAUSTIC is the records'
+  -6.0f  // PATH_CLASS_LAYER: left the first surface by its layer (or a lobe of PATH_CLASS_LOBE), and has met nothing
+         // but sharp parts since: all light but direct light and CAUSTIC is the records'
 
 #define FILTERS(classes) ((PATH_FILTER & (classes)) != 0)
 #if defined(PHOTON_GATHER) && PATH_FILTER & PATH_CLASS_LAYER
 #define FILTERS_LAYER
+#endif
+#ifndef LOBE_ORDER
+#define LOBE_ORDER 4
 #endif
 // Of a gather path that leaves a first surface of its own. Paths from records carry their spacing, m, in its place.
 #ifdef PHOTON_RECORDS
@@ -255,6 +260,9 @@ FN vf layered_state(const PathFilter* f, const Vertex* v, vi leaves, vi by_layer
   *throughput = pick3(*throughput, splat3(zero_f()), f->layered & none(kept));
   state = pick(state, (vf)FILTER_LAYERED, f->layered);
   vi carried = leaves & by_layer;
+#if defined(NEED_LOBE) && FILTERS(PATH_CLASS_LOBE)
+  carried = carried | (leaves & by_rough & (v->surface.alpha >= (vf)HARMONIC_LEAST_ALPHA(LOBE_ORDER)));
+#endif
 #ifdef NEED_MEDIA
   carried = carried & (filling(v->media) == 0u);
 #endif

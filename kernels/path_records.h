@@ -36,6 +36,9 @@ namespace gleaner::kernels {
 // With DIFFUSE and MIXED, which photon maps gather: what of these leaves the first surface by its diffuse layer is
 // interpolated between records (kernels/photon/cluster_gather.cl), so that paths gather the rest alone.
 #define PATH_CLASS_LAYER 64u
+// Beside LAYER: the same of what leaves it by a rough lobe that hemispherical harmonics hold (HARMONIC_LEAST_ALPHA of
+// kernels/lobe_rows.h).
+#define PATH_CLASS_LOBE 1024u
 
 // Stage kind "path". An item is (pixel, chunk): samples_per_item camera paths through one pixel. Without the input
 // "items", item i is pixel i % (width * height), chunk first_chunk + i / (width * height); with it, item i is what the

@@ -130,18 +130,18 @@ typedef struct {
                            // the spacing, m: a surface nearer than this is not read off the map, the path goes on
   PhotonEstimate estimate;
   gl_uint cut_depth;
-  gl_uint reserved;
+  gl_uint order;  // of the harmonics that hold PATH_CLASS_LOBE, where the filter has it
 } PhotonGatherParameters;
 GLEANER_SIZE(PhotonGatherParameters, 144);
 
 // Stage kind "photon_cluster_gather" (inputs "places", "map", "cut"): items and records are those of stage kind
-// "splat_gather".
+// "splat_gather", with an order above 0 those of "splat_lobe_gather".
 typedef struct {
   // The filter is all that PATH_CLASS_LAYER may take, and CAUSTIC; the clamp is the map's spacing, m.
   SplatGatherParameters records;
   PhotonEstimate estimate;
   gl_uint cut_depth;
-  gl_uint reserved;
+  gl_uint order;  // of hemispherical harmonics
 } PhotonClusterGatherParameters;
 GLEANER_SIZE(PhotonClusterGatherParameters, 176);
 
@@ -190,8 +190,10 @@ struct PhotonClusterParameters {
   std::uint32_t iterations = 0;                      // of k-means
   std::uint32_t seed_low = 0, seed_high = 0;
   float kept_footprint = 0;  // a sample that was given stands for points whose footprint is its own over this, or more
+  std::uint32_t whole = 0;   // 1: so many clusters are a whole picture's, of which pixels without points take none
+  std::uint32_t reserved[3] = {};
 };
-static_assert(sizeof(PhotonClusterParameters) == 32);
+static_assert(sizeof(PhotonClusterParameters) == 48);
 
 // Stage kind "photon_extend" (input "given", or none); solo: the same for what a camera sees, whose points are made on
 // the way and not kept. Width, height and samples of both parts are the same.
@@ -199,7 +201,7 @@ struct PhotonExtendParameters {
   SplatPointParameters points;
   PhotonClusterParameters clusters;
 };
-static_assert(sizeof(PhotonExtendParameters) == 128);
+static_assert(sizeof(PhotonExtendParameters) == 160);
 
 struct PhotonClusterFacts {
   std::uint64_t points = 0;  // that pixels show
@@ -226,7 +228,7 @@ struct PhotonExtendRefineParameters {
   SplatPointParameters points;
   PhotonClusterRefineParameters refine;
 };
-static_assert(sizeof(PhotonExtendRefineParameters) == 128);
+static_assert(sizeof(PhotonExtendRefineParameters) == 144);
 
 // Stage kind "photon_cluster_smooth" (inputs "records.0", "records.1", ..., of stage kind "photon_cluster_gather");
 // solo. One item: as many rows of the cache as there are records.

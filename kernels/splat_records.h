@@ -49,8 +49,10 @@ typedef struct {
   gl_uint seed_low, seed_high;
   gl_uint free_scatterings;  // so many before a point are no part of its level
   gl_uint what;              // SPLAT_LAYERS, SPLAT_LOBES or SPLAT_LOBE_ROWS
+  gl_uint order;  // of harmonics: lobes below HARMONIC_LEAST_ALPHA(order) are left out; 0: all rough ones are taken
+  gl_uint reserved[3];
 } SplatPointParameters;
-GLEANER_SIZE(SplatPointParameters, 96);
+GLEANER_SIZE(SplatPointParameters, 112);
 
 // A place where irradiance is to be gathered: the row of the point that it was chosen at, of which the words below mean
 // something else.
@@ -151,7 +153,7 @@ struct SplatExtendParameters {
   SplatPointParameters points;
   SplatSelectParameters select;
 };
-static_assert(sizeof(SplatExtendParameters) == 144);
+static_assert(sizeof(SplatExtendParameters) == 160);
 
 struct SplatSelectFacts {
   std::uint64_t points = 0, records = 0, given = 0, rounds = 0, probes = 0;

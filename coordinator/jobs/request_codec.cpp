@@ -47,7 +47,7 @@ json encode_scene(const FrameScene& scene) {
           {"state", binary(scene.state_blob)}, {"needs", summary.needs.bits()},
           {"triangles", summary.triangles},    {"emissive_triangles", summary.emissive_triangles},
           {"lights", summary.lights},          {"lower", summary.bounds.lower},
-          {"upper", summary.bounds.upper}};
+          {"upper", summary.bounds.upper},     {"roughest_lobe", summary.roughest_lobe}};
 }
 
 FrameScene decode_scene(const json& value) {
@@ -59,6 +59,7 @@ FrameScene decode_scene(const json& value) {
   scene.summary.triangles = value.at("triangles").get<std::uint64_t>();
   scene.summary.emissive_triangles = value.at("emissive_triangles").get<std::uint64_t>();
   scene.summary.lights = value.at("lights").get<std::uint64_t>();
+  scene.summary.roughest_lobe = value.value("roughest_lobe", 1.0f);  // older journals do not know
   value.at("lower").get_to(scene.summary.bounds.lower);
   value.at("upper").get_to(scene.summary.bounds.upper);
   scene.summary.rest_bounds = scene.summary.bounds;

@@ -1,6 +1,6 @@
 #pragma once
-// Light on rough lobes by records of incoming radiance, in hemispherical harmonics: the part of method `splat` that
-// setting `splat.order` switches on (docs/explanation/splat.md).
+// Light on rough lobes by records of incoming radiance, in hemispherical harmonics: the parts of methods `splat` and
+// `photon` that settings `splat.order` and `photon.order` switch on (docs/explanation/splat.md, photon.md).
 
 #include <cstdint>
 #include <functional>
@@ -13,24 +13,30 @@ namespace gleaner::coordinator {
 
 class LobeCache {
  public:
+  // What is the method's own. Its stages are METHOD.lobe_points, METHOD.lobes and METHOD.lobe_shade, and what the
+  // functions ask for.
   struct Settings {
-    std::uint32_t order = 0;
-    std::uint32_t free_scatterings = 0;     // of PixelCache::ask_points()
-    kernels::SplatSelectParameters select;  // how places are chosen
-    kernels::SplatGatherParameters gather;  // the number of records is not read
-    Strata strata;
+    std::string method;
+    std::uint32_t order = 0;             // of the records
+    std::uint32_t least_order = 0;       // SplatPointParameters::order of the points
+    std::uint32_t free_scatterings = 0;  // of PixelCache::ask_points()
     int priority = 0;
+    std::function<Graph::Artifact(const Graph::Artifact& points)> choose;  // places
+    std::vector<Graph::Artifact> until;                                    // what gathering waits for beside these
+    // Records of incoming radiance at all places, of which there is one at least.
+    std::function<Graph::Artifact(const Graph::Artifact& places)> gather;
   };
 
-  // The `picture` is called once, with RGB of each pixel.
+  // Whether the scene may have lobes that such points (Settings::least_order) are found of.
+  static bool has_lobes(const SceneSummary& scene, std::uint32_t least_order);
+
+  // The `picture` is called once, with RGB of each pixel, or with nothing where no pixel shows a lobe.
   LobeCache(Graph& graph, const PixelCache& cache) : graph_(graph), cache_(cache) {}
-  void begin(const Settings& settings, std::function<void(std::vector<float>)> picture);
+  void begin(Settings settings, std::function<void(std::vector<float>)> picture);
 
   std::uint64_t records() const { return records_; }  // 0 as long as they are not known
 
  private:
-  void gather(const Graph::Artifact& points, const Graph::Artifact& lobes, const Graph::Artifact& places);
-
   Graph& graph_;
   const PixelCache& cache_;
   Settings settings_;

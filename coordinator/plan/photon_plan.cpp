@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "coordinator/plan/graph.h"
+#include "coordinator/plan/lobe_cache.h"
 #include "coordinator/plan/path_sampler.h"
 #include "coordinator/plan/photon_choice.h"
 #include "coordinator/plan/pixel_cache.h"
@@ -41,8 +42,12 @@ constexpr std::uint32_t kCutNeighbours = 24, kCutRounds = 4;
 constexpr float kCutRatio = 1.2f, kCutSpread = 0.1f;
 // A cluster of a camera before stands for what is seen from no nearer by than half as far as that camera saw it.
 constexpr float kKeptFootprint = 2;
+// Of hemispherical harmonics, where it is not set.
+constexpr std::uint32_t kUsualOrder = 4;
 // Noise of a sample's record of one ray, over its light, as pixels share it.
 constexpr double kRecordNoise = 0.5;
+// The same of incoming radiance, as rough lobes show it: 0.5 at a roughness of 0.7, 0.9 at 0.5.
+constexpr double kLobeNoise = 0.8;
 // Photons this near to what is seen or read are of use, over the diagonal of the scene's bounds.
 constexpr double kGuideNear = 0.01;
 // Maps wait for each other, paths that read none for nothing: these fill what the others leave free.
@@ -51,6 +56,7 @@ constexpr int kFirst = 1;
 struct PhotonSettings : PhotonCounts {
   std::uint32_t samples;  // of a pixel and pass of caustics
   double radius;          // m; 0: by the nearest photons
+  std::uint32_t order;    // of hemispherical harmonics of light on rough lobes; 0: paths find that light
   std::uint32_t guide;    // light paths of the pilot that tells where photons are of use; 0: none
 };
 
@@ -67,6 +73,7 @@ PhotonSettings read_settings(const FrameSettings& settings) {
   };
   PhotonSettings p{chosen(PixelCache::samples_of_records(settings)), 1,
                    real_setting(settings, "photon.radius").value_or(0),
+                   whole_setting(settings, "photon.order").value_or(kUsualOrder),
                    whole_setting(settings, "photon.guide").value_or(0)};
   p.passes = chosen(settings.planned_spp()).passes;  // which nothing is shared of
   // As many places of caustics in a pixel as samples. More where pixels are few: what a pass traces is worth more
@@ -142,9 +149,10 @@ class PhotonPlan final : public GraphPlan {
            PixelCache::begins_with(settings_).empty();
   }
   bool has_clusters() const { return gathers() && photon_.clusters > 0 && photon_.rays > 0; }
+  bool has_lobes() const { return has_clusters() && photon_.order > 0 && glossy_; }
   std::uint32_t classes() const {
     return (gathers() ? PATH_CLASS_DIFFUSE | PATH_CLASS_MIXED : 0) | (has_caustics() ? PATH_CLASS_CAUSTIC : 0) |
-           (has_clusters() ? PATH_CLASS_LAYER : 0);
+           (has_clusters() ? PATH_CLASS_LAYER : 0) | (has_lobes() ? PATH_CLASS_LOBE : 0);
   }
   // Pictures that the film takes the mean of.
   std::size_t passes() const { return has_caustics() ? passes_.size() : has_clusters() ? 1 : 0; }
@@ -157,8 +165,10 @@ class PhotonPlan final : public GraphPlan {
     return (gathers() ? 2.0 * photon_.count : 0.0) +
            static_cast<double>(passes_.size()) *
                (2.0 * photon_.caustics + static_cast<double>(pixels()) * photon_.samples) +
-           (has_clusters() ? cache_.work() + static_cast<double>(photon_.clusters) * strata_.count() : 0.0);
+           (has_clusters() ? cluster_work() + (has_lobes() ? cluster_work() : 0) : 0.0);
   }
+
+  double cluster_work() const { return cache_.work() + static_cast<double>(photon_.clusters) * strata_.count(); }
 
   void begin() override;
   Artifact ask_photons(const std::string& suffix, PhotonTraceParameters p, std::uint32_t paths,
@@ -177,6 +187,7 @@ class PhotonPlan final : public GraphPlan {
   };
   void ask_clusters();
   PhotonClusterParameters cluster_parameters(std::uint32_t width, std::uint32_t height, std::uint32_t samples) const;
+  PhotonClusterGatherParameters gather_parameters(std::uint64_t records, std::uint32_t order) const;
   PhotonClusterRefineParameters refine_parameters(std::uint32_t width, std::uint32_t height, std::uint32_t samples,
                                                   std::size_t round) const;
   PhotonClusterFacts checked_places(const Artifact& places, std::uint64_t given) const;
@@ -192,13 +203,16 @@ class PhotonPlan final : public GraphPlan {
   static void add_records(const Places& places, std::vector<Graph::Input>& inputs);
   std::uint64_t refined() const { return refined_.empty() ? 0 : refined_.back().count; }
   void shade_clusters();
-  void show_clusters(std::vector<float> picture);
+  void show_clusters(const std::vector<float>& picture, double noise);
+  Artifact choose_lobe_places(const Artifact& points);
+  Artifact gather_lobes(const Artifact& places);
+  void begin_lobes();
   void ask_caustics(std::uint32_t pass);
   void shade_caustics(std::uint32_t pass);
 
   FrameSettings settings_;
   PhotonSettings photon_;
-  bool sharp_;
+  bool sharp_, glossy_;
   double near_;         // m: kGuideNear
   double most_radius_;  // m
   PathSampler paths_;
@@ -206,6 +220,7 @@ class PhotonPlan final : public GraphPlan {
   Artifact cut_;  // none: there is no cut
   PhotonCutFacts cut_facts_;
   PixelCache cache_;
+  LobeCache lobes_;
   Strata strata_;
   std::vector<scene::Camera> cameras_;  // whose sample points the picture begins with
   std::vector<Places> before_;          // of each of these, what it needs beside the cameras before it
@@ -217,6 +232,8 @@ class PhotonPlan final : public GraphPlan {
   bool refining_ = false;
   PhotonClusterFacts clusters_;
   std::shared_ptr<Beside> beside_;  // the passes: the clusters' light
+  std::vector<float> light_;        // of the clusters so far, RGB of each pixel
+  std::uint32_t missing_ = 0;       // parts of it that are to come: on layers, on lobes
   Artifact first_caustics_;         // an event, where a target error waits for the first pass
   OwnLight own_light_;
   bool clusters_asked_ = false, caustics_asked_ = false;
@@ -231,10 +248,12 @@ PhotonPlan::PhotonPlan(const FrameSettings& settings, const SceneSummary& scene)
       settings_(settings),
       photon_(read_settings(settings)),
       sharp_(has_sharp_parts(scene.needs)),
+      glossy_(LobeCache::has_lobes(scene, photon_.order)),
       near_(kGuideNear * diagonal_of(scene.bounds)),
       most_radius_(photon_.radius > 0 ? photon_.radius : kMostRadius * diagonal_of(scene.bounds)),
       paths_(graph_, film_, settings),
       cache_(settings, settings.method_spp()),
+      lobes_(graph_, cache_),
       strata_(strata_of(std::max(1u, photon_.rays))),
       // As many clusters as points are no clusters.
       cameras_(has_clusters() && photon_.clusters < pixels() ? PixelCache::begins_with(settings)
@@ -256,6 +275,8 @@ PhotonPlan::PhotonPlan(const FrameSettings& settings, const SceneSummary& scene)
                           ? "photon.clusters or photon.gather_rays is 0: each sample gathers by itself"
                           : "the film is too large: each sample gathers by itself",
                       1});
+  if (has_clusters() && photon_.order && !glossy_)
+    skips_.push_back({"records of incoming radiance", "no material has a lobe that is rough enough", 1});
   if (indirect() && !photon_.caustics)
     skips_.push_back({"caustic photons", "photon.caustics is 0: paths find the caustics", 1});
   if (indirect() && photon_.caustics && !sharp_)
@@ -290,7 +311,9 @@ void PhotonPlan::begin() {
     });
     if (has_clusters()) {
       map_ = map;
+      missing_ = has_lobes() ? 2 : 1;
       ask_clusters();
+      if (has_lobes()) begin_lobes();
     }
   } else {
     paths_.begin({.classes = classes(), .limit = std::numeric_limits<float>::infinity()});
@@ -423,8 +446,8 @@ std::vector<Graph::Input> PhotonPlan::light_of(const Artifact& map) const {
 void PhotonPlan::gather(const Artifact& map) {
   struct {
     PhotonEstimate estimate;
-    std::uint32_t cut_depth, reserved;
-  } program{.estimate = estimate(kGatherNeighbours), .cut_depth = cut_depth(), .reserved = 0};
+    std::uint32_t cut_depth, order;
+  } program{.estimate = estimate(kGatherNeighbours), .cut_depth = cut_depth(), .order = photon_.order};
   static_assert(sizeof(PathParameters) + sizeof program == sizeof(PhotonGatherParameters));
   paths_.begin(
       {.classes = classes(), .limit = limit(), .mean = own_light_.mean, .squared_error = own_light_.squared_error},
@@ -484,19 +507,26 @@ PhotonClusterFacts PhotonPlan::checked_places(const Artifact& places, std::uint6
   return facts;
 }
 
+// `order`: of incoming radiance; 0: irradiance.
+PhotonClusterGatherParameters PhotonPlan::gather_parameters(std::uint64_t records, std::uint32_t order) const {
+  PhotonClusterGatherParameters p{};
+  p.records = cache_.gather_parameters(records, strata_);
+  p.records.samples.filter = PATH_CLASS_DIFFUSE | PATH_CLASS_CAUSTIC | PATH_CLASS_MIXED;
+  p.records.samples.clamp = limit();
+  p.estimate = estimate(kGatherNeighbours);
+  p.cut_depth = cut_depth();
+  p.order = order;
+  return p;
+}
+
 // Stage `name`: records of those of the `count` places that are new. `shared`: other frames read them as well.
 void PhotonPlan::gather_new(Places& places, std::uint64_t count, std::uint64_t given, const std::string& name,
                             bool shared) {
   places.places.check_facts(count >= given, std::to_string(count) + " places of " + std::to_string(given) + " given");
   places.count = count;
   if (count == given) return;
-  PhotonClusterGatherParameters p{};
-  p.records = cache_.gather_parameters(count - given, strata_);
+  PhotonClusterGatherParameters p = gather_parameters(count - given, 0);
   p.records.first_place = low(given);
-  p.records.samples.filter = PATH_CLASS_DIFFUSE | PATH_CLASS_CAUSTIC | PATH_CLASS_MIXED;
-  p.records.samples.clamp = limit();
-  p.estimate = estimate(kGatherNeighbours);
-  p.cut_depth = cut_depth();
   std::vector<Graph::Input> inputs = light_of(map_);
   inputs.push_back({"places", places.places});
   StageSpec spec = PixelCache::gathering(name, "photon_cluster_gather", kFirst, count - given, strata_);
@@ -545,7 +575,7 @@ void PhotonPlan::gather_own() {
   gathered_ = checked_facts(map_);
   const std::uint64_t given = before_.empty() ? 0 : before_.back().count;
   clusters_ = checked_places(own_.places, given);
-  if (clusters_.places == 0) return show_clusters({});
+  if (clusters_.places == 0) return show_clusters({}, 0);
   gather_new(own_, clusters_.places, given, "photon.cluster_gather", false);
   gathered_cameras_ = std::max<std::size_t>(gathered_cameras_, 1);
   refine_next();
@@ -619,16 +649,50 @@ void PhotonPlan::shade_clusters() {
                                     PhotonClusterSmoothParameters{}, std::move(records));
   const Artifact shaded = cache_.ask_shading(graph_, "photon.shade", kFirst, points_, cache);
   cache_.preview(graph_, film_, shaded);
-  graph_.when({shaded}, [this, shaded] { show_clusters(cache_.picture_of(shaded.records())); });
+  graph_.when({shaded}, [this, shaded] { show_clusters(cache_.picture_of(shaded.records()), kRecordNoise); });
 }
 
-// The clusters' light is a part of every pass of caustics, and a pass of its own where there is none.
-void PhotonPlan::show_clusters(std::vector<float> picture) {
-  if (settings_.target_error > 0) own_light_.add(picture, kRecordNoise / std::sqrt(strata_.count()));
+Artifact PhotonPlan::choose_lobe_places(const Artifact& points) {
+  PhotonClusterParameters p = cluster_parameters(settings_.width, settings_.height, cache_.samples());
+  p.whole = 1;
+  return graph_.add(shared_choice("photon.lobe_clusters", "photon_cluster"), p, {{"points", points}});
+}
+
+Artifact PhotonPlan::gather_lobes(const Artifact& places) {
+  gathered_ = checked_facts(map_);
+  const std::uint64_t records = checked_places(places, 0).places;
+  std::vector<Graph::Input> inputs = light_of(map_);
+  inputs.push_back({"places", places});
+  return graph_.add(PixelCache::gathering("photon.lobe_gather", "photon_cluster_gather", kFirst, records, strata_,
+                                          RADIANCE_WORDS(photon_.order)),
+                    gather_parameters(records, photon_.order), std::move(inputs));
+}
+
+// Light on rough lobes by sample points of their own, of which harmonics tell from where it comes (section 3.4,
+// "Representing Radiance Fields using SH"). Lobes that are too sharp for that stay the paths'.
+void PhotonPlan::begin_lobes() {
+  lobes_.begin({.method = "photon",
+                .order = photon_.order,
+                .least_order = photon_.order,
+                .free_scatterings = SPLAT_LEVEL,
+                .priority = kFirst,
+                .choose = [this](const Artifact& points) { return choose_lobe_places(points); },
+                .until = places_and_light(0),
+                .gather = [this](const Artifact& places) { return gather_lobes(places); }},
+               [this](const std::vector<float>& picture) { show_clusters(picture, kLobeNoise); });
+}
+
+// The clusters' light, of layers and lobes, is a part of every pass of caustics, and a pass of its own where there is
+// none. `noise`: of a record of one ray.
+void PhotonPlan::show_clusters(const std::vector<float>& picture, double noise) {
+  if (settings_.target_error > 0) own_light_.add(picture, noise / std::sqrt(strata_.count()));
+  if (light_.size() < picture.size()) light_.resize(picture.size());
+  for (std::size_t i = 0; i < picture.size(); ++i) light_[i] += picture[i];
+  if (--missing_ > 0) return;
   if (has_caustics())
-    beside_->light = std::move(picture);
+    beside_->light = std::move(light_);
   else
-    film_.add_pass(picture);
+    film_.add_pass(light_);
   graph_.announce(beside_->known);
   clusters_asked_ = true;
   own_stages_asked_ = caustics_asked_ || !has_caustics();
@@ -730,6 +794,7 @@ std::string PhotonPlan::parameters_json() const {
     }
     photon["reach"] = clusters_.reach;
   }
+  if (has_lobes()) photon["order"] = photon_.order, photon["lobe_places"] = lobes_.records();
   if (has_caustics()) {
     photon["passes"] = passes_.size();
     photon["samples"] = photon_.samples;
@@ -771,6 +836,11 @@ std::vector<std::string> PhotonPlan::outline() const {
           std::to_string(rounds()) + " rounds, solo");
     lines.push_back("photon.shade: " + std::to_string(cache_.tiles()) + " tiles lit by the samples near them, split");
   }
+  if (has_lobes())
+    lines.push_back(
+        "photon.lobe_points, lobes, lobe_clusters, lobe_gather, lobe_shade: the same for rough lobes, by incoming "
+        "radiance in hemispherical harmonics of order " +
+        std::to_string(photon_.order));
   if (has_caustics()) {
     const std::string each = ", for each of " + std::to_string(passes_.size()) + " passes";
     lines.push_back("photon.trace.guide: " + std::to_string(photon_.caustics) +
@@ -816,6 +886,9 @@ Method photon_method() {
            "light paths that tell where photons are of use: others begin where more of them are, and count for less; "
            "0: "
            "light paths begin by power alone"},
+          {"photon.order", whole, 0, SPLAT_MOST_ORDER, "4",
+           "order of hemispherical harmonics in which clusters' sample points carry light on rough lobes (alpha, "
+           "roughness squared, of 0.9 over the order and more, and of 0.2); 0: paths find that light"},
           {"photon.radius", real, 0, 1e9, "0",
            "metres: of density estimates (of caustics: of the first pass); 0: as wide as the nearest photons lie"},
       }};

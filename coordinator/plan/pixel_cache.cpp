@@ -64,9 +64,10 @@ bool PixelCache::holds(const FrameSettings& settings) {
 }
 
 Graph::Artifact PixelCache::ask_points(Graph& graph, const std::string& name, int priority,
-                                       std::uint32_t free_scatterings, std::uint32_t what) const {
+                                       std::uint32_t free_scatterings, std::uint32_t what, std::uint32_t order) const {
   SplatPointParameters p = point_parameters(free_scatterings);
   p.what = what;
+  p.order = order;
   return graph.add({.name = name,
                     .kind = "splat_points",
                     .items = tiles(),

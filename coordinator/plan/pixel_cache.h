@@ -43,9 +43,10 @@ class PixelCache {
   // Points of camera number `number` of these: a picture with fewer pixels where the film has many.
   kernels::SplatPointParameters camera_point_parameters(const scene::Camera& camera, std::size_t number,
                                                         std::uint32_t free_scatterings) const;
-  // Stage "METHOD.points", or that of another word for `what` (kernels/splat_records.h).
+  // Stage "METHOD.points", or that of another word for `what` (kernels/splat_records.h), which has the `order` as well.
   Graph::Artifact ask_points(Graph& graph, const std::string& name, int priority,
-                             std::uint32_t free_scatterings = SPLAT_LEVEL, std::uint32_t what = SPLAT_LAYERS) const;
+                             std::uint32_t free_scatterings = SPLAT_LEVEL, std::uint32_t what = SPLAT_LAYERS,
+                             std::uint32_t order = 0) const;
   // Tiles of `points` lit by the records of `cache`.
   Graph::Artifact ask_shading(Graph& graph, const std::string& name, int priority, const Graph::Artifact& points,
                               const Graph::Artifact& cache) const;

@@ -31,6 +31,8 @@ SceneSummary summarize(const scene::Scene& scene) {
   for (std::uint32_t material : scene.triangle_material) {
     const scene::Material& m = scene.materials[material];
     if (m.emission[0] > 0 || m.emission[1] > 0 || m.emission[2] > 0) ++summary.emissive_triangles;
+    if (!(m.flags & GLEANER_MATERIAL_UNLIT) && (m.metallic > 0 || m.specular > 0))
+      summary.roughest_lobe = std::max(summary.roughest_lobe, m.roughness * m.roughness);
   }
   return summary;
 }

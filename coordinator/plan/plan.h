@@ -128,6 +128,7 @@ class Plan {
 struct SceneSummary {
   scene::SceneNeeds needs;
   std::uint64_t triangles = 0, emissive_triangles = 0, lights = 0;
+  float roughest_lobe = 0;  // alpha, of any opaque surface's lobe, before textures make it less; 0: there is none
   scene::Bounds bounds;
   scene::Bounds rest_bounds;                      // of the base at rest; where there is no state, the same
   std::uint32_t matrices = 0, morph_weights = 0;  // that a state of it has, where it is a base

@@ -80,7 +80,7 @@ class SplatPlan final : public GraphPlan {
         strata_(strata_of(std::max(1u, splat_.rays))),
         cache_(settings, splat_.points),
         lobes_(graph_, cache_),
-        glossy_(scene.needs.glossy),
+        glossy_(LobeCache::has_lobes(scene, 0)),
         paths_(graph_, film_, settings),
         cameras_(splat_.accuracy > 0 ? PixelCache::begins_with(settings) : std::vector<scene::Camera>()) {
     skips_ = path_skips(scene.needs);
@@ -163,6 +163,8 @@ class SplatPlan final : public GraphPlan {
   Artifact ask_merge();
   Artifact ask_smoothing(const Artifact& cache);
   void shade(const Artifact& cache);
+  Artifact choose_lobe_places(const Artifact& points);
+  Artifact gather_lobes(const Artifact& places, const Strata& strata);
   void begin_lobes();
   void add_light(const std::vector<float>& picture);
 
@@ -360,13 +362,34 @@ void SplatPlan::add_light(const std::vector<float>& picture) {
   if (--missing_ == 0) film_.add_pass(std::move(light_));
 }
 
+Artifact SplatPlan::choose_lobe_places(const Artifact& points) {
+  return graph_.add(cache_.choosing("splat.lobe_select", "splat_select", kFirst, SPLAT_PLACE_WORDS),
+                    select_parameters(settings_.width, settings_.height, cache_.samples()), {{"points", points}});
+}
+
+// `strata`: those that are chosen first, whichever cache's places are known sooner.
+Artifact SplatPlan::gather_lobes(const Artifact& places, const Strata& strata) {
+  const std::uint64_t records = places.record_count();
+  places.check_facts(places.facts<SplatSelectFacts>().records == records, std::to_string(records) + " places");
+  SplatLobeGatherParameters p{};
+  p.records = gather_parameters(records);
+  p.records.polar = strata.polar;
+  p.records.azimuthal = strata.azimuthal;
+  p.order = splat_.order;
+  return graph_.add(PixelCache::gathering("splat.lobe_gather", "splat_lobe_gather", kFirst, records, strata,
+                                          RADIANCE_WORDS(splat_.order)),
+                    p, {{"places", places}});
+}
+
 void SplatPlan::begin_lobes() {
-  lobes_.begin({.order = splat_.order,
+  lobes_.begin({.method = "splat",
+                .order = splat_.order,
+                .least_order = 0,
                 .free_scatterings = free_scatterings(),
-                .select = select_parameters(settings_.width, settings_.height, cache_.samples()),
-                .gather = gather_parameters(0),
-                .strata = strata_,
-                .priority = kFirst},
+                .priority = kFirst,
+                .choose = [this](const Artifact& points) { return choose_lobe_places(points); },
+                .until = {},
+                .gather = [this, strata = strata_](const Artifact& places) { return gather_lobes(places, strata); }},
                [this](const std::vector<float>& picture) { add_light(picture); });
 }
 
@@ -422,7 +445,8 @@ void SplatPlan::extend(std::size_t camera) {
 Artifact SplatPlan::ask_places(float coarser, const std::string& name) {
   SplatSelectParameters p = select_parameters(settings_.width, settings_.height, cache_.samples());
   p.accuracy *= coarser;
-  std::vector<Graph::Input> inputs = {{"points", points_}};
+  std::vector<Graph::Input> inputs;
+  inputs.push_back({"points", points_});
   StageSpec spec = cache_.choosing(name, "splat_select", kFirst, SPLAT_PLACE_WORDS);
   if (!before_.empty()) {
     inputs.push_back({"given", before_.back().places});

@@ -73,7 +73,11 @@ kernel WIDE void splat_point_step(global const SplatPointParameters* restrict pa
   float across = 2.0f * camera->half_width / (float)parameters->width;
   vf footprint = camera->type == GLEANER_CAMERA_ORTHOGRAPHIC ? (vf)across : length * across;
 #ifdef NEED_LOBE
-  if (parameters->what != SPLAT_LAYERS) factor = pick3(splat3(zero_f()), point.throughput, point.rough);
+  if (parameters->what != SPLAT_LAYERS) {
+    vi shown = point.rough;
+    if (parameters->order) shown = shown & (v->surface.alpha >= (vf)HARMONIC_LEAST_ALPHA(parameters->order));
+    factor = pick3(splat3(zero_f()), point.throughput, shown);
+  }
 #else
   if (parameters->what != SPLAT_LAYERS) return;
 #endif

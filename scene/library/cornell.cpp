@@ -72,11 +72,12 @@ Scene cornell_glass(const std::string& name, const Values&) {
   return b.finish();
 }
 
-Scene cornell_glossy(const std::string& name, const Values&) {
+Scene cornell_glossy(const std::string& name, const Values& values) {
   SceneBuilder b(name);
   add_room(b, GLEANER_NONE, GLEANER_NONE);
-  add_box(b, "short box", short_box, b.material("rough dielectric", dielectric({0.1, 0.2, 0.5}, 0.3)));
-  add_box(b, "tall box", tall_box, b.material("rough metal", metal({0.95, 0.76, 0.45}, 0.25)));
+  add_box(b, "short box", short_box,
+          b.material("rough dielectric", dielectric({0.1, 0.2, 0.5}, values.number("short"))));
+  add_box(b, "tall box", tall_box, b.material("rough metal", metal({0.95, 0.76, 0.45}, values.number("tall"))));
   return b.finish();
 }
 
@@ -147,8 +148,8 @@ std::vector<Recipe> cornell_recipes() {
        {},
        cornell_glass},
       {"cornell-glossy",
-       "the Cornell box with a rough dielectric short box and a rough metal tall box",
-       {},
+       "the Cornell box with a rough dielectric short box and a rough metal tall box, of these roughnesses",
+       {{"short", 0.3, 0, 1}, {"tall", 0.25, 0, 1}},
        cornell_glossy},
       {"cornell-textured",
        "the Cornell box with base colour, metallic-roughness and normal textures and a cut-out (alpha mask)",

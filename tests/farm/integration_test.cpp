@@ -24,6 +24,9 @@ class Farm : public testing::Test {
     shared_ = new TemporaryFolder;
     Ran made = run({"scene", "cornell-box", "-o", scene().string()});
     ASSERT_EQ(made.status, 0) << made.err;
+    // One lobe that harmonics of order 4 hold, and one that is too sharp.
+    made = run({"scene", "cornell-glossy", "--set", "short=0.6", "--set", "tall=0.46", "-o", glossy_scene().string()});
+    ASSERT_EQ(made.status, 0) << made.err;
   }
   static void TearDownTestSuite() {
     delete shared_;
@@ -31,6 +34,7 @@ class Farm : public testing::Test {
   }
 
   static fs::path scene() { return shared_->path() / "box.glb"; }
+  static fs::path glossy_scene() { return shared_->path() / "glossy.glb"; }
 
   // `gleaner WORDS...` without a farm.
   static Ran run(std::vector<std::string> words, const std::map<std::string, std::string>& environment = {}) {
@@ -47,9 +51,18 @@ class Farm : public testing::Test {
   }
 
   static std::vector<std::string> frame(unsigned spp) {
-    std::vector<std::string> words = {scene().string(), "--size", "80x60",    "--spp", std::to_string(spp),
-                                      "--seed",         "7",      "--method", method_};
+    const bool lobes = method_ == "photon_lobes";
+    std::vector<std::string> words = {(lobes ? glossy_scene() : scene()).string(),
+                                      "--size",
+                                      "80x60",
+                                      "--spp",
+                                      std::to_string(spp),
+                                      "--seed",
+                                      "7",
+                                      "--method",
+                                      lobes ? "photon" : method_};
     if (method_ == "photon") words.insert(words.end(), {"--set", "photon.guide=20000"});
+    if (lobes) words.insert(words.end(), {"--set", "photon.order=4"});
     return words;
   }
 
@@ -85,7 +98,7 @@ class AnyMethod : public Farm, public testing::WithParamInterface<const char*> {
   void SetUp() override { method_ = GetParam(); }
   void TearDown() override { method_ = "path"; }
 };
-INSTANTIATE_TEST_SUITE_P(Farm, AnyMethod, testing::Values("path", "vpl", "photon", "splat"),
+INSTANTIATE_TEST_SUITE_P(Farm, AnyMethod, testing::Values("path", "vpl", "photon", "photon_lobes", "splat"),
                          [](const auto& test) { return std::string(test.param); });
 
 TEST_P(AnyMethod, SameBitsForAnyWorkersAndAnyBatches) {
@@ -103,7 +116,10 @@ TEST_P(AnyMethod, SameBitsForAnyWorkersAndAnyBatches) {
     ASSERT_TRUE(farm.wait_for_workers(workers));
     json report = farm.finish(farm.submit(frame(spp)));
     EXPECT_EQ(report["pixels_sha256"], expected) << workers << " workers, batches of " << batch_items;
-    EXPECT_EQ(report["scene"], "box.glb");
+    EXPECT_EQ(report["scene"], method_ == "photon_lobes" ? "glossy.glb" : "box.glb");
+    if (method_ == "photon_lobes") {
+      EXPECT_GT(report["parameters"]["photon"]["lobe_places"], 10);
+    }
     EXPECT_GT(report["seconds"], 0);
     EXPECT_GT(report["rays"]["total"], 0);
   }

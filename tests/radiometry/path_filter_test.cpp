@@ -139,13 +139,14 @@ TEST(PathFilterParameters, UnknownClassesAreRefused) {
   worker::Executor& on = executor(shot.trace);
   kernels::PathParameters p = parameters_of(shot);
   p.clamp = 1;
-  // RADIOSITY, SAMPLED_RADIOSITY, METAL_RADIOSITY, IRRADIANCE and RADIANCE are no part of other classes; LAYER is the
-  // photon maps' alone.
+  // RADIOSITY, SAMPLED_RADIOSITY, METAL_RADIOSITY, IRRADIANCE and RADIANCE are no part of other classes; LAYER
+  // and LOBE are the photon maps' alone.
   for (const std::uint32_t classes :
        {PATH_CLASS_RADIOSITY | PATH_CLASS_DIFFUSE, PATH_CLASS_IRRADIANCE | PATH_CLASS_DIFFUSE,
         PATH_CLASS_RADIANCE | PATH_CLASS_DIFFUSE, PATH_CLASS_RADIANCE | PATH_CLASS_IRRADIANCE, PATH_CLASS_LAYER,
         PATH_CLASS_LAYER | PATH_CLASS_DIFFUSE, PATH_CLASS_SAMPLED_RADIOSITY | PATH_CLASS_DIFFUSE,
-        PATH_CLASS_METAL_RADIOSITY | PATH_CLASS_RADIOSITY, 2 * PATH_CLASS_METAL_RADIOSITY}) {
+        PATH_CLASS_METAL_RADIOSITY | PATH_CLASS_RADIOSITY, PATH_CLASS_LOBE, PATH_CLASS_LOBE | PATH_CLASS_DIFFUSE,
+        2 * PATH_CLASS_LOBE}) {
     p.filter = classes;
     const worker::StageTask task = task_of(p, load(on, shot.scene));
     EXPECT_THROW(on.run(task, 0, 1), Error) << classes;

@@ -69,7 +69,7 @@ const std::vector<StageKind>& stage_table() {
        {{.name = "given", .required = false}}},
       {"photon_cluster_gather",
        run_photon_cluster_gather_stage,
-       {"kernels/photon/cluster_gather.cl"},
+       {"kernels/photon/cluster_gather.cl", "kernels/photon/lobe_gather.cl"},
        {{.name = "places"}, {.name = "map"}, {.name = "cut", .required = false}}},
       {"photon_cluster_refine",
        run_photon_cluster_refine_stage,

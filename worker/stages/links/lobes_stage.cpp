@@ -2,6 +2,7 @@
 
 #include <cstring>
 
+#include "kernels/lobe_rows.h"
 #include "kernels/scene_layout.h"
 #include "scene/model/error.h"
 #include "worker/stages/links/mesh.h"
@@ -17,9 +18,8 @@ bool may_be_rough_metal(const float* row) {
   std::uint32_t flags = 0;
   std::memcpy(&flags, row + MATERIAL_FLAGS, sizeof flags);
   if (flags & GLEANER_MATERIAL_UNLIT) return false;
-  constexpr float least_alpha = 0.2f;  // ROUGH_LOBE_ALPHA of kernels/bsdf.h
   const float alpha = row[MATERIAL_ROUGHNESS] * row[MATERIAL_ROUGHNESS];
-  return row[MATERIAL_METALLIC] >= 0.5f && alpha >= least_alpha * 0.999f;
+  return row[MATERIAL_METALLIC] >= 0.5f && alpha >= ROUGH_LOBE_ALPHA * 0.999f;
 }
 
 }  // namespace

@@ -37,8 +37,6 @@ constexpr int kClampRounds = 3;
 constexpr double kBrighter = 2, kMostLeak = 0.5;
 // Not for the sake of one that reaches hardly any point but its own, where no other counts beside it.
 constexpr float kFarOff = 4;
-// Bounds of the radius that weighs a record: of its reach, and by normals that hardly turn.
-constexpr float kLeastRadius = 0.05f, kLeastTurn = 0.1f;
 
 struct Offset {
   std::array<float, 3> to;
@@ -207,10 +205,9 @@ class Smoothing {
     };
     each_weighted(i, add);
     for (std::size_t c = 0; c < 3; ++c) result.irradiance[c] = static_cast<float>(e[c] / weights);
-    const float most = reach(i) / std::max(turn(i), kLeastTurn);
-    const float r = std::clamp(std::min(radius_[i], weighing_[i]), kLeastRadius * reach(i), most);
-    result.radius = r;
-    result.accuracy = reach(i) / r + turn(i);
+    const RecordExtent extent = record_extent(std::min(radius_[i], weighing_[i]), reach(i), turn(i));
+    result.radius = extent.radius;
+    result.accuracy = extent.accuracy;
     result.spare = {};
     return result;
   }

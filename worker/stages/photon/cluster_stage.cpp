@@ -171,6 +171,14 @@ void cluster_others(const StageRun& run, const PhotonClusterParameters& p, std::
     if (member.sample == GLEANER_NONE) member.sample = (from++)->sample;
 }
 
+// Clusters are as large where pixels show points as if all pixels did.
+PhotonClusterParameters of_their_share(PhotonClusterParameters p, const Data& data) {
+  const std::uint64_t pixels = std::uint64_t{data.screen.columns()} * data.screen.rows();
+  if (p.whole)
+    p.clusters = std::max(1u, static_cast<std::uint32_t>(std::uint64_t{p.clusters} * data.members.size() / pixels));
+  return p;
+}
+
 // What no kept sample stands for lies here and there, and a new cluster would reach from one place to the next.
 float most_pixels(const PhotonClusterParameters& p, const Data& data) {
   return kMostEdges * static_cast<float>(data.screen.step) *
@@ -191,13 +199,14 @@ double median_reach(const std::vector<ClusterSample>& samples) {
 }
 
 // `counters` gets the rays.
-BatchResult choose_samples(const StageRun& run, const PhotonClusterParameters& p, std::span<const SplatPoint> points,
+BatchResult choose_samples(const StageRun& run, const PhotonClusterParameters& all, std::span<const SplatPoint> points,
                            BatchResult& counters) {
   PhotonClusterFacts facts;
   facts.points = static_cast<std::uint64_t>(std::ranges::count_if(points, &SplatPoint::exists));
   std::vector<ClusterSample> samples = read_samples(run.task, "given");
   facts.given = samples.size();
-  Data data = data_of(p, points);
+  Data data = data_of(all, points);
+  const PhotonClusterParameters p = of_their_share(all, data);
   if (p.clusters >= data.members.size()) {
     add_every_point(points, samples);
   } else {

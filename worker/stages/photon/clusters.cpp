@@ -196,6 +196,13 @@ BatchResult sample_places(const std::vector<ClusterSample>& samples) {
   return result;
 }
 
+RecordExtent record_extent(float mean, float reach, float turn) {
+  // Of the reach, and by normals that hardly turn.
+  constexpr float least_radius = 0.05f, least_turn = 0.1f;
+  const float radius = std::clamp(mean, least_radius * reach, reach / std::max(turn, least_turn));
+  return {radius, reach / radius + turn};
+}
+
 std::vector<ClusterSample> read_samples(const StageTask& task, const std::string& name) {
   std::vector<ClusterSample> samples;
   if (!task.inputs.contains(name)) return samples;

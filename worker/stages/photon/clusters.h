@@ -62,6 +62,13 @@ BatchResult sample_places(const std::vector<ClusterSample>& samples);
 // Such rows; none where the task has no such input. Throws Error::bad_input.
 std::vector<ClusterSample> read_samples(const StageTask& task, const std::string& input);
 
+// R and a of eq. 2 of Gautron et al. 2005 (kernels/splat/weight.h) for a record of a sample, with which all points that
+// `reach` and `turn` let read it do. `mean`: the distance of the surfaces about it, m, which R is within its bounds.
+struct RecordExtent {
+  float radius, accuracy;
+};
+RecordExtent record_extent(float mean, float reach, float turn);
+
 // Records that were gathered at samples, inputs "records.0", "records.1" and so on: their reach and turn are `spare`.
 // Throws Error::bad_input.
 std::vector<CacheRecord> read_cluster_records(const StageTask& task);

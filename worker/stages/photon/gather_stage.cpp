@@ -6,6 +6,7 @@
 #include "scene/model/error.h"
 #include "worker/stages/photon/gather_thread.h"
 #include "worker/stages/photon/stages.h"
+#include "worker/stages/splat/stages.h"
 
 namespace gleaner::worker {
 namespace {
@@ -14,7 +15,8 @@ using kernels::PhotonGatherParameters;
 
 PhotonGatherParameters read_parameters(const StageRun& run) {
   const auto p = run.parameters<PhotonGatherParameters>();
-  check_sample_parameters(run, p.samples, PATH_CLASSES | PATH_CLASS_LAYER);
+  check_sample_parameters(run, p.samples, PATH_CLASSES | PATH_CLASS_LAYER | PATH_CLASS_LOBE);
+  if (p.samples.filter & PATH_CLASS_LOBE) check_splat_order(run, p.order);
   check_photon_gather(run, p.samples);
   check_photon_estimate(run, p.estimate);
   return p;
@@ -35,11 +37,12 @@ BatchResult run_photon_gather_stage(const StageRun& run) {
   const PhotonGatherParameters p = read_parameters(run);
   const auto map = photon_map_table(run, "map");
   const PhotonCutTable cut = photon_cut_table(run, p.cut_depth);
-  return run_samples(run, p.samples, run.build("gather.cl", " -D PATH_FILTER=" + std::to_string(p.samples.filter)),
-                     [&](const SamplePart& part, WorkQueue& work, unsigned index) {
-                       return std::make_unique<PhotonGatherThread>(part, run.workspace, work, index, p.estimate, *map,
-                                                                   cut);
-                     });
+  std::string options = " -D PATH_FILTER=" + std::to_string(p.samples.filter);
+  if (p.samples.filter & PATH_CLASS_LOBE) options += " -D LOBE_ORDER=" + std::to_string(p.order);
+  return run_samples(
+      run, p.samples, run.build("gather.cl", options), [&](const SamplePart& part, WorkQueue& work, unsigned index) {
+        return std::make_unique<PhotonGatherThread>(part, run.workspace, work, index, p.estimate, *map, cut);
+      });
 }
 
 }  // namespace gleaner::worker
