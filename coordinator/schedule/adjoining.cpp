@@ -12,7 +12,7 @@ Piece Adjoining::offer(const ItemPool& pool, WorkerId worker, std::uint32_t tile
   if (wanted >= static_cast<double>(run.count)) return run;
   // Whole batches: what is left over stays where the other goes on.
   const auto batch = static_cast<std::uint64_t>(std::max(wanted, 1.0));
-  const std::uint64_t items = (run.count / 2 + batch - 1) / batch * batch;
+  const std::uint64_t items = ((run.count + 1) / 2 + batch - 1) / batch * batch;
   if (items >= run.count) return run;
   const std::uint64_t begin = (run.first + run.count - items) / tile * tile;
   return begin > run.first ? pool.from(begin) : run;

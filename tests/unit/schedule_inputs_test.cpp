@@ -6,6 +6,7 @@
 
 #include <random>
 
+#include "coordinator/schedule/adjoining.h"
 #include "coordinator/schedule/item_pool.h"
 #include "coordinator/schedule/scheduler.h"
 
@@ -150,6 +151,29 @@ TEST(ScheduleAdjoining, EachWorkersItemsLieTogether) {
   // Eve has come to the end: she gets the last of what ada would come to.
   EXPECT_EQ(served(farm, {eve, bob, eve, ada}), (std::vector<Range>{{30, 10}, {70, 10}, {40, 10}, {20, 10}}));
   EXPECT_TRUE(farm.complete(id));
+}
+
+// Whatever runs are free, who goes on where, and how much is wanted: fewer than one item, where a worker is slow.
+TEST(ScheduleAdjoining, FreeItemsAreOfferedWhereThereAreAny) {
+  std::mt19937 random(5);
+  for (int round = 0; round < 2000; ++round) {
+    const std::uint32_t tile = std::vector<std::uint32_t>{1, 2, 16}[random() % 3];
+    ItemPool pool;
+    pool.put({0, 1 + random() % 64, {}});
+    Adjoining adjoining;
+    while (pool.items() > 0) {
+      const WorkerId worker = 1 + random() % 3;
+      const double wanted = std::vector<double>{0.1, 1, 2.5, 7, 100}[random() % 5];
+      const Piece piece = adjoining.offer(pool, worker, tile, wanted);
+      ASSERT_GT(piece.count, 0u) << pool.items() << " items are free";
+      ASSERT_EQ(piece.first % tile, 0u);
+      ASSERT_EQ(pool.from(piece.first).count, piece.count);
+      const std::uint64_t count = std::min<std::uint64_t>(piece.count, tile * (1 + random() % 3));
+      pool.take(piece.first, count);
+      adjoining.gave(worker, piece.first + count);
+      if (random() % 8 == 0) adjoining.forget(1 + random() % 3);
+    }
+  }
 }
 
 TEST(ScheduleAdjoining, NobodyMakesRoomForWhoIsGone) {
