@@ -556,8 +556,12 @@ struct Scheduler::Impl {
     const auto holder = workers.find(id);
     if (holder == workers.end() || !usable(holder->second) || holder->second.straggles || holds_solo(holder->second))
       return false;
+    // Who is at work will ask again, or its lease runs out; who is not may never be heard of.
+    if (holder->second.in_flight.empty()) return false;
     const Seconds all = expected_seconds(holder->second, stage, stage.pool.items());
-    return all > 0 && when_free(holder->second, now) - now + all < settings.worth_fetching;
+    const Seconds free =
+        std::max(when_free(holder->second, now), expected_finish(live.at(holder->second.in_flight.front()), now));
+    return all > 0 && free - now + all < settings.worth_fetching;
   }
 
   // What of the stage the worker would get now, or why it gets nothing.

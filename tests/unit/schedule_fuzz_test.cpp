@@ -97,7 +97,7 @@ class Fuzz {
     stage.spec.tile = 1 + static_cast<std::uint32_t>(below(6));
     stage.spec.solo = chance(20);
     stage.spec.adjoining = chance(30);
-    if (chance(30))
+    if (!stage.spec.solo && chance(30))
       stage.spec.near = {{1 + below(8), {{0, stage.spec.items / 3}}},
                          {1 + below(8), {{stage.spec.items / 2, stage.spec.items / 2}}}};
     stage.spec.priority = static_cast<int>(below(3)) - 1;

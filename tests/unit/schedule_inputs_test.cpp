@@ -98,7 +98,7 @@ void measure_both(Scheduler& farm) {
 }
 
 TEST(ScheduleNear, ItemsAreLeftToWhoHoldsTheirInputsWhereItIsSoonDone) {
-  for (const std::uint64_t others : {50u, 5000u}) {
+  for (const std::uint64_t others : {80u, 5000u}) {
     Scheduler farm(one_at_a_time());
     measure_both(farm);
     ScheduledStage stage = stage_of(100 + others);
@@ -111,18 +111,28 @@ TEST(ScheduleNear, ItemsAreLeftToWhoHoldsTheirInputsWhereItIsSoonDone) {
       own += lease->count;
       farm.result(ada, lease->id, lease->epoch, static_cast<double>(lease->count) / 1000, 1.1);
     }
+    const auto of_bob = farm.next_lease(bob, 1.1);
+    ASSERT_TRUE(of_bob);
+    ASSERT_LT(of_bob->count, others);
     const auto next = farm.next_lease(ada, 1.1);
     if (others == 5000) {
       EXPECT_TRUE(next) << "bob would take five seconds";
       continue;
     }
-    EXPECT_FALSE(next) << "bob takes 50 ms";
-    EXPECT_THAT(farm.why_waiting(id, 1.1), HasSubstr("not asked")) << "bob may have them";
+    EXPECT_FALSE(next) << "bob takes 80 ms";
+    EXPECT_THAT(farm.why_waiting(id, 1.1), HasSubstr("kept for the workers that hold its inputs"));
     farm.worker_lost(bob, 1.2);
-    const auto left = farm.next_lease(ada, 1.2);
-    ASSERT_TRUE(left) << "nobody holds their inputs any more";
-    EXPECT_EQ(left->first, 100u);
+    EXPECT_TRUE(farm.next_lease(ada, 1.2)) << "nobody holds their inputs any more";
   }
+}
+
+TEST(ScheduleNear, WhoIsIdleKeepsNoItems) {
+  Scheduler farm(one_at_a_time());
+  measure_both(farm);
+  ScheduledStage stage = stage_of(50);
+  stage.near = {{bob, {{0, 50}}}};
+  farm.add_stage(stage, 1);
+  EXPECT_TRUE(farm.next_lease(ada, 1)) << "bob may never ask";
 }
 
 TEST(ScheduleNear, WhoIsBusyWithASoloStageKeepsNoItems) {
