@@ -46,19 +46,17 @@ void Farm::Impl::add_jobs(const OverviewLimits& limits, Seconds time, FarmOvervi
   const auto show = [&](const Job& job) {
     overview.jobs.push_back({coordinator::status_of(job, time, true), job.error});
   };
-  std::size_t shown = 0;
-  for (const auto& job : running) {
-    if (job->showing) continue;
-    ++overview.jobs_in[job->state];
-    overview.paused += job->paused;
-    if (shown++ < limits.jobs) show(*job);
-  }
-  shown = 0;
-  for (const auto& job : queue) {
-    ++overview.jobs_in[job->state];
-    overview.paused += job->paused;
-    if (shown++ < limits.jobs) show(*job);
-  }
+  const auto show_first = [&](const auto& listed) {
+    std::size_t shown = 0;
+    for (const auto& job : listed) {
+      if (job->showing) continue;
+      ++overview.jobs_in[job->state];
+      overview.paused += job->paused;
+      if (shown++ < limits.jobs) show(*job);
+    }
+  };
+  show_first(running);
+  show_first(queue);
   for (const auto& job : ended_jobs) ++overview.jobs_in[job->state];
   const auto ended = std::min(limits.jobs, ended_jobs.size());
   for (std::size_t k = 0; k < ended; ++k) show(*ended_jobs[ended_jobs.size() - 1 - k]);
