@@ -123,8 +123,9 @@ void Farm::Impl::place_near_inputs(const RunningStage& stage, ScheduledStage& sc
                   [&](WorkerId id) { return std::ranges::find(stage.avoid, id) != stage.avoid.end(); });
   } else if (!largest.empty()) {
     // A batch is a whole span where its worker can do so much in time.
-    const std::uint64_t most_items =
-        most_span_bytes / std::max<std::uint64_t>(1, registry.bytes(largest) / stage.spec.items);
+    const std::uint64_t item_bytes = registry.bytes(largest) / stage.spec.items;
+    const std::uint64_t most_items = most_span_bytes / std::max<std::uint64_t>(1, item_bytes);
+    scheduled.near_bytes = static_cast<double>(item_bytes);
     for (const HeldPart& part : registry.parts(largest, {0, stage.spec.items}))
       for (const WorkerId holder : part.holders) add_span(scheduled.near[holder], part.items, most_items);
   }

@@ -322,9 +322,40 @@ struct Scheduler::Impl {
     return throughput > 0 ? static_cast<double>(count) / throughput : 0;
   }
 
+  bool holds_inputs(const Stage& stage, WorkerId worker, std::uint64_t item) const {
+    const auto spans = stage.spec.near.find(worker);
+    if (spans == stage.spec.near.end()) return false;
+    ++steps;
+    const auto after = std::upper_bound(spans->second.begin(), spans->second.end(), item,
+                                        [](std::uint64_t at, const ItemSpan& span) { return at < span.first; });
+    return after != spans->second.begin() && item < (after - 1)->first + (after - 1)->count;
+  }
+
+  // Until the worker has what items from `first` on read, beyond what it holds.
+  Seconds fetch_seconds(const Worker& worker, const Stage& stage, std::uint64_t first, std::uint64_t count) const {
+    if (stage.spec.near.empty() || holds_inputs(stage, worker.id, first)) return 0;
+    return settings.fetch_latency +
+           stage.spec.near_bytes * static_cast<double>(count) / settings.fetch_bytes_per_second;
+  }
+
+  // With what has to be fetched for it; 0 = nobody knows.
+  Seconds expected_lease_seconds(const Worker& worker, const Stage& stage, std::uint64_t first,
+                                 std::uint64_t count) const {
+    const Seconds runs = expected_seconds(worker, stage, count);
+    return runs > 0 ? runs + fetch_seconds(worker, stage, first, count) : 0;
+  }
+
   Seconds lease_length(const Stage& stage, Seconds expected) const {
     return std::max(stage.spec.solo ? settings.solo_lease_floor : settings.lease_floor,
                     settings.lease_factor * expected);
+  }
+
+  // share() of items from `first` on: less where each has to be fetched.
+  double share_of(const Worker& worker, const Stage& stage, std::uint64_t first) const {
+    const double all = share(worker, stage.kind);
+    if (stage.spec.near.empty() || holds_inputs(stage, worker.id, first)) return all;
+    return all /
+           (1 + expected_throughput(worker, stage.kind) * stage.spec.near_bytes / settings.fetch_bytes_per_second);
   }
 
   // Brings the estimates of the worker's leases up to date, and their places among the candidates for duplication.
@@ -334,7 +365,7 @@ struct Scheduler::Impl {
       ++steps;
       LiveLease& lease = live.at(id);
       Stage& stage = stages.at(lease.lease.stage);
-      const Seconds duration = expected_seconds(worker, stage, lease.lease.count);
+      const Seconds duration = expected_lease_seconds(worker, stage, lease.lease.first, lease.lease.count);
       at += duration > 0 ? duration : settings.target_batch;
       lease.planned = at;
       list_candidate(stage, lease, id == worker.in_flight.front());
@@ -436,7 +467,7 @@ struct Scheduler::Impl {
     if (ran && delivered && !worker.in_flight.empty()) {
       LiveLease& next = live.at(worker.in_flight.front());
       const Stage& next_stage_of = stages.at(next.lease.stage);
-      const Seconds expected = expected_seconds(worker, next_stage_of, next.lease.count);
+      const Seconds expected = expected_lease_seconds(worker, next_stage_of, next.lease.first, next.lease.count);
       set_expiry(next, std::max(next.lease.expires, now + lease_length(next_stage_of, expected)));
     }
     replan(worker);
@@ -544,15 +575,16 @@ struct Scheduler::Impl {
     return {};
   }
 
-  // Who holds the inputs of a piece's first item and will soon be done with all of the stage: to fetch them would take
-  // as long.
-  bool left_to_holder(const Worker& worker, const Stage& stage, const Piece& piece, Seconds now) const {
-    auto span = stage.holders.upper_bound(piece.first);
+  // Who holds the inputs of the items' first one will be done with all of the stage before the worker would be with
+  // these.
+  bool left_to_holder(const Worker& worker, const Stage& stage, std::uint64_t first, std::uint64_t count,
+                      Seconds now) const {
+    auto span = stage.holders.upper_bound(first);
     ++steps;
-    if (span == stage.holders.begin()) return false;
+    if (span == stage.holders.begin() || holds_inputs(stage, worker.id, first)) return false;
     --span;
-    const auto& [count, id] = span->second;
-    if (id == worker.id || piece.first >= span->first + count) return false;
+    const auto& [held, id] = span->second;
+    if (first >= span->first + held) return false;
     const auto holder = workers.find(id);
     if (holder == workers.end() || !usable(holder->second) || holder->second.straggles || holds_solo(holder->second))
       return false;
@@ -561,7 +593,8 @@ struct Scheduler::Impl {
     const Seconds all = expected_seconds(holder->second, stage, stage.pool.items());
     const Seconds free =
         std::max(when_free(holder->second, now), expected_finish(live.at(holder->second.in_flight.front()), now));
-    return all > 0 && free - now + all < settings.worth_fetching;
+    const Seconds mine = when_free(worker, now) + expected_lease_seconds(worker, stage, first, count);
+    return all > 0 && free + all < mine;
   }
 
   // What of the stage the worker would get now, or why it gets nothing.
@@ -609,13 +642,13 @@ struct Scheduler::Impl {
     // The first measure decides how much this worker should get: do not give more before it is in.
     if (!throughput.known() && held_items > 0) return out.refuse(Refusal::not_measured);
 
-    const double part = share(worker, stage.kind);
+    const double part = share_of(worker, stage, out.piece.first);
     const double target = throughput.target_items(settings);
     const double fair = kShareAtOnce * part * static_cast<double>(stage.pool.items());
     double wanted = std::max(std::min(target, fair), std::min(target, throughput.smallest_items(settings)));
     if (stage.spec.most_items > 0) wanted = std::min(wanted, static_cast<double>(stage.spec.most_items));
     cut(wanted);
-    if (left_to_holder(worker, stage, out.piece, now)) return out.refuse(Refusal::others_hold_inputs);
+    if (left_to_holder(worker, stage, out.piece.first, out.count, now)) return out.refuse(Refusal::others_hold_inputs);
     out.cut_short = static_cast<double>(out.count) + stage.spec.tile <= target;
 
     // A waiting lease beyond the fair share of all that is left would be missed by a worker that idles sooner.
@@ -659,7 +692,8 @@ struct Scheduler::Impl {
     const double all = totals[stage.kind].items_per_second;
     if (!(all > 0)) return std::nullopt;
     const Seconds end = now + static_cast<double>(stage.pool.items() + stage.held_items) / all;
-    const Seconds mine = when_free(worker, now) + expected_seconds(worker, stage, slow.lease.count);
+    const Seconds mine =
+        when_free(worker, now) + expected_lease_seconds(worker, stage, slow.lease.first, slow.lease.count);
     if (mine < end || expected_finish(slow, now) <= end) return std::nullopt;
     return duplicate_this(worker, stage, slow.lease.id, now);
   }
@@ -698,7 +732,7 @@ struct Scheduler::Impl {
           now - other.in_flight_since < std::max(patience, kLate * expected_seconds(other, stage, count)))
         return std::nullopt;
     }
-    if (expected_finish(slow, now) <= when_free(worker, now) + expected_seconds(worker, stage, count))
+    if (expected_finish(slow, now) <= when_free(worker, now) + expected_lease_seconds(worker, stage, first, count))
       return std::nullopt;
     return issue(worker, stage, first, count, true, true, now);
   }

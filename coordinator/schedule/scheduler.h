@@ -39,6 +39,7 @@ struct ScheduledStage {
   // Split: what of its own items' inputs a worker holds. It gets items of its spans before others, as long as any wait
   // there.
   std::map<WorkerId, std::vector<ItemSpan>> near{};  // spans in order
+  double near_bytes = 0;  // of an item's inputs, which a worker fetches that does not hold them
   bool adjoining =
       false;  // split: a worker's batches follow each other where they can; else the first items come first
 };
@@ -58,8 +59,10 @@ struct SchedulerSettings {
   Seconds target_batch = 0.5;              // how long a batch should take
   Seconds smallest_batch = 0.05;           // below it, overhead rules
   double good_news = 0.2, bad_news = 0.5;  // weights of a new throughput above or below the remembered one
-  // Items whose inputs another worker holds are left to it where it will be done with all of them sooner.
-  Seconds worth_fetching = 0.1;
+  // What it takes to fetch the inputs of items that another worker holds: gigabit Ethernet. Such items are left to
+  // their holder where it will be done with all of them sooner.
+  Seconds fetch_latency = 0.1;
+  double fetch_bytes_per_second = 1e8;
   double growth = 2.0;                     // a batch is at most so many times the worker's last one of the kind
   Seconds shortest_sample = 0.005;         // shorter measurements say nothing
   Seconds lease_floor = 10;                // a lease lasts at least so long

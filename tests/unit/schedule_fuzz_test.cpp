@@ -100,6 +100,7 @@ class Fuzz {
     if (!stage.spec.solo && chance(30))
       stage.spec.near = {{1 + below(8), {{0, stage.spec.items / 3}}},
                          {1 + below(8), {{stage.spec.items / 2, stage.spec.items / 2}}}};
+    stage.spec.near_bytes = static_cast<double>(below(1u << 24));
     stage.spec.priority = static_cast<int>(below(3)) - 1;
     if (stage.spec.solo && chance(60)) stage.spec.preferred = {1 + below(8), 1 + below(8)};
     stage.accepted.assign(stage.spec.items, 0);

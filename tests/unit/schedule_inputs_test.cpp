@@ -126,6 +126,57 @@ TEST(ScheduleNear, ItemsAreLeftToWhoHoldsTheirInputsWhereItIsSoonDone) {
   }
 }
 
+// 1 MB an item: a hundredth of a second.
+TEST(ScheduleNear, ItemsAreFetchedOnlyWhereTheirHolderWouldTakeLonger) {
+  for (const double megabytes : {0.0, 1.0}) {
+    Scheduler farm(one_at_a_time());
+    measure_both(farm);
+    ScheduledStage stage = stage_of(500);
+    stage.near = {{bob, {{0, 500}}}};
+    stage.near_bytes = megabytes * 1e6;
+    farm.add_stage(stage, 1);
+    ASSERT_TRUE(farm.next_lease(bob, 1));
+    const auto fetched = farm.next_lease(ada, 1);
+    ASSERT_EQ(fetched.has_value(), megabytes == 0) << "bob takes half a second for all";
+  }
+  // Where it is long enough, a worker that fetches gets less.
+  std::uint64_t got[2];
+  for (const int megabytes : {0, 1}) {
+    SchedulerSettings settings = one_at_a_time();
+    settings.growth = 100;
+    Scheduler farm(settings);
+    measure_both(farm);
+    ScheduledStage stage = stage_of(5000);
+    stage.near = {{bob, {{0, 5000}}}};
+    stage.near_bytes = megabytes * 1e6;
+    farm.add_stage(stage, 1);
+    ASSERT_TRUE(farm.next_lease(bob, 1));
+    const auto fetched = farm.next_lease(ada, 1);
+    ASSERT_TRUE(fetched);
+    got[megabytes] = fetched->count;
+  }
+  EXPECT_LT(got[1], got[0] / 2);
+}
+
+TEST(ScheduleNear, WhoWouldHaveToFetchCopiesNoLeaseThatIsLittleLate) {
+  for (const double megabytes : {0.0, 1.0}) {
+    Scheduler farm(one_at_a_time());
+    measure_both(farm);
+    ScheduledStage stage = stage_of(100);
+    stage.near = {{bob, {{0, 100}}}};
+    stage.near_bytes = megabytes * 1e6;
+    farm.add_stage(stage, 1);
+    for (std::uint64_t given = 0; given < 100;) {
+      const auto lease = farm.next_lease(bob, 1);
+      ASSERT_TRUE(lease);
+      if ((given += lease->count) < 100) farm.result(bob, lease->id, lease->epoch, 0.001 * lease->count, 1);
+    }
+    const bool copies = farm.next_lease(ada, 1.4).has_value();
+    EXPECT_EQ(copies, megabytes == 0);
+    EXPECT_TRUE(copies || farm.next_lease(ada, 4)) << "it may never come";
+  }
+}
+
 TEST(ScheduleNear, WhoIsIdleKeepsNoItems) {
   Scheduler farm(one_at_a_time());
   measure_both(farm);
