@@ -2,6 +2,7 @@
 // Rows of kernels/splat_records.h on the host.
 
 #include <array>
+#include <cmath>
 #include <cstdint>
 #include <limits>
 #include <span>
@@ -67,16 +68,20 @@ struct PointBox {
   bool empty() const { return lower[0] > upper[0]; }
   // Whether a sphere reaches it; a little more than that, for rounding.
   bool meets(const std::array<float, 3>& center, float radius) const {
+    return squared_distance(center) <= radius * radius * 1.01f;
+  }
+  float distance(const std::array<float, 3>& p) const { return std::sqrt(squared_distance(p)); }
+
+ private:
+  float squared_distance(const std::array<float, 3>& p) const {
     float squared = 0;
     for (std::size_t k = 0; k < 3; ++k) {
-      const float below = lower[k] - center[k], above = center[k] - upper[k];
+      const float below = lower[k] - p[k], above = p[k] - upper[k];
       const float off = below > 0 ? below : above > 0 ? above : 0;
       squared += off * off;
     }
-    return squared <= radius * radius * 1.01f;
+    return squared;
   }
-
- private:
   static std::array<float, 3> filled(float value) { return {value, value, value}; }
 };
 

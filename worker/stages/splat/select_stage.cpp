@@ -38,14 +38,11 @@ void check(const StageRun& run, const SplatSelectParameters& p) {
   run.check_range(1);
 }
 
-// One host thread's rays of the places of a round.
-class ProbeThread : public HostThread {
+// Rays of the places of rounds, by the calling thread: a round has so few that it is over before others have begun.
+class ProbeRays : public HostThread {
  public:
-  ProbeThread(const StageRun& run, const Program& program, std::uint32_t rays, std::span<const SplatPoint> places,
-              std::span<float> radii, WorkQueue& work, unsigned index)
-      : HostThread(run.device, run.workspace, run.scene.tracer(), work, index),
-        places_(places),
-        radii_(radii),
+  ProbeRays(const StageRun& run, const Program& program, std::uint32_t rays, WorkQueue& work)
+      : HostThread(run.device, run.workspace, run.scene.tracer(), work, 0),
         rays_each_(rays),
         capacity_(std::max(1u, (run.device.info().cpu ? 1u << 12 : 1u << 18) / rays)),
         rows_(take("splat.places", std::size_t{capacity_} * sizeof(SplatPoint))),
@@ -57,23 +54,21 @@ class ProbeThread : public HostThread {
     sum_.set("hits", hits_).set("rays", rays).set("radii", sums_);
   }
 
-  void run(BatchResult&) {
-    while (const WorkQueue::Block block = work_.claim(capacity_)) {
-      const auto count = static_cast<std::uint32_t>(block.count);
-      queue_.enqueueWriteBuffer(rows_, CL_TRUE, 0, count * sizeof(SplatPoint), &places_[block.first]);
+  void measure(std::span<const SplatPoint> places, std::span<float> radii) {
+    for (std::size_t done = 0; done < places.size(); done += capacity_) {
+      const auto count = static_cast<std::uint32_t>(std::min<std::size_t>(capacity_, places.size() - done));
+      queue_.enqueueWriteBuffer(rows_, CL_TRUE, 0, count * sizeof(SplatPoint), &places[done]);
       make_.set("count", count * rays_each_);
       launch(make_, count * rays_each_, std::size_t{capacity_} * rays_each_);
       rays_.closest(hits_, single_rays(RAY_HIT_ROWS, count * rays_each_));
       counters.scatter += count * rays_each_;
       sum_.set("count", count);
       launch(sum_, count, capacity_, 1);
-      queue_.enqueueReadBuffer(sums_, CL_TRUE, 0, count * 4, &radii_[block.first]);
+      queue_.enqueueReadBuffer(sums_, CL_TRUE, 0, count * 4, &radii[done]);
     }
   }
 
  private:
-  std::span<const SplatPoint> places_;
-  std::span<float> radii_;
   std::uint32_t rays_each_, capacity_;
   cl::Buffer rows_, hits_, sums_;
   Kernel make_, sum_;
@@ -82,33 +77,37 @@ class ProbeThread : public HostThread {
 class Probe {
  public:
   Probe(const StageRun& run, const SplatSelectParameters& p, std::span<const SplatPoint> points, BatchResult& result)
-      : run_(run), rays_(p.probe_rays), points_(points), result_(result), program_(run.build("probe.cl")) {}
+      : points_(points), result_(result), rays_(run, run.build("probe.cl"), p.probe_rays, work_) {}
+  Probe(const Probe&) = delete;
+  Probe& operator=(const Probe&) = delete;
+  ~Probe() { rays_.counters.add_to(result_.counters, 1); }
 
   // The mean distances about these points. Each is measured once, however often a selection begins anew.
   std::vector<float> operator()(std::span<const std::uint32_t> asked) {
+    const double start = seconds_now();
     std::vector<SplatPoint> places;
     for (const std::uint32_t point : asked)
       if (known_.try_emplace(point, static_cast<std::uint32_t>(radii_.size() + places.size())).second)
         places.push_back(points_[point]);
     const std::size_t before = radii_.size();
     radii_.resize(before + places.size());
-    const std::span<float> made = std::span(radii_).subspan(before);
-    WorkQueue work(places.size(), host_threads(run_.device));
-    if (!places.empty())
-      run_host_threads(work, result_, [&](unsigned index) {
-        return std::make_unique<ProbeThread>(run_, program_, rays_, places, made, work, index);
-      });
+    try {
+      rays_.measure(places, std::span(radii_).subspan(before));
+    } catch (...) {
+      work_.stop();
+      throw;
+    }
     std::vector<float> means;
     for (const std::uint32_t point : asked) means.push_back(radii_[known_.at(point)]);
+    rays_.counters.all += seconds_now() - start;
     return means;
   }
 
  private:
-  const StageRun& run_;
-  std::uint32_t rays_;
   std::span<const SplatPoint> points_;
   BatchResult& result_;
-  Program program_;
+  WorkQueue work_{0, 1};
+  ProbeRays rays_;
   std::unordered_map<std::uint32_t, std::uint32_t> known_;  // point -> its place among the radii
   std::vector<float> radii_;
 };

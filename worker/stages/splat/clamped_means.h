@@ -1,0 +1,49 @@
+#pragma once
+// Mean distances of places that grow no faster than so much from one to the next: a surface that is near a place is
+// near its neighbours too, though their rays may have missed it. Neighbour clamping, after Krivanek et al. 2006,
+// "Making Radiance and Irradiance Caching Practical".
+
+#include <array>
+#include <cstdint>
+#include <functional>
+#include <vector>
+
+#include "worker/stages/splat/points.h"
+
+namespace gleaner::worker {
+
+class ClampedMeans {
+ public:
+  using Vec = std::array<float, 3>;
+
+  // `slope`: how much a mean may grow over a distance of one.
+  explicit ClampedMeans(float slope) : slope_(slope) {}
+
+  // What the places so far leave of a mean at this position, m.
+  float clamped(const Vec& position, float mean) const;
+  // What a place of this mean leaves to all places so far: calls changed(place, mean) where that is less than before.
+  void clamp_others(const Vec& position, float mean, const std::function<void(std::uint32_t, float)>& changed);
+  // A place with a number of its own. It changes no other one.
+  void add(std::uint32_t place, const Vec& position, float mean);
+
+ private:
+  struct Member {
+    Vec position;
+    float mean;
+    std::uint32_t place;
+  };
+  // Places near each other, which are passed over together.
+  struct Cell {
+    PointBox box{};
+    float least, most;  // of their means
+    std::vector<Member> members{};
+  };
+
+  void split(Cell& full);
+  static Cell cell_of(std::vector<Member> members);
+
+  float slope_;
+  std::vector<Cell> cells_;
+};
+
+}  // namespace gleaner::worker
