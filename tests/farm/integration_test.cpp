@@ -50,19 +50,30 @@ class Farm : public testing::Test {
     return ran;
   }
 
+  static bool in_glossy_scene() { return method_ == "photon_lobes" || method_ == "splat_lobes"; }
+
   static std::vector<std::string> frame(unsigned spp) {
-    const bool lobes = method_ == "photon_lobes";
-    std::vector<std::string> words = {
-        (lobes ? glossy_scene() : scene()).string(), "--size", "80x60", "--spp", std::to_string(spp), "--seed", "7"};
+    std::vector<std::string> words = {(in_glossy_scene() ? glossy_scene() : scene()).string(),
+                                      "--size",
+                                      "80x60",
+                                      "--spp",
+                                      std::to_string(spp),
+                                      "--seed",
+                                      "7"};
     append_method(words);
     return words;
   }
 
+  // The method is what its name begins with; the rest says what of it is turned on.
   static void append_method(std::vector<std::string>& words) {
-    const bool lobes = method_ == "photon_lobes";
-    words.insert(words.end(), {"--method", lobes ? "photon" : method_});
-    if (method_ == "photon") words.insert(words.end(), {"--set", "photon.guide=20000"});
-    if (lobes) words.insert(words.end(), {"--set", "photon.order=4"});
+    static const std::map<std::string, std::vector<std::string>> settings = {
+        {"photon", {"photon.guide=20000"}},
+        {"photon_lobes", {"photon.order=4"}},
+        {"splat_hessian", {"splat.hessian=1"}},
+        {"splat_lobes", {"splat.hessian=1", "splat.order=5"}}};
+    words.insert(words.end(), {"--method", method_.substr(0, method_.find('_'))});
+    if (!settings.contains(method_)) return;
+    for (const std::string& setting : settings.at(method_)) words.insert(words.end(), {"--set", setting});
   }
 
   // What the embedded farm makes of the frame.
@@ -82,6 +93,9 @@ class Farm : public testing::Test {
     return json::parse(read_text(stem + ".json"))["pixels_sha256"];
   }
 
+  // A worker is killed that works on the stage, or on any.
+  static void expect_same_bits_after_a_kill(ProcessFarm& farm, const std::string& stage);
+
   fs::path folder(const std::string& name) const { return own_.path() / name; }
 
   TemporaryFolder own_;
@@ -97,7 +111,9 @@ class AnyMethod : public Farm, public testing::WithParamInterface<const char*> {
   void SetUp() override { method_ = GetParam(); }
   void TearDown() override { method_ = "path"; }
 };
-INSTANTIATE_TEST_SUITE_P(Farm, AnyMethod, testing::Values("path", "vpl", "photon", "photon_lobes", "splat"),
+INSTANTIATE_TEST_SUITE_P(Farm, AnyMethod,
+                         testing::Values("path", "vpl", "photon", "photon_lobes", "splat", "splat_hessian",
+                                         "splat_lobes"),
                          [](const auto& test) { return std::string(test.param); });
 
 // The cloth has no rough lobes.
@@ -120,9 +136,15 @@ TEST_P(AnyMethod, SameBitsForAnyWorkersAndAnyBatches) {
     ASSERT_TRUE(farm.wait_for_workers(workers));
     json report = farm.finish(farm.submit(frame(spp)));
     EXPECT_EQ(report["pixels_sha256"], expected) << workers << " workers, batches of " << batch_items;
-    EXPECT_EQ(report["scene"], method_ == "photon_lobes" ? "glossy.glb" : "box.glb");
+    EXPECT_EQ(report["scene"], in_glossy_scene() ? "glossy.glb" : "box.glb");
     if (method_ == "photon_lobes") {
       EXPECT_GT(report["parameters"]["photon"]["lobe_places"], 10);
+    }
+    if (method_ == "splat_hessian" || method_ == "splat_lobes") {
+      EXPECT_GT(report["parameters"]["splat"]["first_records"], 10);
+    }
+    if (method_ == "splat_lobes") {
+      EXPECT_GT(report["parameters"]["splat"]["lobe_records"], 10);
     }
     EXPECT_GT(report["seconds"], 0);
     EXPECT_GT(report["rays"]["total"], 0);
@@ -130,34 +152,60 @@ TEST_P(AnyMethod, SameBitsForAnyWorkersAndAnyBatches) {
 }
 
 // Runs `act` on a job that has begun and not ended, with ever longer frames until it did: INCONCLUSIVE is not a pass.
+// It has begun where items are done, or items of one stage.
 template <typename Act>
-void mid_frame(ProcessFarm& farm, const std::function<std::vector<std::string>(unsigned)>& words, const Act& act) {
+void mid_frame(ProcessFarm& farm, const std::function<std::vector<std::string>(unsigned)>& words, const Act& act,
+               const std::string& stage = {}) {
   for (unsigned spp = 128; spp <= 8192; spp *= 4) {
     std::string job = farm.submit(words(spp));
-    ASSERT_TRUE(eventually([&] { return farm.items_done(job) > 0 || farm.ended(job); }, 120));
+    ASSERT_TRUE(eventually([&] { return farm.items_done(job, stage) > 0 || farm.ended(job); }, 120));
     if (act(job, spp)) return;
   }
   FAIL() << "INCONCLUSIVE: every frame ended before anything could happen to it";
 }
 
-TEST_P(AnyMethod, AKilledWorkerCostsNoPixel) {
-  ProcessFarm farm(folder("farm"), programs, {"--batch-items", "256"});
+void Farm::expect_same_bits_after_a_kill(ProcessFarm& farm, const std::string& stage) {
   farm.add_worker("survivor");
   Process* victim = &farm.add_worker("victim");
   ASSERT_TRUE(farm.wait_for_workers(2));
-  mid_frame(farm, frame, [&](const std::string& job, unsigned spp) {
-    bool held_work = false;
-    for (const auto& worker : farm.workers()) held_work = held_work || (worker.id() == "victim" && worker.leases() > 0);
-    victim->signal(SIGKILL);
-    EXPECT_EQ(victim->wait(), 128 + SIGKILL);
-    bool while_it_ran = !farm.ended(job);
-    json report = farm.finish(job);
-    EXPECT_EQ(report["pixels_sha256"], embedded_sha256(spp));
-    if (while_it_ran && held_work) return true;
-    victim = &farm.add_worker("victim");
-    EXPECT_TRUE(farm.wait_for_workers(2));
-    return false;
-  });
+  mid_frame(
+      farm, frame,
+      [&](const std::string& job, unsigned spp) {
+        bool held_work = false;
+        for (const auto& worker : farm.workers())
+          held_work = held_work || (worker.id() == "victim" && worker.leases() > 0);
+        victim->signal(SIGKILL);
+        EXPECT_EQ(victim->wait(), 128 + SIGKILL);
+        bool while_it_ran = !farm.ended(job);
+        json report = farm.finish(job);
+        EXPECT_EQ(report["pixels_sha256"], embedded_sha256(spp));
+        if (while_it_ran && held_work) return true;
+        victim = &farm.add_worker("victim");
+        EXPECT_TRUE(farm.wait_for_workers(2));
+        return false;
+      },
+      stage);
+}
+
+TEST_P(AnyMethod, AKilledWorkerCostsNoPixel) {
+  ProcessFarm farm(folder("farm"), programs, {"--batch-items", "256"});
+  expect_same_bits_after_a_kill(farm, {});
+}
+
+// What the dead worker retained of the caches is lost with it.
+class SplatStages : public Farm, public testing::WithParamInterface<const char*> {
+ protected:
+  void SetUp() override { method_ = "splat_lobes"; }
+  void TearDown() override { method_ = "path"; }
+};
+INSTANTIATE_TEST_SUITE_P(Farm, SplatStages,
+                         testing::Values("splat.points", "splat.first_gather", "splat.gather", "splat.lobe_gather",
+                                         "splat.shade", "splat.lobe_shade"),
+                         [](const auto& test) { return std::string(test.param).substr(6); });
+
+TEST_P(SplatStages, AWorkerKilledWithinThemCostsNoPixel) {
+  ProcessFarm farm(folder("farm"), programs, {"--batch-items", "16"});
+  expect_same_bits_after_a_kill(farm, GetParam());
 }
 
 // Frames of a scene that moves: whoever renders them, and whoever dies between two of them.

@@ -161,10 +161,12 @@ class ProcessFarm {
       throw Error::failed(status.error_message());
     return reply;
   }
-  std::uint64_t items_done(const std::string& id) {
+  // Of the stage of this name, or of all.
+  std::uint64_t items_done(const std::string& id, const std::string& name = {}) {
     std::uint64_t done = 0;
     const v1::Job status = job(id);
-    for (const auto& stage : status.stages()) done += stage.items_done();
+    for (const auto& stage : status.stages())
+      if (name.empty() || stage.name() == name) done += stage.items_done();
     return done;
   }
   bool ended(const std::string& id) {
