@@ -126,15 +126,19 @@ TEST(ScheduleNear, ItemsAreLeftToWhoHoldsTheirInputsWhereItIsSoonDone) {
   }
 }
 
-// 1 MB an item: a hundredth of a second.
+// Bob holds what its items read: a hundredth of a second to fetch at 1 MB an item.
+void add_stage_of_bob(Scheduler& farm, std::uint64_t items, double megabytes) {
+  ScheduledStage stage = stage_of(items);
+  stage.near = {{bob, {{0, items}}}};
+  stage.near_bytes = megabytes * 1e6;
+  farm.add_stage(stage, 1);
+}
+
 TEST(ScheduleNear, ItemsAreFetchedOnlyWhereTheirHolderWouldTakeLonger) {
   for (const double megabytes : {0.0, 1.0}) {
     Scheduler farm(one_at_a_time());
     measure_both(farm);
-    ScheduledStage stage = stage_of(500);
-    stage.near = {{bob, {{0, 500}}}};
-    stage.near_bytes = megabytes * 1e6;
-    farm.add_stage(stage, 1);
+    add_stage_of_bob(farm, 500, megabytes);
     ASSERT_TRUE(farm.next_lease(bob, 1));
     const auto fetched = farm.next_lease(ada, 1);
     ASSERT_EQ(fetched.has_value(), megabytes == 0) << "bob takes half a second for all";
@@ -146,10 +150,7 @@ TEST(ScheduleNear, ItemsAreFetchedOnlyWhereTheirHolderWouldTakeLonger) {
     settings.growth = 100;
     Scheduler farm(settings);
     measure_both(farm);
-    ScheduledStage stage = stage_of(5000);
-    stage.near = {{bob, {{0, 5000}}}};
-    stage.near_bytes = megabytes * 1e6;
-    farm.add_stage(stage, 1);
+    add_stage_of_bob(farm, 5000, megabytes);
     ASSERT_TRUE(farm.next_lease(bob, 1));
     const auto fetched = farm.next_lease(ada, 1);
     ASSERT_TRUE(fetched);
@@ -162,10 +163,7 @@ TEST(ScheduleNear, WhoWouldHaveToFetchCopiesNoLeaseThatIsLittleLate) {
   for (const double megabytes : {0.0, 1.0}) {
     Scheduler farm(one_at_a_time());
     measure_both(farm);
-    ScheduledStage stage = stage_of(100);
-    stage.near = {{bob, {{0, 100}}}};
-    stage.near_bytes = megabytes * 1e6;
-    farm.add_stage(stage, 1);
+    add_stage_of_bob(farm, 100, megabytes);
     for (std::uint64_t given = 0; given < 100;) {
       const auto lease = farm.next_lease(bob, 1);
       ASSERT_TRUE(lease);
