@@ -5,6 +5,7 @@
 
 #include <limits>
 #include <set>
+#include <thread>
 
 #include "coordinator/blobs/sha256.h"
 #include "proto/packing.h"
@@ -532,15 +533,24 @@ TEST_F(Wire, SilentStreamsAreEnded) {
   for (auto& upload : uploads) codes.insert(upload->Finish().error_code());
   EXPECT_EQ(codes,
             (std::multiset<StatusCode>{StatusCode::CANCELLED, StatusCode::CANCELLED, StatusCode::RESOURCE_EXHAUSTED}));
+  // A call that was cancelled leaves its seat when its thread has noticed, which may be after its caller has.
   const std::string bytes = "a blob";
-  ClientContext context;
-  within(context);
-  pb::UploadBlobReply reply;
-  auto good = stub->UploadBlob(&context, &reply);
-  good->Write(header(id_of(bytes), bytes.size()));
-  good->Write(data(bytes));
-  good->WritesDone();
-  EXPECT_TRUE(good->Finish().ok()) << "there is room again";
+  const auto uploaded = [&] {
+    ClientContext context;
+    within(context);
+    pb::UploadBlobReply reply;
+    auto upload = stub->UploadBlob(&context, &reply);
+    upload->Write(header(id_of(bytes), bytes.size()));
+    upload->Write(data(bytes));
+    upload->WritesDone();
+    return upload->Finish().error_code();
+  };
+  StatusCode code = uploaded();
+  for (int tries = 0; code == StatusCode::RESOURCE_EXHAUSTED && tries < 100; ++tries) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    code = uploaded();
+  }
+  EXPECT_EQ(code, StatusCode::OK) << "there is room again";
 }
 
 TEST_F(Wire, BlobsAreFetchedByTheirIdsAlone) {
