@@ -322,20 +322,25 @@ struct Scheduler::Impl {
     return throughput > 0 ? static_cast<double>(count) / throughput : 0;
   }
 
-  bool holds_inputs(const Stage& stage, WorkerId worker, std::uint64_t item) const {
+  // Whether the item reads what the worker does not hold.
+  bool must_fetch(const Stage& stage, WorkerId worker, std::uint64_t item) const {
+    if (stage.spec.near.empty()) return false;
     const auto spans = stage.spec.near.find(worker);
-    if (spans == stage.spec.near.end()) return false;
+    if (spans == stage.spec.near.end()) return true;
     ++steps;
     const auto after = std::upper_bound(spans->second.begin(), spans->second.end(), item,
                                         [](std::uint64_t at, const ItemSpan& span) { return at < span.first; });
-    return after != spans->second.begin() && item < (after - 1)->first + (after - 1)->count;
+    return after == spans->second.begin() || item >= (after - 1)->first + (after - 1)->count;
+  }
+
+  Seconds fetch_seconds_an_item(const Stage& stage) const {
+    return stage.spec.near_bytes / settings.fetch_bytes_per_second;
   }
 
   // Until the worker has what items from `first` on read, beyond what it holds.
   Seconds fetch_seconds(const Worker& worker, const Stage& stage, std::uint64_t first, std::uint64_t count) const {
-    if (stage.spec.near.empty() || holds_inputs(stage, worker.id, first)) return 0;
-    return settings.fetch_latency +
-           stage.spec.near_bytes * static_cast<double>(count) / settings.fetch_bytes_per_second;
+    if (!must_fetch(stage, worker.id, first)) return 0;
+    return settings.fetch_latency + fetch_seconds_an_item(stage) * static_cast<double>(count);
   }
 
   // With what has to be fetched for it; 0 = nobody knows.
@@ -353,9 +358,8 @@ struct Scheduler::Impl {
   // share() of items from `first` on: less where each has to be fetched.
   double share_of(const Worker& worker, const Stage& stage, std::uint64_t first) const {
     const double all = share(worker, stage.kind);
-    if (stage.spec.near.empty() || holds_inputs(stage, worker.id, first)) return all;
-    return all /
-           (1 + expected_throughput(worker, stage.kind) * stage.spec.near_bytes / settings.fetch_bytes_per_second);
+    if (!must_fetch(stage, worker.id, first)) return all;
+    return all / (1 + expected_throughput(worker, stage.kind) * fetch_seconds_an_item(stage));
   }
 
   // Brings the estimates of the worker's leases up to date, and their places among the candidates for duplication.
@@ -581,7 +585,7 @@ struct Scheduler::Impl {
                       Seconds now) const {
     auto span = stage.holders.upper_bound(first);
     ++steps;
-    if (span == stage.holders.begin() || holds_inputs(stage, worker.id, first)) return false;
+    if (span == stage.holders.begin() || !must_fetch(stage, worker.id, first)) return false;
     --span;
     const auto& [held, id] = span->second;
     if (first >= span->first + held) return false;

@@ -5,7 +5,6 @@
 
 #include <limits>
 #include <set>
-#include <thread>
 
 #include "coordinator/blobs/sha256.h"
 #include "proto/packing.h"
@@ -25,8 +24,12 @@ class Wire : public testing::Test {
  protected:
   grpc::Status upload(const std::vector<pb::UploadBlobRequest>& parts) {
     ClientContext context;
+    return upload(*people_, context, parts);
+  }
+  static grpc::Status upload(pb::Farm::StubInterface& to, ClientContext& context,
+                             const std::vector<pb::UploadBlobRequest>& parts) {
     pb::UploadBlobReply reply;
-    auto writer = people_->UploadBlob(&context, &reply);
+    auto writer = to.UploadBlob(&context, &reply);
     for (const auto& part : parts)
       if (!writer->Write(part)) break;
     writer->WritesDone();
@@ -535,21 +538,15 @@ TEST_F(Wire, SilentStreamsAreEnded) {
             (std::multiset<StatusCode>{StatusCode::CANCELLED, StatusCode::CANCELLED, StatusCode::RESOURCE_EXHAUSTED}));
   // A call that was cancelled leaves its seat when its thread has noticed, which may be after its caller has.
   const std::string bytes = "a blob";
-  const auto uploaded = [&] {
-    ClientContext context;
-    within(context);
-    pb::UploadBlobReply reply;
-    auto upload = stub->UploadBlob(&context, &reply);
-    upload->Write(header(id_of(bytes), bytes.size()));
-    upload->Write(data(bytes));
-    upload->WritesDone();
-    return upload->Finish().error_code();
-  };
-  StatusCode code = uploaded();
-  for (int tries = 0; code == StatusCode::RESOURCE_EXHAUSTED && tries < 100; ++tries) {
-    std::this_thread::sleep_for(std::chrono::milliseconds(50));
-    code = uploaded();
-  }
+  StatusCode code = StatusCode::UNKNOWN;
+  eventually(
+      [&] {
+        ClientContext context;
+        within(context);
+        code = upload(*stub, context, {header(id_of(bytes), bytes.size()), data(bytes)}).error_code();
+        return code != StatusCode::RESOURCE_EXHAUSTED;
+      },
+      5);
   EXPECT_EQ(code, StatusCode::OK) << "there is room again";
 }
 

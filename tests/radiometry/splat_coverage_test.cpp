@@ -10,17 +10,13 @@
 #include <vector>
 
 #include "worker/stages/splat/clamped_means.h"
+#include "worker/stages/splat/points.h"
 
 namespace gleaner::test {
 namespace {
 
 using Vec = std::array<float, 3>;
-
-float distance(const Vec& a, const Vec& b) {
-  float squared = 0;
-  for (std::size_t k = 0; k < 3; ++k) squared += (a[k] - b[k]) * (a[k] - b[k]);
-  return std::sqrt(squared);
-}
+using worker::distance;
 
 // Every place beside every other one.
 struct AllPairs {

@@ -1,7 +1,6 @@
 #include "worker/stages/splat/clamped_means.h"
 
 #include <algorithm>
-#include <cmath>
 #include <limits>
 #include <utility>
 
@@ -12,12 +11,6 @@ namespace {
 constexpr std::size_t kMostMembers = 64;
 // Of a distance to a box: no more than that to what is in it, however both are rounded.
 constexpr float kBelow = 0.999f;
-
-float distance(const ClampedMeans::Vec& a, const ClampedMeans::Vec& b) {
-  float squared = 0;
-  for (std::size_t k = 0; k < 3; ++k) squared += (a[k] - b[k]) * (a[k] - b[k]);
-  return std::sqrt(squared);
-}
 
 std::size_t longest_axis(const PointBox& box) {
   std::size_t longest = 0;

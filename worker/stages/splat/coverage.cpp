@@ -11,7 +11,6 @@ namespace {
 
 // Edge of groups of tiles that are passed over together, in tiles.
 constexpr std::uint32_t kGroupTiles = 8;
-constexpr std::uint32_t kNobody = 0xffffffffu;
 
 }  // namespace
 
@@ -30,7 +29,7 @@ Coverage::Coverage(const SelectSettings& settings, std::span<const SplatPoint> p
       points_(points),
       boxes_(points.size() / tile_points_),
       near_(boxes_.size()),
-      witnesses_(points.size(), kNobody) {
+      witnesses_(points.size(), GLEANER_NONE) {
   for (std::size_t i = 0; i < points.size(); ++i) {
     if (!points[i].exists()) continue;
     boxes_[i / tile_points_].add(points[i].position);
@@ -46,11 +45,11 @@ Coverage::Coverage(const SelectSettings& settings, std::span<const SplatPoint> p
 
 bool Coverage::covers(std::uint32_t point) {
   std::uint32_t& witness = witnesses_[point];
-  if (witness != kNobody && covers(records_[witness], point)) return true;
+  if (witness != GLEANER_NONE && covers(records_[witness], point)) return true;
   const std::uint32_t tile = point / tile_points_;
   if (point > tile * tile_points_) {
     const std::uint32_t neighbour = witnesses_[point - 1];
-    if (neighbour != kNobody && covers(records_[neighbour], point)) {
+    if (neighbour != GLEANER_NONE && covers(records_[neighbour], point)) {
       witness = neighbour;
       return true;
     }

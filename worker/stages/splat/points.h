@@ -52,6 +52,12 @@ static_assert(sizeof(CacheRecord) == CACHE_WORDS * 4);
 
 inline std::uint32_t splat_tiles(std::uint32_t pixels) { return (pixels + SPLAT_TILE - 1) / SPLAT_TILE; }
 
+inline float distance(const std::array<float, 3>& a, const std::array<float, 3>& b) {
+  float squared = 0;
+  for (std::size_t k = 0; k < 3; ++k) squared += (a[k] - b[k]) * (a[k] - b[k]);
+  return std::sqrt(squared);
+}
+
 // The box about points; empty as long as none was added.
 struct PointBox {
   std::array<float, 3> lower = filled(std::numeric_limits<float>::infinity()), upper = filled(-lower[0]);

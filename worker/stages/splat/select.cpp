@@ -23,12 +23,6 @@ constexpr float kShapeStretch = 3;
 
 using Vec = std::array<float, 3>;
 
-float distance(const Vec& a, const Vec& b) {
-  float squared = 0;
-  for (std::size_t k = 0; k < 3; ++k) squared += (a[k] - b[k]) * (a[k] - b[k]);
-  return std::sqrt(squared);
-}
-
 class Selector {
  public:
   Selector(const SelectSettings& settings, std::span<const SplatPoint> points)
