@@ -1,5 +1,5 @@
 if(TARGET gleaner_device AND TARGET gleaner_bvh AND TARGET gleaner_library)
-  foreach(subject watertight oracle self_hits scale stack hostile instances)
+  foreach(subject watertight oracle self_hits scale stack hostile instances packets)
     gleaner_test(NAME ${subject} SOURCES ${subject}_test.cpp LIBRARIES gleaner_device gleaner_bvh gleaner_library)
   endforeach()
 endif()

@@ -29,9 +29,11 @@ EmbreeHandle<RTCBuffer> copied(RTCDevice device, const std::vector<T>& values) {
 
 }  // namespace
 
-EmbreeLevels::EmbreeLevels(const scene::Scene& scene, unsigned threads)
-    : device_(rtcNewDevice(("threads=" + std::to_string(threads)).c_str())), vertex_count_(scene.vertex_count()) {
+EmbreeLevels::EmbreeLevels(const scene::Scene& scene, unsigned threads, const std::string& isa)
+    : device_(rtcNewDevice(("threads=" + std::to_string(threads) + (isa.empty() ? "" : ",isa=" + isa)).c_str())),
+      vertex_count_(scene.vertex_count()) {
   if (!device_) throw Error::failed("Embree: no device (error " + std::to_string(rtcGetDeviceError(nullptr)) + ")");
+  native_packets_ = rtcGetDeviceProperty(device_.get(), RTC_DEVICE_PROPERTY_NATIVE_RAY16_SUPPORTED) != 0;
   vertices_ = copied(device_.get(), scene.positions);
   corners_ = copied(device_.get(), scene.indices);
   check("copying the scene");

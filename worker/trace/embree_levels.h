@@ -11,6 +11,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <string>
 #include <type_traits>
 #include <vector>
 
@@ -29,8 +30,11 @@ using EmbreeHandle = std::unique_ptr<std::remove_pointer_t<Handle>, EmbreeReleas
 
 class EmbreeLevels {
  public:
-  // Throws Error::failed where Embree cannot build (out of memory).
-  EmbreeLevels(const scene::Scene& scene, unsigned threads);
+  // `isa` as make_embree_tracer()'s. Throws Error::failed where Embree cannot build (out of memory).
+  EmbreeLevels(const scene::Scene& scene, unsigned threads, const std::string& isa);
+
+  // Whether Embree traces 16 rays by instructions for 16 lanes.
+  bool native_packets() const { return native_packets_; }
 
   // Null where all triangles are of the top level.
   RTCScene world() const { return world_.get(); }
@@ -74,6 +78,7 @@ class EmbreeLevels {
   void check(const char* what);
 
   EmbreeHandle<RTCDevice> device_;
+  bool native_packets_ = false;
   EmbreeHandle<RTCBuffer> vertices_, corners_;
   std::size_t vertex_count_ = 0;
   EmbreeHandle<RTCScene> world_, top_;

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <optional>
 
 #include "kernels/rays.h"
 #include "worker/trace/embree_levels.h"
@@ -21,9 +22,39 @@ static_assert(offsetof(RTCRayHit16, ray.org_x) == 64 * ROW_ORIGIN &&
               offsetof(RTCRayHit16, hit.geomID) == 64 * ROW_GEOMETRY &&
               offsetof(RTCRayHit16, hit.instID) == 64 * ROW_INSTANCE && sizeof(RTCRayHit16) >= 64 * RAY_HIT_ROWS);
 
+// Makes rays that `valid` leaves out end before they begin, as long as it lives. Embree without instructions for 16
+// lanes hands packets of 16 to its ray streams, which do not look at `valid`; for them such a ray asks nothing.
+class Silence {
+ public:
+  Silence(const int* valid, RTCRay16* rays) : valid_(valid), rays_(rays) {
+    for (int k = 0; k < 16; ++k) {
+      near_[k] = rays->tnear[k];
+      far_[k] = rays->tfar[k];
+      if (valid[k]) continue;
+      rays->tnear[k] = std::numeric_limits<float>::infinity();
+      rays->tfar[k] = -std::numeric_limits<float>::infinity();
+    }
+  }
+  ~Silence() {
+    for (int k = 0; k < 16; ++k) {
+      if (valid_[k]) continue;
+      rays_->tnear[k] = near_[k];
+      rays_->tfar[k] = far_[k];
+    }
+  }
+  Silence(const Silence&) = delete;
+  Silence& operator=(const Silence&) = delete;
+
+ private:
+  const int* valid_;
+  RTCRay16* rays_;
+  float near_[16], far_[16];
+};
+
 class Query {
  public:
-  explicit Query(bool coherent) : coherent_(coherent) {
+  // `native`: the device has instructions for 16 lanes.
+  Query(bool coherent, bool native) : coherent_(coherent), native_(native) {
 #ifdef GLEANER_EMBREE4
     rtcInitIntersectArguments(&closest_);
     rtcInitOccludedArguments(&any_);
@@ -35,6 +66,8 @@ class Query {
   }
   bool coherent() const { return coherent_; }
   void closest(RTCScene scene, const int* valid, RTCRayHit16* rays) {
+    std::optional<Silence> silence;
+    if (!native_) silence.emplace(valid, &rays->ray);
 #ifdef GLEANER_EMBREE4
     rtcIntersect16(valid, scene, rays, &closest_);
 #else
@@ -42,6 +75,8 @@ class Query {
 #endif
   }
   void any(RTCScene scene, const int* valid, RTCRay16* rays) {
+    std::optional<Silence> silence;
+    if (!native_) silence.emplace(valid, rays);
 #ifdef GLEANER_EMBREE4
     rtcOccluded16(valid, scene, rays, &any_);
 #else
@@ -50,7 +85,7 @@ class Query {
   }
 
  private:
-  bool coherent_;
+  bool coherent_, native_;
 #ifdef GLEANER_EMBREE4
   RTCIntersectArguments closest_;
   RTCOccludedArguments any_;
@@ -121,7 +156,7 @@ void one_by_one(const Valid& valid, Call&& call) {
 
 class EmbreeTracer final : public Tracer {
  public:
-  EmbreeTracer(const scene::Scene& scene, unsigned threads) : levels_(scene, threads) {}
+  EmbreeTracer(const scene::Scene& scene, unsigned threads, const std::string& isa) : levels_(scene, threads, isa) {}
 
   void closest(cl::CommandQueue& queue, cl::Buffer& rays, const RayRange& range) override {
     walk(queue, rays, range, [this](Query& query, const Valid& valid, float* block) {
@@ -140,7 +175,7 @@ class EmbreeTracer final : public Tracer {
       for (int k = 0; k < 16; ++k) valid.lanes[k] = asked->tfar[k] > 0 ? asking.lanes[k] : 0;
       // Each ray for itself: asked as a packet, Embree 3.13.5 may loop for ever once a ray of another octant than the
       // one it is at has ended in an instance.
-      Query single(false);
+      Query single(false, levels_.native_packets());
       one_by_one(may_meet(levels_.top_bounds(), valid, asked),
                  [&](const Valid& one) { single.any(levels_.top(), one.lanes, asked); });
     });
@@ -187,8 +222,8 @@ class EmbreeTracer final : public Tracer {
         visit(query, asking(block, count - i), block);
       }
     };
-    run(Query(false), 0, range.incoherent);
-    run(Query(true), range.coherent_base, range.coherent_count);
+    run(Query(false, levels_.native_packets()), 0, range.incoherent);
+    run(Query(true, levels_.native_packets()), range.coherent_base, range.coherent_count);
     _mm_setcsr(control);
   }
 
@@ -248,7 +283,7 @@ class EmbreeTracer final : public Tracer {
     while (self) {
       const int lane = __builtin_ctz(self);
       self &= self - 1;
-      Query query(false);
+      Query query(false, levels_.native_packets());
       for (int tries = 0; tries < 4 && is_self_hit(rays, lane); ++tries) {
         rays->ray.tnear[lane] = std::nextafter(rays->ray.tfar[lane], std::numeric_limits<float>::infinity());
         rays->ray.tfar[lane] = std::numeric_limits<float>::infinity();
@@ -267,8 +302,8 @@ class EmbreeTracer final : public Tracer {
 
 bool embree_available() { return true; }
 
-std::unique_ptr<Tracer> make_embree_tracer(const scene::Scene& scene, unsigned threads) {
-  return std::make_unique<EmbreeTracer>(scene, threads);
+std::unique_ptr<Tracer> make_embree_tracer(const scene::Scene& scene, unsigned threads, const std::string& isa) {
+  return std::make_unique<EmbreeTracer>(scene, threads, isa);
 }
 
 }  // namespace gleaner::worker

@@ -51,7 +51,8 @@ class Tracer {
   virtual MotionReport follow(const SceneMotion& motion) = 0;
 };
 
-std::unique_ptr<Tracer> make_embree_tracer(const scene::Scene& scene, unsigned threads);
+// `isa`: the instructions that Embree may use, as its configuration calls them ("avx2"); empty: all that the CPU has.
+std::unique_ptr<Tracer> make_embree_tracer(const scene::Scene& scene, unsigned threads, const std::string& isa = "");
 // `triangles`: the table of kernels/scene_layout.h.
 std::unique_ptr<Tracer> make_opencl_tracer(const Device& device, const scene::Scene& scene, const scene::Bvh& bvh,
                                            const cl::Buffer& triangles, unsigned triangle_words);
