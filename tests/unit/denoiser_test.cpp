@@ -8,6 +8,7 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <array>
 #include <atomic>
 #include <cstdlib>
 #include <filesystem>
@@ -57,11 +58,13 @@ TEST_F(DenoiserOfADouble, IsAskedInOrder) {
   EXPECT_EQ(denoiser.device(), "CPU");
   EXPECT_EQ(calls(), "new device 1\nsetAffinity off\ncommit device\n");
   reinterpret_cast<void (*)()>(dlsym(library_, "fake_oidn_forget"))();
-  EXPECT_THAT(denoiser.denoise(kImage, kImage, kImage, DenoiseQuality::high), testing::ElementsAre(2, 3, 4, 5, 6, 7));
+  const std::vector<float> twice = {2, 4, 6, 8, 10, 12};
+  EXPECT_THAT(denoiser.denoise(std::array{kImage, DenoiserImage{2, 1, twice}}, kImage, kImage, DenoiseQuality::high),
+              testing::ElementsAre(testing::ElementsAre(2, 3, 4, 5, 6, 7), testing::ElementsAre(3, 5, 7, 9, 11, 13)));
   EXPECT_EQ(calls(),
             "new filter RT\nnew buffer\nimage color 3 2x1\nnew buffer\nimage albedo 3 2x1\nnew buffer\nimage normal 3 "
             "2x1\nnew buffer\nimage output 3 2x1\nhdr on\ncleanAux on\nquality 6\nmaxMemoryMB 1024\ncommit "
-            "filter\nexecute filter\nread buffer\n");
+            "filter\nexecute filter\nread buffer\nexecute filter\nread buffer\n");
   EXPECT_THAT(denoiser.prefilter("normal", kImage), testing::ElementsAre(0.5, 1, 1.5, 2, 2.5, 3));
 }
 
@@ -75,8 +78,9 @@ TEST_F(DenoiserOfADouble, ErrorsSayWhatFailed) {
                                                        {"read buffer", "reading what it made"}};
   for (const auto& [step, words] : steps) {
     ::setenv("FAKE_OIDN_FAILS", step, 1);
-    const std::string error =
-        error_of([] { Denoiser(DenoiserDevice::cpu).denoise(kImage, kImage, kImage, DenoiseQuality::fast); });
+    const std::string error = error_of([] {
+      Denoiser(DenoiserDevice::cpu).denoise({&kImage, 1}, kImage, kImage, DenoiseQuality::fast);
+    });
     EXPECT_THAT(error, HasSubstr(words));
     EXPECT_THAT(error, HasSubstr(std::string(step) + " fails as it was told to"));
   }
@@ -115,7 +119,9 @@ TEST_F(DenoiserOfADouble, IsWhereItWasNamedOrNowhere) {
 
 TEST_F(DenoiserOfADouble, ImagesOfOtherSizesAreRefused) {
   const DenoiserImage small{1, 1, std::span(kSix).first(3)};
-  EXPECT_THAT(error_of([&] { Denoiser(DenoiserDevice::cpu).denoise(kImage, small, kImage, DenoiseQuality::fast); }),
+  EXPECT_THAT(error_of([&] {
+                Denoiser(DenoiserDevice::cpu).denoise({&kImage, 1}, small, kImage, DenoiseQuality::fast);
+              }),
               HasSubstr("image albedo"));
 }
 

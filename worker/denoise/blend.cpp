@@ -6,6 +6,9 @@
 #include <functional>
 #include <numbers>
 #include <numeric>
+#include <thread>
+
+#include "worker/wavefront/run_threads.h"
 
 namespace gleaner::worker {
 namespace {
@@ -52,6 +55,17 @@ void add_shifted(float* to, const float* from, std::size_t length, std::ptrdiff_
     to[i] += weight * from[i + step];
 }
 
+// Rows a thread has at least: below that starting it takes longer.
+constexpr std::uint32_t kLeastRows = 32;
+
+// Calls run(first, last) for shares of the rows, side by side.
+template <typename Run>
+void for_rows(std::uint32_t height, Run run) {
+  const std::uint32_t threads = std::clamp(height / kLeastRows, 1u, std::max(1u, std::thread::hardware_concurrency()));
+  const auto row = [&](std::uint64_t k) { return static_cast<std::uint32_t>(height * k / threads); };
+  run_threads(threads, [&](unsigned k) { run(row(k), row(k + 1)); });
+}
+
 // Each pixel becomes the weighted mean of its neighbours that exist.
 void smooth(Plane& plane, std::uint32_t width, std::uint32_t height, double sigma) {
   const std::vector<float> weights = gaussian(sigma);
@@ -60,21 +74,24 @@ void smooth(Plane& plane, std::uint32_t width, std::uint32_t height, double sigm
   const auto weight = [&](std::ptrdiff_t step) { return weights[static_cast<std::size_t>(step + radius)]; };
   Plane from(plane.size());
   from.swap(plane);
-  for (std::uint32_t y = 0; y < height; ++y) {
-    const std::size_t row = std::size_t{y} * width;
-    for (std::ptrdiff_t step = -radius; step <= radius; ++step)
-      add_shifted(&plane[row], &from[row], width, step, weight(step));
-    for (std::uint32_t x = 0; x < width; ++x) plane[row + x] /= in_row[x];
-  }
+  for_rows(height, [&](std::uint32_t first, std::uint32_t last) {
+    for (std::size_t row = std::size_t{first} * width; row < std::size_t{last} * width; row += width) {
+      for (std::ptrdiff_t step = -radius; step <= radius; ++step)
+        add_shifted(&plane[row], &from[row], width, step, weight(step));
+      for (std::uint32_t x = 0; x < width; ++x) plane[row + x] /= in_row[x];
+    }
+  });
   from.assign(plane.size(), 0);
   from.swap(plane);
-  for (std::ptrdiff_t y = 0; y < height; ++y) {
-    float* const row = &plane[static_cast<std::size_t>(y) * width];
-    for (std::ptrdiff_t k = std::max<std::ptrdiff_t>(0, y - radius);
-         k <= std::min<std::ptrdiff_t>(height - 1, y + radius); ++k)
-      add_shifted(row, &from[static_cast<std::size_t>(k) * width], width, 0, weight(k - y));
-    for (std::uint32_t x = 0; x < width; ++x) row[x] /= in_column[static_cast<std::size_t>(y)];
-  }
+  for_rows(height, [&](std::ptrdiff_t first, std::ptrdiff_t last) {
+    for (std::ptrdiff_t y = first; y < last; ++y) {
+      float* const row = &plane[static_cast<std::size_t>(y) * width];
+      for (std::ptrdiff_t k = std::max<std::ptrdiff_t>(0, y - radius);
+           k <= std::min<std::ptrdiff_t>(height - 1, y + radius); ++k)
+        add_shifted(row, &from[static_cast<std::size_t>(k) * width], width, 0, weight(k - y));
+      for (std::uint32_t x = 0; x < width; ++x) row[x] /= in_column[static_cast<std::size_t>(y)];
+    }
+  });
 }
 
 // Estimates without bias, each by itself as noisy as a pixel: squared error of the denoised picture and of the raw one,

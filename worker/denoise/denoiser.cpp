@@ -180,43 +180,48 @@ struct Denoiser::Impl {
     }
   };
 
-  std::vector<float> run(std::initializer_list<NamedImage> images, std::initializer_list<const char*> flags,
-                         DenoiseQuality quality) const {
-    const DenoiserImage& size = *images.begin()->image;
+  // Denoises each of `pictures` by the same guides, one after the other: one filter makes them all.
+  std::vector<std::vector<float>> run(const char* name, std::span<const DenoiserImage> pictures,
+                                      std::initializer_list<NamedImage> guides,
+                                      std::initializer_list<const char*> flags, DenoiseQuality quality) const {
+    const DenoiserImage& size = pictures.front();
     const std::size_t floats = std::size_t{3} * size.width * size.height, bytes = floats * sizeof(float);
-    std::vector<std::unique_ptr<BufferHolder>> buffers;
-    const auto new_buffer = [&] {
-      buffers.push_back(std::make_unique<BufferHolder>(f, f.new_buffer(device, bytes)));
-      check("taking memory");
-      return buffers.back()->buffer;
+    const auto check_size = [&](const char* of, const DenoiserImage& image) {
+      if (image.values.size() != floats || image.width != size.width)
+        throw Error::failed(std::string("denoiser: image ") + of + " has another size than the first one");
     };
+    for (const DenoiserImage& picture : pictures) check_size(name, picture);
+    for (const NamedImage& guide : guides) check_size(guide.name, *guide.image);
+
+    std::vector<std::unique_ptr<BufferHolder>> buffers;
     const FilterHolder filter{f, f.new_filter(device, "RT")};
     check("making its filter");
-    const auto set_image = [&](const char* name, Buffer buffer) {
-      f.set_filter_image(filter.filter, name, buffer, kFormatFloat3, size.width, size.height, 0, 0, 0);
+    const auto new_image = [&](const char* of) {
+      buffers.push_back(std::make_unique<BufferHolder>(f, f.new_buffer(device, bytes)));
+      check("taking memory");
+      Buffer buffer = buffers.back()->buffer;
+      f.set_filter_image(filter.filter, of, buffer, kFormatFloat3, size.width, size.height, 0, 0, 0);
+      return buffer;
     };
-    for (const NamedImage& image : images) {
-      if (image.image->values.size() != floats || image.image->width != size.width)
-        throw Error::failed(std::string("denoiser: image ") + image.name + " has another size than the first one");
-      Buffer buffer = new_buffer();
-      f.write_buffer(buffer, 0, bytes, image.image->values.data());
-      set_image(image.name, buffer);
-    }
-    Buffer output = new_buffer();
-    set_image("output", output);
+    Buffer input = new_image(name);
+    for (const NamedImage& guide : guides) f.write_buffer(new_image(guide.name), 0, bytes, guide.image->values.data());
+    Buffer output = new_image("output");
     for (const char* flag : flags) f.set_filter_bool(filter.filter, flag, true);
     f.set_filter_int(filter.filter, "quality", quality == DenoiseQuality::fast ? kQualityFast : kQualityHigh);
     f.set_filter_int(filter.filter, "maxMemoryMB", kMostMemoryMb);
     f.set_filter_monitor(filter.filter, goes_on, const_cast<std::atomic<bool>*>(given_up_flag()));
     f.commit_filter(filter.filter);
     check("preparing its filter");
-    f.execute_filter(filter.filter);
-    check_wanted();
-    check("running its filter");
-    std::vector<float> values(floats);
-    f.read_buffer(output, 0, bytes, values.data());
-    check("reading what it made");
-    return values;
+    std::vector<std::vector<float>> made;
+    for (const DenoiserImage& picture : pictures) {
+      f.write_buffer(input, 0, bytes, picture.values.data());
+      f.execute_filter(filter.filter);
+      check_wanted();
+      check("running its filter");
+      f.read_buffer(output, 0, bytes, made.emplace_back(floats).data());
+      check("reading what it made");
+    }
+    return made;
   }
 };
 
@@ -232,15 +237,14 @@ const std::string& Denoiser::version() const { return impl_->version; }
 const std::string& Denoiser::device() const { return impl_->device_name; }
 
 std::vector<float> Denoiser::prefilter(std::string_view guide, const DenoiserImage& image) {
-  const std::string name(guide);
-  return impl_->run({{name.c_str(), &image}}, {}, DenoiseQuality::fast);
+  return std::move(impl_->run(std::string(guide).c_str(), {&image, 1}, {}, {}, DenoiseQuality::fast).front());
 }
 
-std::vector<float> Denoiser::denoise(const DenoiserImage& color, const DenoiserImage& albedo,
-                                     const DenoiserImage& normal, DenoiseQuality quality) {
-  const std::initializer_list<NamedImage> images = {{"color", &color}, {"albedo", &albedo}, {"normal", &normal}};
-  return quality == DenoiseQuality::high ? impl_->run(images, {"hdr", "cleanAux"}, quality)
-                                         : impl_->run(images, {"hdr"}, quality);
+std::vector<std::vector<float>> Denoiser::denoise(std::span<const DenoiserImage> colors, const DenoiserImage& albedo,
+                                                  const DenoiserImage& normal, DenoiseQuality quality) {
+  const std::initializer_list<NamedImage> guides = {{"albedo", &albedo}, {"normal", &normal}};
+  return quality == DenoiseQuality::high ? impl_->run("color", colors, guides, {"hdr", "cleanAux"}, quality)
+                                         : impl_->run("color", colors, guides, {"hdr"}, quality);
 }
 
 }  // namespace gleaner::worker

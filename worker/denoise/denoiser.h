@@ -38,10 +38,10 @@ class Denoiser {
 
   // The guide (linear albedo in [0, 1], or unit normals) without its noise: "albedo" or "normal" says which.
   std::vector<float> prefilter(std::string_view guide, const DenoiserImage& image);
-  // The picture (linear radiance) without its noise. Guides are of the same size; `high` takes them for prefiltered,
-  // which takes longer than `fast` does for all else.
-  std::vector<float> denoise(const DenoiserImage& color, const DenoiserImage& albedo, const DenoiserImage& normal,
-                             DenoiseQuality quality);
+  // The pictures (linear radiance) without their noise: at least one, all of one size, by the same guides of that size.
+  // `high` takes the guides for prefiltered, which takes longer than `fast` does for all else.
+  std::vector<std::vector<float>> denoise(std::span<const DenoiserImage> colors, const DenoiserImage& albedo,
+                                          const DenoiserImage& normal, DenoiseQuality quality);
 
  private:
   struct Impl;

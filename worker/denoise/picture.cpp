@@ -73,16 +73,16 @@ DenoisedPicture denoise_picture(const DenoiseParameters& p, std::span<const floa
     planes.albedo = clean_albedo;
     planes.normal = clean_normal;
   }
-  const auto denoised = [&](std::span<const float> color) {
-    return denoiser.denoise(image(color), image(planes.albedo), image(planes.normal), quality);
-  };
-  std::vector<float> of_first = denoised(planes.first);
+  std::vector<DenoiserImage> colors = {image(planes.first)};
+  if (p.halves) colors.push_back(image(planes.second));
+  std::vector<std::vector<float>> denoised =
+      denoiser.denoise(colors, image(planes.albedo), image(planes.normal), quality);
   DenoisedPicture picture;
   if (p.halves) {
-    const std::vector<float> of_second = denoised(planes.second);
-    picture = picture_of(blend({p.width, p.height, planes.first, planes.second, of_first, of_second, planes.share}));
+    picture =
+        picture_of(blend({p.width, p.height, planes.first, planes.second, denoised[0], denoised[1], planes.share}));
   } else {
-    BlendedPicture whole{.color = std::move(of_first), .squared_error = std::vector<float>(planes.share.size())};
+    BlendedPicture whole{.color = std::move(denoised[0]), .squared_error = std::vector<float>(planes.share.size())};
     whole.denoised = 1;
     picture = picture_of(whole);
   }

@@ -3,17 +3,16 @@
 // threads, one on other devices.
 
 #include <array>
-#include <exception>
 #include <functional>
 #include <memory>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include "scene/model/error.h"
 #include "worker/device/kernel.h"
 #include "worker/wavefront/counters.h"
 #include "worker/wavefront/ray_queries.h"
+#include "worker/wavefront/run_threads.h"
 #include "worker/wavefront/wanted.h"
 #include "worker/wavefront/work_queue.h"
 #include "worker/wavefront/workspace.h"
@@ -74,28 +73,6 @@ class HostThread {
   unsigned index_;
   cl::Buffer counters_buffer_;
 };
-
-// Calls run(0) to run(threads - 1), each in a thread; throws what the first of them threw, after all have ended.
-template <typename Run>
-void run_threads(unsigned threads, Run run) {
-  std::vector<std::exception_ptr> errors(threads);
-  const std::atomic<bool>* const given_up = given_up_flag();
-  const auto guarded = [&](unsigned k) {
-    const WantedScope wanted(given_up);
-    try {
-      run(k);
-    } catch (...) {
-      errors[k] = std::current_exception();
-    }
-  };
-  {
-    std::vector<std::jthread> others;
-    for (unsigned k = 1; k < threads; ++k) others.emplace_back(guarded, k);
-    guarded(0);
-  }
-  for (auto& error : errors)
-    if (error) std::rethrow_exception(error);
-}
 
 // Makes the threads' states by make(index) and calls run() of each, in a thread of its own, until the work is done.
 template <typename Make>
