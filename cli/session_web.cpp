@@ -18,7 +18,7 @@ int session_in_browser(const SessionOptions& options) {
     refuse_strangers("--web", options.web, "listen on 127.0.0.1, or say --insecure on a network that you trust");
   Signals signals;
   SessionScene loaded = load_session_scene(options);
-  ViewerScene scene(loaded.frame.scene, loaded.frame.scene_name, loaded.frame.settings);
+  ViewerScene scene(loaded.frame.scene, loaded.frame.scene_name, loaded.frame.settings, loaded.objects);
   SessionStream stream(options, std::move(loaded.frame), pb::PICTURE_FORMAT_RGB8);
   {
     Viewer viewer(options.web, std::move(scene), [&](pb::SessionChange change) {

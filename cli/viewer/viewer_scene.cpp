@@ -8,6 +8,7 @@
 
 #include "coordinator/gateway/convert.h"
 #include "scene/model/error.h"
+#include "scene/model/instances.h"
 
 namespace gleaner::cli {
 
@@ -19,8 +20,10 @@ namespace {
 
 constexpr float farthest = 1e18f;  // that single precision still computes with
 
-std::shared_ptr<const scene::Scene> lights_and_materials(const scene::Scene& scene) {
+// All that changes are checked against.
+std::shared_ptr<const scene::Scene> without_geometry(const scene::Scene& scene) {
   auto part = std::make_shared<scene::Scene>();
+  part->rig.matrices = scene.rig.matrices;
   part->lights = scene.lights;
   part->materials = scene.materials;
   return part;
@@ -115,8 +118,9 @@ scene::MaterialChange material_change(const json& words, pb::MaterialChange& out
 
 }  // namespace
 
-ViewerScene::ViewerScene(const scene::Scene& scene, std::string name, const coordinator::FrameSettings& settings)
-    : edited_(lights_and_materials(scene)),
+ViewerScene::ViewerScene(const scene::Scene& scene, std::string name, const coordinator::FrameSettings& settings,
+                         const std::map<std::string, std::uint32_t>& objects)
+    : edited_(without_geometry(scene)),
       camera_(settings.camera),
       name_(std::move(name)),
       material_names_(scene.material_names),
@@ -130,6 +134,39 @@ ViewerScene::ViewerScene(const scene::Scene& scene, std::string name, const coor
     squared += std::pow(0.5 * (double{bounds.upper[k]} - double{bounds.lower[k]}), 2);
   }
   radius_ = std::sqrt(squared);
+  for (const auto& [object, matrix] : objects) {
+    const auto mesh = std::ranges::find(scene.meshes, object, &scene::Mesh::name);
+    const scene::Bounds box = scene::bounds_of(scene, *mesh);
+    Triple middle;
+    for (std::size_t k = 0; k < 3; ++k)
+      middle[k] = static_cast<float>(0.5 * (double{box.lower[k]} + double{box.upper[k]}));
+    objects_.push_back({object, matrix, middle});
+  }
+}
+
+Triple ViewerScene::position_of(const Object& object) const {
+  Triple position = object.rest;
+  for (std::size_t k = 0; k < 3; ++k)
+    position[k] += static_cast<float>(edited_.state().matrices.at(object.matrix)[4 * k + 3]);
+  return position;
+}
+
+scene::ObjectChange ViewerScene::object_change(const nlohmann::json& words, pb::ObjectChange& out) const {
+  const std::uint32_t number = index(words, "object");
+  if (number >= objects_.size())
+    throw expected("object", "one of the " + std::to_string(objects_.size()) + " that may move");
+  const Object& object = objects_[number];
+  const auto position = triple(words, "position");
+  if (!position) throw expected("position", "three numbers");
+  scene::ObjectChange change;
+  change.matrix = object.matrix;
+  for (std::size_t k = 0; k < 3; ++k) {
+    change.placement[5 * k] = 1;
+    change.placement[4 * k + 3] = double{(*position)[k]} - object.rest[k];
+  }
+  out.set_matrix(change.matrix);
+  for (const double value : change.placement) out.add_placement(value);
+  return change;
 }
 
 json ViewerScene::json() const {
@@ -146,6 +183,8 @@ json ViewerScene::json() const {
                          {"base_color", array_of(material.base_color)},
                          {"emission", array_of(material.emission)}});
   }
+  nlohmann::json objects = nlohmann::json::array();
+  for (const Object& object : objects_) objects.push_back({{"name", object.name}, {"position", position_of(object)}});
   return {{"name", name_},
           {"size", {width_, height_}},
           {"origin", origin_},
@@ -153,6 +192,7 @@ json ViewerScene::json() const {
           {"radius", radius_},
           {"lights", std::move(lights)},
           {"materials", std::move(materials)},
+          {"objects", std::move(objects)},
           {"camera",
            {{"orthographic", camera_.type == GLEANER_CAMERA_ORTHOGRAPHIC},
             {"origin", array_of(camera_.origin)},
@@ -164,12 +204,13 @@ json ViewerScene::json() const {
 }
 
 pb::SessionChange ViewerScene::change(const nlohmann::json& words) {
-  if (!words.is_object()) throw Error::bad_input("change", "", "lights, materials or a camera");
+  if (!words.is_object()) throw Error::bad_input("change", "", "lights, materials, objects or a camera");
   pb::SessionChange out;
   scene::EditedScene edited = edited_;
   scene::Camera camera = camera_;
   for (const auto& light : list(words, "lights")) edited.apply(light_change(light, *out.add_lights()));
   for (const auto& material : list(words, "materials")) edited.apply(material_change(material, *out.add_materials()));
+  for (const auto& object : list(words, "objects")) edited.apply(object_change(object, *out.add_objects()));
   if (const auto at = words.find("camera"); at != words.end()) {
     aim(camera, *at);
     *out.mutable_camera() = gateway::to_proto(camera);

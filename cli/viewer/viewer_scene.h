@@ -1,6 +1,8 @@
 #pragma once
-// What of a session's scene its page shows and changes, as it is by now: lights, materials, the camera.
+// What of a session's scene its page shows and changes, as it is by now: lights, materials, objects that may move, the
+// camera.
 
+#include <map>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
@@ -14,19 +16,33 @@ namespace gleaner::cli {
 
 class ViewerScene {
  public:
-  ViewerScene(const scene::Scene& scene, std::string name, const coordinator::FrameSettings& settings);
+  // `objects`: as SessionScene::objects.
+  ViewerScene(const scene::Scene& scene, std::string name, const coordinator::FrameSettings& settings,
+              const std::map<std::string, std::uint32_t>& objects = {});
 
   // name; size; lights (type, position in metres from `origin`, direction, intensity); materials (name, base_color,
-  // emission); camera (type, origin, right, up, forward, half_width, half_height); centre and radius of the scene.
+  // emission); objects (name, position: of the middle of their bounds); camera (type, origin, right, up, forward,
+  // half_width, half_height); centre and radius of the scene.
   nlohmann::json json() const;
 
   // The change that the page asks for: {"lights": [{"light", "position", "direction", "intensity"}], "materials":
-  // [{"material", "base_color", "emission"}], "camera": {"origin", "forward", "up"}}, of which all may be missing but
-  // light and material. Throws Error::bad_input, and changes nothing, for what it is not, or what the scene lacks.
+  // [{"material", "base_color", "emission"}], "objects": [{"object", "position"}], "camera": {"origin", "forward",
+  // "up"}}, of which all may be missing but light, material and object with its position. Throws Error::bad_input, and
+  // changes nothing, for what it is not, or what the scene lacks.
   v1::SessionChange change(const nlohmann::json& words);
 
  private:
-  scene::EditedScene edited_;  // lights and materials alone
+  struct Object {
+    std::string name;
+    std::uint32_t matrix = 0;
+    scene::Triple rest{};  // the middle of its bounds in the scene as it was opened
+  };
+
+  scene::Triple position_of(const Object& object) const;
+  scene::ObjectChange object_change(const nlohmann::json& words, v1::ObjectChange& out) const;
+
+  scene::EditedScene edited_;  // without its geometry
+  std::vector<Object> objects_;
   scene::Camera camera_;
   std::string name_;
   std::vector<std::string> material_names_;

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """A session's page in a real browser: viewer_browser.py PROGRAMS. Exit status 77 where there is no Chromium.
 
-A light is dragged, deepened and moved by keys; the camera is turned, shifted and brought nearer; a light's strength and a material's
+A light is dragged, deepened and moved by keys; an object is dragged; the camera is turned, shifted and brought nearer; a light's strength and a material's
 colour are changed. What the session holds is asked for beside the page, and what is drawn is read from its canvas."""
 
 import json
@@ -24,7 +24,8 @@ class Session:
         subprocess.run([gleaner, "scene", "punctual-lights", "-o", scene], check=True, stdout=subprocess.DEVNULL)
         environment = {name: value for name, value in os.environ.items() if name != "GLEANER_COORDINATOR"}
         self.process = subprocess.Popen([gleaner, "session", "--web", scene, "--size", f"{SIZE}x{SIZE}", "--refine", "0", "--quiet",
-                                         "--look-at", "0,3,9,0,1,0,60"], stdout=subprocess.PIPE, text=True, env=environment)
+                                         "--look-at", "0,3,9,0,1,0,60",
+                                         "--movable", "red sphere"], stdout=subprocess.PIPE, text=True, env=environment)
         self.url = self.process.stdout.readline().strip()
 
     def scene(self):
@@ -109,6 +110,25 @@ def check_light(browser, session):
     assert session.scene()["camera"] == camera and session.scene()["lights"][1] == before["lights"][1]
 
 
+def check_object(browser, session):
+    """An object that may move is dragged as a light is: in the plane of the picture, at its depth."""
+    left, top, width, height = box(browser)
+    before = session.scene()
+    camera, position = before["camera"], before["objects"][0]["position"]
+    x, y, depth = place_of(camera, position)
+    marker = centre(browser, "#object-0")
+    assert near(marker, (left + x * width, top + y * height), 1.5), (marker, x, y)
+    picture = pixels(browser)
+    drag(browser, marker, (marker[0] - 0.15 * width, marker[1] - 0.05 * height))
+    settle(browser)
+    after = session.scene()
+    moved_x, moved_y, moved_depth = place_of(camera, after["objects"][0]["position"])
+    assert near((moved_x, moved_y), (x - 0.15, y - 0.05), 0.01), (moved_x, moved_y, x, y)
+    assert abs(moved_depth - depth) < 1e-3 * depth, (moved_depth, depth)
+    assert change_between(picture, pixels(browser)) > 1, "the picture has not changed"
+    assert after["lights"] == before["lights"] and after["camera"] == camera
+
+
 def check_camera(browser, session):
     """Turning keeps the distance from what it turns about, shifting the direction; coming nearer keeps both."""
     left, top, width, height = box(browser)
@@ -177,6 +197,7 @@ def test(folder):
         browser.open(session.url)
         browser.until("document.getElementById('waiting').hidden", "the first picture", 120)
         check_light(browser, session)
+        check_object(browser, session)
         check_camera(browser, session)
         check_panel(browser, session)
         for width, phone in ((1280, False), (768, False), (390, True), (320, True)):

@@ -6,6 +6,8 @@
 #include <gtest/gtest.h>
 #include <httplib.h>
 
+#include <algorithm>
+#include <array>
 #include <chrono>
 #include <future>
 #include <nlohmann/json.hpp>
@@ -17,6 +19,7 @@
 #include "cli/viewer/viewer_files.h"
 #include "coordinator/web/page_file.h"
 #include "scene/library/library.h"
+#include "scene/model/edited_scene.h"
 #include "scene/model/error.h"
 
 namespace gleaner::test {
@@ -39,7 +42,8 @@ ViewerScene lamps() {
   settings.width = 4;
   settings.height = 2;
   settings.camera = scene.cameras.front().camera;
-  return {scene, "lamps.glb", settings};
+  const std::uint32_t matrix = scene::make_movable(scene, "red sphere");
+  return {scene, "lamps.glb", settings, {{"red sphere", matrix}}};
 }
 
 pb::SessionPicture picture(std::uint64_t shows, char value) {
@@ -168,6 +172,27 @@ TEST_F(ViewerPage, ChangesGoOutAsTheSessionTakesThem) {
   EXPECT_FALSE(said_[1].materials(0).has_base_color());
 }
 
+TEST_F(ViewerPage, ObjectsMoveByTheMiddleOfTheirBounds) {
+  const json before = scene()["objects"];
+  ASSERT_EQ(before.size(), 1u);
+  EXPECT_EQ(before[0]["name"], "red sphere");
+  const auto rest = before[0]["position"].get<std::vector<double>>();
+  // What the page says is where the middle is to be; what goes out is how far from where it stood at first.
+  for (const double by : {0.25, -1.0}) {
+    EXPECT_EQ(
+        say(json{{"objects", {{{"object", 0}, {"position", {rest[0] + by, rest[1], rest[2] - 2 * by}}}}}})->status,
+        200);
+    const pb::ObjectChange& moved = said_.back().objects(0);
+    ASSERT_EQ(moved.placement_size(), 12);
+    EXPECT_EQ(moved.matrix(), 0u);
+    const std::array<double, 12> expected = {1, 0, 0, by, 0, 1, 0, 0, 0, 0, 1, -2 * by};
+    for (int k = 0; k < 12; ++k) EXPECT_NEAR(moved.placement(k), expected[static_cast<std::size_t>(k)], 1e-6) << k;
+    const auto now = scene()["objects"][0]["position"].get<std::vector<double>>();
+    EXPECT_NEAR(now[0], rest[0] + by, 1e-6);
+    EXPECT_NEAR(now[2], rest[2] - 2 * by, 1e-6);
+  }
+}
+
 // Whatever axes a page computes, the session gets unit ones at right angles: it refuses others.
 TEST_F(ViewerPage, CamerasAreMadeRightAngled) {
   const json before = scene()["camera"];
@@ -200,7 +225,8 @@ TEST_F(ViewerPage, WhatIsNoChangeIsRefusedWholly) {
       R"({"lights": [{"light": 18446744073709551616, "position": [0, 0, 0]}]})",
       R"({"materials": [{"material": 0, "base_color": [2, 0, 0]}]})",
       R"({"materials": [{"material": 99, "emission": [2, 0, 0]}]})", R"({"camera": 1})",
-      R"({"camera": {"origin": [0, 0, 0]}})",
+      R"({"objects": [{"object": 0}]})", R"({"objects": [{"object": 1, "position": [0, 0, 0]}]})",
+      R"({"objects": [{"object": 0, "position": [1e30, 0, 0]}]})", R"({"camera": {"origin": [0, 0, 0]}})",
       R"({"camera": {"origin": [0, 0, 0], "forward": [0, 0, 0], "up": [0, 1, 0]}})",
       R"({"camera": {"origin": [0, 0, 0], "forward": [0, 1, 0], "up": [0, 1, 0]}})",
       R"({"camera": {"origin": [1e30, 0, 0], "forward": [0, 0, 1], "up": [0, 1, 0]}})",
@@ -264,7 +290,11 @@ TEST_F(ViewerPage, ManyPagesThatWaitHoldUpNeitherChangesNorTheEnd) {
   std::vector<std::future<int>> pages;
   for (int k = 0; k < 20; ++k)
     pages.push_back(std::async(std::launch::async, [&] { return get("picture?after=0")->status; }));
-  std::this_thread::sleep_for(std::chrono::milliseconds(200));
+  // Nothing is shown yet: who has an answer was refused, since all seats are taken.
+  const auto answered = [](const std::future<int>& page) {
+    return page.wait_for(std::chrono::seconds(0)) == std::future_status::ready;
+  };
+  while (std::ranges::none_of(pages, answered)) std::this_thread::sleep_for(std::chrono::milliseconds(5));
   EXPECT_EQ(say(json{{"lights", {{{"light", 0}, {"position", {1, 2, 3}}}}}})->status, 200);
   viewer_.show(picture(1, 'a'));
   int shown = 0, refused = 0;

@@ -51,6 +51,7 @@ function words() {
   const out = {};
   if (pending.camera) out.camera = pending.camera;
   if (pending.lights) out.lights = [...pending.lights].map(([light, fields]) => ({light, ...fields}));
+  if (pending.objects) out.objects = [...pending.objects].map(([object, fields]) => ({object, ...fields}));
   if (pending.materials) out.materials = [...pending.materials].map(([material, fields]) => ({material, ...fields}));
   return out;
 }
@@ -77,48 +78,57 @@ async function send() {
   send();
 }
 
-// What a picture looks like with its lights.
+// What can be taken hold of: lights, and objects that may move. A marker's data say which.
+
+const thing = (held) => scene[held.part][held.index];
+const heldBy = (marker) => ({part: marker.dataset.part, index: Number(marker.dataset.index)});
+const idOf = (part, index) => ({lights: "light-", objects: "object-"})[part] + index;
 
 const box = () => $("stage").getBoundingClientRect();
 
 function drawMarkers() {
-  scene.lights.forEach((light, index) => {
-    const marker = $("light-" + index);
-    if (!marker) return;
-    const place = project(scene.camera, light.position);
+  for (const marker of document.querySelectorAll(".marker")) {
+    const held = heldBy(marker);
+    const place = project(scene.camera, thing(held).position);
     marker.hidden = place === null;
-    if (place === null) return;
+    if (place === null) continue;
     // What lies beside the picture is shown at its edge, from where it can be drawn in.
     const shown = place.map((x) => Math.max(EDGE, Math.min(1 - EDGE, x)));
     marker.style.left = 100 * shown[0] + "%";
     marker.style.top = 100 * shown[1] + "%";
     marker.classList.toggle("outside", shown.some((x, k) => x !== place[k]));
-    marker.style.setProperty("--light", hexOf(hue(light.intensity)));
-    marker.classList.toggle("chosen", index === chosen);
-  });
+    if (held.part === "objects") continue;
+    marker.style.setProperty("--light", hexOf(hue(thing(held).intensity)));
+    marker.classList.toggle("chosen", held.index === chosen);
+  }
+}
+
+function addMarker(part, index, kind, name) {
+  const marker = document.createElement("button");
+  marker.type = "button";
+  marker.id = idOf(part, index);
+  marker.className = "marker " + kind;
+  marker.dataset.part = part;
+  marker.dataset.index = index;
+  marker.setAttribute("aria-label", (part === "lights" ? "Light " + name + ", " + kind : "Object " + name) + ": drag, or move by the arrow keys");
+  const label = document.createElement("span");
+  label.textContent = name;
+  marker.append(label);
+  $("markers").append(marker);
 }
 
 function makeMarkers() {
   $("markers").replaceChildren();
   scene.lights.forEach((light, index) => {
-    if (light.type === "directional") return;  // it is nowhere
-    const marker = document.createElement("button");
-    marker.type = "button";
-    marker.id = "light-" + index;
-    marker.className = "marker " + light.type;
-    marker.dataset.light = index;
-    marker.setAttribute("aria-label", "Light " + index + ", " + light.type + ": drag, or move by the arrow keys");
-    const name = document.createElement("span");
-    name.textContent = index;
-    marker.append(name);
-    $("markers").append(marker);
+    if (light.type !== "directional") addMarker("lights", index, light.type, index);  // such a light is nowhere
   });
+  scene.objects.forEach((object, index) => addMarker("objects", index, "object", object.name));
 }
 
-function moveLight(index, position) {
+function move(held, position) {
   if (!position.every(Number.isFinite)) return;
-  scene.lights[index].position = position;
-  change("lights", index, {position});
+  thing(held).position = position;
+  change(held.part, held.index, {position});
   drawMarkers();
   fillLight();
 }
@@ -169,13 +179,14 @@ function fillChoices() {
   $("bring").hidden = scene.lights.length === 0;
 }
 
-function choose(index) {
-  chosen = index;
+// The panel shows the light.
+function choose(held) {
+  if (held.part === "lights") chosen = held.index;
   fillLight();
   drawMarkers();
 }
 
-$("light").addEventListener("change", () => choose(Number($("light").value)));
+$("light").addEventListener("change", () => choose({part: "lights", index: Number($("light").value)}));
 $("material").addEventListener("change", fillMaterial);
 
 // A slider's left end is none at all.
@@ -212,7 +223,7 @@ $("material-strength").addEventListener("input", () => {
   change("materials", index, {emission});
   set($("material-value"), figure(strength(emission)));
 });
-$("bring").addEventListener("click", () => moveLight(chosen, pivot()));
+$("bring").addEventListener("click", () => move({part: "lights", index: chosen}, pivot()));
 $("back").addEventListener("click", () => moveCamera(first));
 
 // The mouse, a pen or a finger.
@@ -235,17 +246,17 @@ const placeOf = (event) => {
   return [(event.clientX - left) / width, (event.clientY - top) / height];
 };
 
-let drag = null;  // {light, offset}, or of the camera {last, about, shifts}
+let drag = null;  // {held, offset}, or of the camera {last, about, shifts}
 
 $("stage").addEventListener("pointerdown", (event) => {
   if (!scene || drag) return;
   const marker = event.target.closest(".marker"), place = placeOf(event);
   if (marker) {
-    const index = Number(marker.dataset.light);
-    choose(index);
+    const held = heldBy(marker);
+    choose(held);
     marker.focus();
     const outside = marker.classList.contains("outside");
-    drag = {light: index, offset: outside ? [0, 0] : sub(project(scene.camera, scene.lights[index].position), place)};
+    drag = {held, offset: outside ? [0, 0] : sub(project(scene.camera, thing(held).position), place)};
   } else {
     drag = {last: place, about: pivot(), shifts: event.button === 2 || event.button === 1 || event.shiftKey};
     $("stage").classList.add("turning");
@@ -257,9 +268,9 @@ $("stage").addEventListener("pointerdown", (event) => {
 $("stage").addEventListener("pointermove", (event) => {
   if (!drag) return;
   const place = placeOf(event);
-  if (drag.light !== undefined) {
-    const depth = depthOf(scene.camera, scene.lights[drag.light].position);
-    moveLight(drag.light, unproject(scene.camera, add(place, drag.offset), depth));
+  if (drag.held) {
+    const depth = depthOf(scene.camera, thing(drag.held).position);
+    move(drag.held, unproject(scene.camera, add(place, drag.offset), depth));
     return;
   }
   const [right, down] = sub(place, drag.last);
@@ -284,10 +295,10 @@ $("stage").addEventListener("wheel", (event) => {
   event.preventDefault();
   const pixels = event.deltaY * (event.deltaMode === 1 ? 30 : 1);
   const marker = event.target.closest(".marker");
-  const index = drag?.light ?? (marker ? Number(marker.dataset.light) : null);
-  if (index !== null) {
-    choose(index);
-    moveLight(index, deepened(scene.camera, scene.lights[index].position, Math.exp(-WHEEL * pixels)));
+  const held = drag?.held ?? (marker ? heldBy(marker) : null);
+  if (held) {
+    choose(held);
+    move(held, deepened(scene.camera, thing(held).position, Math.exp(-WHEEL * pixels)));
   } else {
     const about = pivot();
     const factor = Math.exp(WHEEL * pixels);
@@ -296,15 +307,15 @@ $("stage").addEventListener("wheel", (event) => {
 }, {passive: false});
 
 $("markers").addEventListener("keydown", (event) => {
-  const index = Number(event.target.dataset.light), light = scene.lights[index];
+  const held = heldBy(event.target), position = thing(held).position;
   const steps = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1]}[event.key];
   const deeper = {PageUp: 1.05, PageDown: 1 / 1.05}[event.key];
   if (!steps && !deeper) return;
   event.preventDefault();
-  choose(index);
-  if (deeper) return moveLight(index, deepened(scene.camera, light.position, deeper));
-  const place = add(project(scene.camera, light.position), scaled(steps, KEY_STEP));
-  moveLight(index, unproject(scene.camera, place, depthOf(scene.camera, light.position)));
+  choose(held);
+  if (deeper) return move(held, deepened(scene.camera, position, deeper));
+  const place = add(project(scene.camera, position), scaled(steps, KEY_STEP));
+  move(held, unproject(scene.camera, place, depthOf(scene.camera, position)));
 });
 
 // Pictures.
@@ -396,7 +407,7 @@ async function open() {
   document.title = told.name + " \u00b7 Gleaner session";
   fillChoices();
   makeMarkers();
-  choose(Math.min(chosen, Math.max(0, scene.lights.length - 1)));
+  choose({part: "lights", index: Math.min(chosen, Math.max(0, scene.lights.length - 1))});
   fillMaterial();
 }
 
