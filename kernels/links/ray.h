@@ -14,7 +14,9 @@
 FN void grid_point(vu ray, uint side, vu key, vf* x_out, vf* y_out) {
   vu tile = ray >> 4, within = ray & 15u;
   uint tiles = side / 4u;
-  vu x = (tile % tiles) * 4u + (within & 3u), y = (tile / tiles) * 4u + (within >> 2);
+  // Small numbers' quotient, without the division of integers that CPUs have for no vector.
+  vu row = to_u((to_f(tile) + (vf)0.5f) * (vf)(1.0f / (float)tiles)), column = tile - row * tiles;
+  vu x = column * 4u + (within & 3u), y = row * 4u + (within >> 2);
   vf u = (to_f(x) + unit_float(hash_combine(key, (vu)1u)) * (float)side) / (float)side;
   vf v = (to_f(y) + unit_float(hash_combine(key, (vu)2u)) * (float)side) / (float)side;
   *x_out = u - floor(u);
