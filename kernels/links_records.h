@@ -167,8 +167,8 @@ typedef struct {
 } LinksGatherParameters;
 GLEANER_SIZE(LinksGatherParameters, 16);
 
-// Stage kind "links_flux" (inputs "mesh", "radiosity", "before"); solo. No records; facts: what all elements send, W
-// (luminance), and how much that has grown since "before".
+// Stage kind "links_flux" (inputs "mesh", "radiosity", "before", "earlier": rows after a bounce and after the two
+// before it); solo. No records; facts: what all elements send, and how that grows.
 typedef struct {
   gl_uint elements;
   gl_uint reserved[3];
@@ -176,40 +176,59 @@ typedef struct {
 GLEANER_SIZE(LinksFluxParameters, 16);
 
 #ifndef __OPENCL_VERSION__
+// Sums over elements, of each channel, W. The bounce before the last added d' to what an element sends, the last d:
 struct LinksFluxFacts {
-  double flux = 0, grown = 0;
+  double flux[3] = {};     // what all send
+  double grown[3] = {};    // d
+  double earlier[3] = {};  // d'
+  double strayed[3] = {};  // |d - r d'|, where r is the ratio of the two sums above
 };
 
-// Bounces until all that are left would add less than a share of the light. They shrink by a ratio that soon is steady:
-// what is left of them is a geometric series. Light is measured after bounces 1 and 2, and then after as many as that
-// series asks for, which are too few while the ratio still grows.
+// Bounces until what is left out of the light is less than a share of it. Bounces shrink by a ratio that soon is
+// steady, so that those to come are told by the last one, element by element: its tail is d r / (1 - r) in each
+// channel. With T for one bounce, the tail is off by (1 - T)^-1 T (d - r d') / (1 - r), and so by r / (1 - r)^2 times
+// what d strays from r d' at most, as far as T shrinks no light by less than r. That ratio still grows a little:
+// kTailMargin. Light is measured after bounce 2, and then after as many as that error asks for.
 struct LinksBounces {
-  std::uint32_t done = 0, next = 1;  // measured last; to be measured next
-  double left = 0;                   // the share that those to come would add
+  static constexpr double kTailMargin = 1.25;
+  // Of the tail's error at each bounce, by 0.35 to 0.55 (cornell-box, hall, sponza-dabrovic).
+  static constexpr double kShrinks = 0.4;
+
+  bool adds_tail = true;             // false: bounces are limited, and those to come must not be told
+  std::uint32_t done = 0, next = 2;  // measured last; to be measured next
+  double left = 0;                   // the share of the light that is left out, or that its tail is off by
+  float tail[3] = {};                // of what the last bounce added
+
+  static double ratio(const LinksFluxFacts& facts, unsigned c) {
+    return facts.earlier[c] > 0 ? std::clamp(facts.grown[c] / facts.earlier[c], 0.0, 0.99) : 0.0;
+  }
 
   // After bounce `next`: whether the light is all there but for `least_share`; else `next` is further on.
   bool is_enough(const LinksFluxFacts& facts, double least_share) {
-    const std::uint32_t since = next - done;
-    const bool first = done == 0;
+    constexpr double luminance[3] = {0.2126, 0.7152, 0.0722};
     done = next;
-    if (!(facts.flux > 0)) return true;
-    const double shrinks = first ? 0.5 : grown > 0 ? std::pow(facts.grown / grown, 1.0 / since) : 0.5;
-    const double ratio = shrinks >= 0 ? std::min(shrinks, 0.99) : 0;
-    grown = facts.grown;
-    left = facts.grown / facts.flux * ratio / (1 - ratio);
-    if (!first && left < least_share) return true;
+    double all = 0, out = 0, most = 0;
+    for (unsigned c = 0; c < 3; ++c) {
+      const double r = ratio(facts, c), to_come = r / (1 - r);
+      all += luminance[c] * facts.flux[c];
+      out += luminance[c] * (adds_tail ? kTailMargin * facts.strayed[c] / (1 - r) : facts.grown[c]) * to_come;
+      most = std::max(most, r);
+      if (adds_tail) tail[c] = static_cast<float>(to_come);
+    }
+    left = all > 0 ? out / all : 0;
+    if (left < least_share) return true;
+    // At most as many again: the ratio is not known that well.
+    const double shrinks = adds_tail ? kShrinks : most;
     ++next;
-    if (!first)  // at most as many again: the ratio is not known that well
-      for (double then = left * ratio; then >= least_share && next < 2 * done; then *= ratio) ++next;
+    for (double then = left * shrinks; then >= least_share && next < 2 * done; then *= shrinks) ++next;
     return false;
   }
-
-  double grown = 0;  // by the bounce measured last, W
 };
 #endif
 
 // Stage kind "links_exchange" (inputs "mesh", "links", "light", "albedo": whole); solo. All bounces at once, on one
-// worker: the rows that the last of as many "links_gather" stages has, to the bit. Facts: LinksExchangeFacts.
+// worker: the rows that "links_smooth" has of as many "links_gather" stages, with the tail, to the bit. Facts:
+// LinksExchangeFacts.
 typedef struct {
   gl_uint elements;
   gl_uint exact;         // as of links_make
@@ -217,7 +236,8 @@ typedef struct {
   gl_float least_share;  // bounces end where those to come would add less (LinksBounces); 0: at most_bounces alone
   gl_uint directions;    // as of links_gather
   gl_uint plain;         // likewise
-  gl_uint reserved[2];
+  gl_uint adds_tail;     // 1: bounces to come are added (LinksBounces)
+  gl_uint reserved;
 } LinksExchangeParameters;
 GLEANER_SIZE(LinksExchangeParameters, 32);
 
@@ -228,16 +248,18 @@ struct LinksExchangeFacts {
 };
 #endif
 
-// Stage kind "links_smooth" (inputs "mesh", "probe", "irradiance"); solo, an item an element: rows of RADIOSITY_WORDS.
+// Stage kind "links_smooth" (inputs "mesh", "probe", "irradiance", and "before" where there is a tail: rows of the
+// bounce before); solo, an item an element: rows of RADIOSITY_WORDS. Bounces to come are added first (LinksBounces).
 // Irradiance is smoothed over the one-ring within feature edges (eq. 5-6), by no more in any channel than the
 // RADIOSITY_NOISE of these elements (root mean square), and what hangs on an edge is put on it.
 // Rows of lobe elements, behind those of the mesh, stay as they are.
 typedef struct {
   gl_uint elements;
   gl_float least_cosine;  // between the normals of neighbours that are smoothed; above 1: none is
-  gl_uint reserved[2];
+  gl_float tail[3];       // of what the last bounce added, RGB; 0: none
+  gl_uint reserved[3];
 } LinksSmoothParameters;
-GLEANER_SIZE(LinksSmoothParameters, 16);
+GLEANER_SIZE(LinksSmoothParameters, 32);
 
 // Stage kind "links_shade" (inputs "mesh", "irradiance": rows of RADIOSITY_WORDS): VplPointParameters; an item is a
 // pixel, its record the mean radiance of its samples, RGB.

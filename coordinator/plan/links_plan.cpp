@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 #include <numbers>
 #include <span>
+#include <utility>
 
 #include "coordinator/plan/graph.h"
 #include "coordinator/plan/links_choice.h"
@@ -151,6 +152,8 @@ class LinksPlan final : public GraphPlan {
  private:
   std::uint64_t pixels() const { return std::uint64_t{settings_.width} * settings_.height; }
   bool indirect() const { return most_bounces_ > 0; }
+  // Whether bounces to come are told by the last ones: where nothing limits them.
+  bool adds_tail() const { return !links_.bounces && !settings_.depth; }
 
   double own_work() const;
 
@@ -168,7 +171,7 @@ class LinksPlan final : public GraphPlan {
   std::vector<Graph::Input> with_lobes(std::vector<Graph::Input> inputs) const;
   void gather(std::uint32_t bounce);
   void exchange();
-  void smooth(const Artifact& gathered);
+  void smooth(const Artifact& gathered, const Artifact& before);
   void audit(const Artifact& irradiance);
   void take_audit(const Artifact& audited, const Artifact& irradiance);
   double wanted_squared_error() const;  // by the samples so far
@@ -198,6 +201,7 @@ class LinksPlan final : public GraphPlan {
   float wave_ = 0;        // 1/m
   LinksMeshFacts mesh_facts_{};
   Artifact mesh_, probe_, lobes_, albedo_, made_, light_, sent_;
+  Artifact before_;  // what the last bounce read
   unsigned links_made_ = 0;
   std::optional<LinksError> found_;  // of the last links
   Artifact errors_known_;            // an event, where a target error is given: paths may go on
@@ -224,7 +228,8 @@ void LinksPlan::make_links() {
   ++links_made_;
   bounces_ = {};
   linked_ = false;
-  mesh_ = probe_ = lobes_ = albedo_ = made_ = light_ = sent_ = {};
+  bounces_.adds_tail = adds_tail();
+  mesh_ = probe_ = lobes_ = albedo_ = made_ = light_ = sent_ = before_ = {};
   if (!links_.refine || links_.vertices == 0) {
     pose(ask_mesh(divided_mesh(), Pose::rest, links_.vertices, {}));
     return;
@@ -387,33 +392,34 @@ void LinksPlan::exchange() {
                                   links_.bounces ? 0.0f : static_cast<float>(links_.least_share),
                                   told_directions(),
                                   plain_,
-                                  {}};
+                                  adds_tail() ? 1u : 0u,
+                                  0};
   const Artifact exchanged = graph_.add(
       std::move(all), p, with_lobes({{"mesh", mesh_}, {"links", made_}, {"light", light_}, {"albedo", albedo_}}));
   graph_.when({exchanged}, [this, exchanged] {
     const auto facts = exchanged.facts<LinksExchangeFacts>();
     bounces_.done = facts.bounces;
     bounces_.left = facts.left;
-    smooth(exchanged);
+    smooth(exchanged, {});
   });
 }
 
 void LinksPlan::gather(std::uint32_t bounce) {
-  const Artifact before = sent_;
+  const Artifact earlier = std::exchange(before_, sent_);
   sent_ = graph_.add(elements(numbered(of_these_links("gather"), bounce), "links_gather", kNoScene,
                               reusable(retained(RADIOSITY_WORDS * 4)), 1),
                      LinksGatherParameters{elements_, links_.exact ? 1u : 0u, told_directions(), plain_},
                      {{"links", made_, kOwnItems},
                       {"light", light_, kOwnItems},
                       {"albedo", albedo_, kOwnItems},
-                      {"radiosity", before}});
+                      {"radiosity", before_}});
   if (bounce < (links_.bounces ? most_bounces_ : std::min(bounces_.next, most_bounces_))) {
     gather(bounce + 1);
     return;
   }
   if (bounce == most_bounces_) {
     bounces_.done = bounce;
-    smooth(sent_);
+    smooth(sent_, {});
     return;
   }
   StageSpec flux{.name = numbered(of_these_links("flux"), bounce),
@@ -423,27 +429,34 @@ void LinksPlan::gather(std::uint32_t bounce) {
                  .scene_parts = kNoScene,
                  .priority = kFirst,
                  .output = reusable(retained_words(1))};
-  const Artifact measured = graph_.add(std::move(flux), LinksFluxParameters{elements_, {}},
-                                       with_lobes({{"mesh", mesh_}, {"radiosity", sent_}, {"before", before}}));
+  const Artifact measured =
+      graph_.add(std::move(flux), LinksFluxParameters{elements_, {}},
+                 with_lobes({{"mesh", mesh_}, {"radiosity", sent_}, {"before", before_}, {"earlier", earlier}}));
   graph_.when({measured}, [this, bounce, measured] {
     if (bounces_.is_enough(measured.facts<LinksFluxFacts>(), links_.least_share))
-      smooth(sent_);
+      smooth(sent_, before_);
     else
       gather(bounce + 1);
   });
 }
 
-// What pixels see is smoothed; what flows over the links is not.
-void LinksPlan::smooth(const Artifact& gathered) {
+// What pixels see is smoothed; what flows over the links is not. `before`: the bounce before the last one, where
+// bounces to come are still to be added.
+void LinksPlan::smooth(const Artifact& gathered, const Artifact& before) {
   const bool smooths = links_.smooth_angle > 0;
   LinksSmoothParameters smooth{};
   smooth.elements = elements_;
   smooth.least_cosine = smooths ? static_cast<float>(std::cos(links_.smooth_angle * std::numbers::pi / 180)) : 2.0f;
+  std::vector<Graph::Input> inputs = {{"mesh", mesh_}, {"probe", probe_}, {"irradiance", gathered}};
+  if (before && adds_tail()) {
+    std::ranges::copy(bounces_.tail, smooth.tail);
+    inputs.push_back({"before", before});
+  }
+  before_ = {};
   StageSpec smoothing =
       elements(of_these_links("smooth"), "links_smooth", kNoScene, reusable(retained(RADIOSITY_WORDS * 4)), 0);
   smoothing.solo = true;
-  const Artifact irradiance =
-      graph_.add(std::move(smoothing), smooth, {{"mesh", mesh_}, {"probe", probe_}, {"irradiance", gathered}});
+  const Artifact irradiance = graph_.add(std::move(smoothing), smooth, std::move(inputs));
   if (audits())
     audit(irradiance);
   else
@@ -598,7 +611,7 @@ std::vector<std::string> LinksPlan::outline() const {
     lines.push_back("links.light: " + std::to_string(links_.light_samples) + " light samples of each side, split");
     const std::string bounces = links_.bounces
                                     ? std::to_string(most_bounces_)
-                                    : "until the next would hardly be seen, at most " + std::to_string(most_bounces_);
+                                    : "until those to come are known, at most " + std::to_string(most_bounces_);
     lines.push_back(links_.solo_exchange ? "links.exchange: bounces, solo: " + bounces
                                          : "links.gather.1 and on: a bounce each, split: " + bounces);
     lines.push_back("links.smooth: " +
@@ -642,9 +655,9 @@ Method links_method() {
           {"links.light_samples", whole, 16, LINKS_MOST_SAMPLES, "*",
            "shadow rays of each side of a vertex, a multiple of 16"},
           {"links.bounces", whole, 0, 1024, "0",
-           "bounces of indirect light; 0: until what is left would add less than links.least_share"},
+           "bounces of indirect light, and none beyond; 0: until those to come are told to links.least_share"},
           {"links.least_share", real, 1e-6, 0.5, "0.001; of a session's first pictures 0.01",
-           "share of the light that bounces to come may add when no more follow"},
+           "share of the light that what is told of bounces to come may be off by; with --depth, that they may add"},
           {"links.solo_exchange", flag, 0, 1, "0; in a session 1",
            "1: one worker exchanges all bounces, to which the links travel once; 0: each bounce is shared out"},
           {"links.sample_lights", flag, 0, 1, "0; of a session's first pictures 1",

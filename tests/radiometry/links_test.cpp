@@ -701,9 +701,43 @@ TEST(Links, SoloExchangeIsThatOfStages) {
     EXPECT_GE(done, 3u);
     EXPECT_EQ(solo.parameters["links"]["bounces"], done);
     EXPECT_EQ(solo.parameters["links"]["left_after_bounces"], split.parameters["links"]["left_after_bounces"]);
-    EXPECT_EQ(solo.results.at("links.exchange").records,
-              split.results.at("links.gather." + std::to_string(done)).records);
+    EXPECT_EQ(solo.results.at("links.smooth").records, split.results.at("links.smooth").records);
     EXPECT_EQ(solo.results.at("links.shade").records, split.results.at("links.shade").records);
+  }
+}
+
+// Bounces to come are told by the last ones: what is shown is that of many bounces, by fewer of them, but where a limit
+// says how many there are.
+TEST(Links, FewBouncesTellThoseToCome) {
+  const auto bounced = [](std::map<std::string, std::string> set) {
+    set.merge(std::map<std::string, std::string>{{"links.vertices", "1000"}, {"links.directions", "64"}});
+    return render(frame_of(scene::make_scene("cornell-box", {}), "", 16, 1, std::move(set)));
+  };
+  const auto irradiance = [](const Rendered& rendered) {
+    const auto& records = rendered.results.at("links.smooth").records;
+    std::vector<float> rows(records.size() / 4);
+    std::memcpy(rows.data(), records.data(), records.size());
+    return rows;
+  };
+  const std::vector<float> all = irradiance(bounced({{"links.bounces", "40"}}));
+  const auto off = [&](const Rendered& rendered) {
+    const std::vector<float> rows = irradiance(rendered);
+    double sum = 0, total = 0;
+    for (std::size_t at = 0; at < rows.size(); at += RADIOSITY_WORDS)
+      for (unsigned c = 0; c < 3; ++c) {
+        sum += std::abs(rows[at + RADIOSITY_SENT + c] - all[at + RADIOSITY_SENT + c]);
+        total += all[at + RADIOSITY_SENT + c];
+      }
+    return sum / total;
+  };
+  for (const char* share : {"0.01", "0.001"}) {
+    const Rendered told = bounced({{"links.least_share", share}});
+    const auto bounces = told.parameters["links"]["bounces"].get<unsigned>();
+    const Rendered limited = bounced({{"links.bounces", std::to_string(bounces)}});
+    std::printf("  share %s: %u bounces, off by %.5f, told %.5f, without the tail %.5f\n", share, bounces, off(told),
+                told.parameters["links"]["left_after_bounces"].get<double>(), off(limited));
+    EXPECT_LT(off(told), 1.5 * std::atof(share));
+    EXPECT_GT(off(limited), 3 * off(told));
   }
 }
 

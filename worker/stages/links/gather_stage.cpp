@@ -265,19 +265,27 @@ BatchResult run_links_exchange_stage(const StageRun& run) {
                            std::to_string(areas.size()));
   BatchResult result;
   result.records.resize(run.count * kRowBytes);
-  std::vector<float> before = input_rows(run.task, "light", RADIOSITY_WORDS), after(before.size());
+  // Rows after the last bounce and after the two before it, where these are measured.
+  std::vector<float> after = input_rows(run.task, "light", RADIOSITY_WORDS), before, earlier;
   kernels::LinksBounces bounces;
+  bounces.adds_tail = p.adds_tail != 0;
   std::uint32_t bounce = 0;
   for (bool enough = false; !enough && bounce < p.most_bounces;) {
     ++bounce;
-    const bool measures = p.least_share > 0 && bounce == bounces.next && bounce < p.most_bounces;
-    if (measures && bounce > 1) std::memcpy(before.data(), result.records.data(), result.records.size());
     gather(run, queue, batch, result);
-    if (measures) {
+    if (p.least_share > 0 && bounce + 2 >= bounces.next && bounce < p.most_bounces) {
+      std::swap(earlier, before);
+      std::swap(before, after);
+      after.resize(before.size());
       std::memcpy(after.data(), result.records.data(), result.records.size());
-      enough = bounces.is_enough(flux_of(areas, after, before), double{p.least_share});
     }
+    if (p.least_share > 0 && bounce == bounces.next && bounce < p.most_bounces)
+      enough = bounces.is_enough(flux_of(areas, after, before, earlier), double{p.least_share});
     if (!enough && bounce < p.most_bounces) send(queue, result.records, p.plain, batch.sent);
+  }
+  if (p.least_share > 0 && bounces.adds_tail && bounce == bounces.done) {
+    add_tail(after, before, bounces.tail);
+    std::memcpy(result.records.data(), after.data(), result.records.size());
   }
   set_facts(result, kernels::LinksExchangeFacts{bounce, 0, bounces.left});
   result.counters.seconds = seconds_now() - start;

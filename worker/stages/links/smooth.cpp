@@ -8,6 +8,7 @@
 #include <cmath>
 
 #include "scene/model/error.h"
+#include "worker/stages/links/flux.h"
 #include "worker/stages/links/mesh.h"
 #include "worker/stages/links/stages.h"
 #include "worker/stages/vpl/rows.h"
@@ -131,6 +132,13 @@ BatchResult smooth_links(const StageTask& task) {
     throw Error::bad_input("stage links_smooth", "input irradiance",
                            std::to_string(mesh.layout.elements()) + " elements",
                            std::to_string(rows.size() / RADIOSITY_WORDS));
+  if (p.tail[0] != 0 || p.tail[1] != 0 || p.tail[2] != 0) {
+    const std::vector<float> before = input_rows(task, "before", RADIOSITY_WORDS);
+    if (before.size() != rows.size())
+      throw Error::bad_input("stage links_smooth", "input before", std::to_string(p.elements) + " elements",
+                             std::to_string(before.size() / RADIOSITY_WORDS));
+    add_tail(rows, before, p.tail);
+  }
   const std::vector<float> probe = input_rows(task, "probe", PROBE_WORDS);
   if (probe.size() != plain * PROBE_WORDS)
     throw Error::bad_input("stage links_smooth", "input probe", std::to_string(plain) + " rows",
