@@ -232,8 +232,7 @@ class PhotonPlan final : public GraphPlan {
   bool refining_ = false;
   PhotonClusterFacts clusters_;
   std::shared_ptr<Beside> beside_;  // the passes: the clusters' light
-  std::vector<float> light_;        // of the clusters so far, RGB of each pixel
-  std::uint32_t missing_ = 0;       // parts of it that are to come: on layers, on lobes
+  CacheLight light_;                // of the clusters: on layers, on lobes
   Artifact first_caustics_;         // an event, where a target error waits for the first pass
   OwnLight own_light_;
   bool clusters_asked_ = false, caustics_asked_ = false;
@@ -311,7 +310,7 @@ void PhotonPlan::begin() {
     });
     if (has_clusters()) {
       map_ = map;
-      missing_ = has_lobes() ? 2 : 1;
+      light_.expect(has_lobes() ? 2 : 1);
       ask_clusters();
       if (has_lobes()) begin_lobes();
     }
@@ -686,13 +685,11 @@ void PhotonPlan::begin_lobes() {
 // none. `noise`: of a record of one ray.
 void PhotonPlan::show_clusters(const std::vector<float>& picture, double noise) {
   if (settings_.target_error > 0) own_light_.add(picture, noise / std::sqrt(strata_.count()));
-  if (light_.size() < picture.size()) light_.resize(picture.size());
-  for (std::size_t i = 0; i < picture.size(); ++i) light_[i] += picture[i];
-  if (--missing_ > 0) return;
+  if (!light_.add(picture)) return;
   if (has_caustics())
-    beside_->light = std::move(light_);
+    beside_->light = light_.take();
   else
-    film_.add_pass(light_);
+    film_.add_pass(light_.take());
   graph_.announce(beside_->known);
   clusters_asked_ = true;
   own_stages_asked_ = caustics_asked_ || !has_caustics();

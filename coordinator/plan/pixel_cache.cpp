@@ -43,6 +43,12 @@ Strata strata_of(std::uint32_t rays) {
   return {std::max(1u, (rays + azimuthal / 2) / azimuthal), azimuthal};
 }
 
+bool CacheLight::add(const std::vector<float>& part) {
+  if (sum_.size() < part.size()) sum_.resize(part.size());
+  for (std::size_t i = 0; i < part.size(); ++i) sum_[i] += part[i];
+  return --missing_ == 0;
+}
+
 PixelCache::PixelCache(const FrameSettings& settings, std::uint32_t samples) : settings_(settings) {
   const std::uint64_t pixels = std::uint64_t{settings.width} * settings.height;
   const std::uint64_t most =

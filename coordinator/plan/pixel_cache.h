@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "coordinator/film/accumulator.h"
@@ -19,6 +20,20 @@ struct Strata {
   std::uint32_t count() const { return polar * azimuthal; }
 };
 Strata strata_of(std::uint32_t rays);
+
+// The light of several caches, RGB of each pixel, which is one pass of the picture.
+class CacheLight {
+ public:
+  // So many parts are to come.
+  void expect(unsigned parts) { missing_ = parts; }
+  // A part: of each pixel, or nothing where there is none. True: it is the last one.
+  bool add(const std::vector<float>& part);
+  std::vector<float> take() { return std::move(sum_); }
+
+ private:
+  std::vector<float> sum_;
+  unsigned missing_ = 0;
+};
 
 class PixelCache {
  public:

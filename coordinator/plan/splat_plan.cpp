@@ -176,8 +176,7 @@ class SplatPlan final : public GraphPlan {
   LobeCache lobes_;
   bool glossy_;
   PathSampler paths_;
-  std::vector<float> light_;            // the caches' so far; RGB of each pixel
-  std::uint32_t missing_ = 0;           // caches whose light is to come
+  CacheLight light_;
   std::vector<scene::Camera> cameras_;  // whose records the picture begins with
   std::vector<Records> before_;         // of each of these; or the first ones, by whose Hessians others are chosen
   Artifact points_;
@@ -200,7 +199,7 @@ void SplatPlan::begin() {
   paths_.begin({.classes = caches_lobes() ? PATH_CLASS_RADIANCE : PATH_CLASS_IRRADIANCE,
                 .limit = std::numeric_limits<float>::infinity(),
                 .known = errors_known_});
-  missing_ = caches_lobes() ? 2 : 1;
+  light_.expect(caches_lobes() ? 2 : 1);
   points_ = cache_.ask_points(graph_, "splat.points", kFirst, free_scatterings());
   before_.resize(cameras_.size());
   for (std::size_t camera = 0; camera < cameras_.size(); ++camera) extend(camera);
@@ -358,9 +357,7 @@ std::optional<SplatCounts> SplatPlan::better_counts() const {
 
 // Both caches' light is one pass.
 void SplatPlan::add_light(const std::vector<float>& picture) {
-  if (light_.size() < picture.size()) light_.resize(picture.size());
-  for (std::size_t i = 0; i < picture.size(); ++i) light_[i] += picture[i];
-  if (--missing_ == 0) film_.add_pass(std::move(light_));
+  if (light_.add(picture)) film_.add_pass(light_.take());
 }
 
 Artifact SplatPlan::choose_lobe_places(const Artifact& points) {
