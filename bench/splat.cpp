@@ -6,6 +6,8 @@
 //       order. Places stay, and what they gather is of so many seeds: noise is told from bias.
 //   build/bench/bench_splat rays [POINTS [BOUNCES [SCENE ...]]]   default: 10000 1 cornell-box. The error of the
 //       irradiance at random points of those that the camera sees, from 64 rays to 16,384.
+//   build/bench/bench_splat noise [POINTS [SEEDS [BOUNCES [SCENE ...]]]]   default: 1000 16 0 cornell-box. The noise of
+//       records at random points, and what records tell of it, from 64 rays to 1,024.
 //   build/bench/bench_splat orders   what orders of hemispherical harmonics leave out of rough lobes' light.
 
 #include <algorithm>
@@ -26,6 +28,7 @@
 #include "coordinator/plan/plan.h"
 #include "kernels/splat_records.h"
 #include "scene/bvh/build.h"
+#include "scene/import/import.h"
 #include "scene/library/library.h"
 #include "worker/stages/splat/harmonics.h"
 #include "worker/stages/splat/lobe_table.h"
@@ -36,10 +39,11 @@ namespace {
 using namespace gleaner;
 using Settings = std::map<std::string, std::string>;
 
-// A scene of the library on an executor of this process.
+// A scene of the library, or a file, on an executor of this process.
 struct Stage {
   explicit Stage(const std::string& name)
-      : scene(std::make_shared<const scene::Scene>(scene::make_scene(name, {}))),
+      : scene(std::make_shared<const scene::Scene>(name.find('.') == std::string::npos ? scene::make_scene(name, {})
+                                                                                       : scene::import_scene(name))),
         on({.device = -1, .threads = 2, .trace = worker::TraceKind::automatic}) {
     std::shared_ptr<const scene::Bvh> bvh;
     if (on.needs_bvh()) bvh = std::make_shared<const scene::Bvh>(scene::build_bvh(*scene));
@@ -217,19 +221,31 @@ RecordError record_square_off(const std::vector<worker::CacheRecord>& a, const s
   return error;
 }
 
+// Random points of those that the camera sees, and how light is gathered at them.
+struct RandomPlaces {
+  RandomPlaces(Stage& stage, std::uint32_t points, const std::string& bounces) {
+    const auto size = static_cast<std::uint32_t>(8 * std::ceil(std::sqrt(1.5 * points) / 8));
+    Frame frame =
+        run(stage, size, 1, {{"splat.accuracy", "0"}, {"splat.gather_rays", "16"}, {"splat.bounces", bounces}});
+    const scene::Bytes& bytes = frame.results.at("splat.select").records;
+    places.resize(bytes.size() / sizeof(worker::SplatPlace));
+    std::memcpy(places.data(), bytes.data(), bytes.size());
+    std::ranges::shuffle(places, std::mt19937(1));
+    places.resize(std::min<std::size_t>(places.size(), points));
+    chosen = std::make_shared<scene::Bytes>(places.size() * sizeof(worker::SplatPlace));
+    std::memcpy(chosen->data(), places.data(), chosen->size());
+    task = frame.tasks.at("splat.gather");
+  }
+
+  std::vector<worker::SplatPlace> places;
+  std::shared_ptr<scene::Bytes> chosen;
+  worker::StageTask task;
+};
+
 // The truth is gathered by 16,384 rays twice: what its halves differ by is taken off.
 void measure_rays(const std::string& name, std::uint32_t points, const std::string& bounces) {
   Stage stage(name);
-  const auto size = static_cast<std::uint32_t>(8 * std::ceil(std::sqrt(1.5 * points) / 8));
-  Frame frame = run(stage, size, 1, {{"splat.accuracy", "0"}, {"splat.gather_rays", "16"}, {"splat.bounces", bounces}});
-  const scene::Bytes& bytes = frame.results.at("splat.select").records;
-  std::vector<worker::SplatPlace> places(bytes.size() / sizeof(worker::SplatPlace));
-  std::memcpy(places.data(), bytes.data(), bytes.size());
-  std::ranges::shuffle(places, std::mt19937(1));
-  places.resize(std::min<std::size_t>(places.size(), points));
-  auto chosen = std::make_shared<scene::Bytes>(places.size() * sizeof(worker::SplatPlace));
-  std::memcpy(chosen->data(), places.data(), chosen->size());
-  const worker::StageTask& task = frame.tasks.at("splat.gather");
+  const auto [places, chosen, task] = RandomPlaces(stage, points, bounces);
   const auto truth = gather(stage, task, chosen, 16384, 1001), second = gather(stage, task, chosen, 16384, 1002);
   const RecordError halves = record_square_off(truth, second);
   double mean = 0;
@@ -254,6 +270,45 @@ void measure_rays(const std::string& name, std::uint32_t points, const std::stri
     std::fflush(stdout);
   }
   std::printf("\nthe error falls as the rays to the power %.2f\n", order_of(counts, errors));
+}
+
+double light_of(const worker::CacheRecord& record) {
+  return (double{record.irradiance[0]} + record.irradiance[1] + record.irradiance[2]) / 3;
+}
+
+// What seeds differ by, beside what records say of themselves: root mean squares over the mean irradiance, without the
+// worst hundredth of the points.
+void measure_noise(const std::string& name, std::uint32_t points, std::uint32_t seeds, const std::string& bounces) {
+  Stage stage(name);
+  const auto [places, chosen, task] = RandomPlaces(stage, points, bounces);
+  std::printf(
+      "\n%s, %zu random points, %u seeds, bounces %s\n\n| rays | strata | noise | told | told / true |\n"
+      "|---|---|---|---|---|\n",
+      name.c_str(), places.size(), seeds, bounces.c_str());
+  for (const std::uint32_t rays : {64u, 96u, 128u, 160u, 256u, 384u, 512u, 576u, 1024u}) {
+    std::vector<double> sums(places.size()), squares(places.size()), told(places.size());
+    for (std::uint32_t seed = 1; seed <= seeds; ++seed) {
+      const auto records = gather(stage, task, chosen, rays, seed);
+      for (std::size_t i = 0; i < records.size(); ++i) {
+        const double light = light_of(records[i]), noise = double{records[i].noise()} * light;
+        sums[i] += light, squares[i] += light * light, told[i] += noise * noise;
+      }
+    }
+    const double n = seeds, mean = mean_of(sums) / n;
+    std::vector<std::pair<double, double>> found;  // variance of a record, and the one it tells
+    for (std::size_t i = 0; i < sums.size(); ++i)
+      found.emplace_back((squares[i] - sums[i] * sums[i] / n) / (n - 1), told[i] / n);
+    std::ranges::sort(found);
+    found.resize(found.size() - found.size() / 100);
+    double variance = 0, said = 0;
+    for (const auto& [v, t] : found) variance += v, said += t;
+    const auto count = static_cast<double>(found.size());
+    const coordinator::Strata strata = coordinator::strata_of(rays);
+    std::printf("| %u | %u x %u | %.2f %% | %.2f %% | %.3f |\n", rays, strata.polar, strata.azimuthal,
+                100 * std::sqrt(variance / count) / mean, 100 * std::sqrt(said / count) / mean,
+                std::sqrt(said / variance));
+    std::fflush(stdout);
+  }
 }
 
 // A room of random walls, each with a darker or brighter box on it, seen from a place on its floor.
@@ -366,10 +421,13 @@ int main(int count, char** words) {
       measure_accuracy(name, number(2, "64"), word(3, "1024"), std::max(2u, number(4, "4")));
   } else if (what == "rays") {
     for (const std::string& name : scenes(4, {"cornell-box"})) measure_rays(name, number(2, "10000"), word(3, "1"));
+  } else if (what == "noise") {
+    for (const std::string& name : scenes(5, {"cornell-box"}))
+      measure_noise(name, number(2, "1000"), std::max(2u, number(3, "16")), word(4, "0"));
   } else if (what == "orders") {
     measure_orders();
   } else {
-    std::fprintf(stderr, "expected accuracy, rays or orders, found %s\n", what.c_str());
+    std::fprintf(stderr, "expected accuracy, rays, noise or orders, found %s\n", what.c_str());
     return 2;
   }
 }

@@ -5,6 +5,7 @@
 #define GLEANER_KERNELS_SPLAT_RECORD_RAYS_H
 
 #include "kernels/splat/level.h"
+#include "kernels/splat/strata.h"
 #include "kernels/splat_records.h"
 
 // Of a ray's slot.
@@ -42,14 +43,6 @@ FN v3 stratum_direction(vf u0, vf u1) {
 #endif
 }
 
-// Where rays of strata of a grid of powers of two pass through them, in parts of a stratum. Each coordinate is the
-// scrambled radical inverse of the other one's index, so that the rays are one (0, m, 2)-net: strata of every other
-// shape have one each, too (Chiu, Shirley & Wang 1994, "Multi-Jittered Sampling"). `key`: of the record.
-FN void net_in_strata(vu key, vu ring, vu sector, vf* u0, vf* u1) {
-  *u0 = unit_float(reverse_bits(permute_upward(ring, hash_combine(key, (vu)0x52494e47u))));
-  *u1 = unit_float(reverse_bits(permute_upward(sector, hash_combine(key, (vu)0x53454354u))));
-}
-
 // Ray i is that of stratum i % strata of the batch's record i / strata, ring by ring from the normal on, in rings of
 // `azimuthal`.
 kernel WIDE void splat_gather_rays(global const SplatGatherParameters* restrict parameters, SCENE_PARAMETERS,
@@ -64,19 +57,15 @@ kernel WIDE void splat_gather_rays(global const SplatGatherParameters* restrict 
   // A block of lanes never straddles two records.
   uint record = (first_path + first_lane) / strata;
   vu stratum = (vu)(first_path + first_lane - record * strata) + lane_index();
-  vu ring = stratum / azimuthal;
   vf place[16];
   load_words(places, (vu)((first_record + record) * SPLAT_POINT_WORDS), place);
   vu record_key = hash_combine(hash_combine((vu)parameters->samples.seed_low, (vu)parameters->samples.seed_high),
                                as_vu(place[SPLAT_KEY]));
   vu key = hash_combine(record_key, stratum / GLEANER_PATH_SEQUENCE);
   vu sample = stratum & (GLEANER_PATH_SEQUENCE - 1u);
-  vf u0 = unit_float(hash_combine(key, sample * 2u)), u1 = unit_float(hash_combine(key, sample * 2u + 1u));
-  // In other grids nets have gaps, and pictures gained nothing by them.
-  if (((polar & (polar - 1u)) | (azimuthal & (azimuthal - 1u))) == 0u)
-    net_in_strata(record_key, ring, stratum - ring * azimuthal, &u0, &u1);
-  v3 d =
-      stratum_direction((to_f(stratum - ring * azimuthal) + u0) / (float)azimuthal, (to_f(ring) + u1) / (float)polar);
+  vf u0, u1;
+  stratum_sample(record_key, stratum, polar, azimuthal, &u0, &u1);
+  v3 d = stratum_direction(u0, u1);
   v3 n = words3(place, SPLAT_NORMAL), s, t;
   basis3(n, &s, &t);
   NextRay ray;
