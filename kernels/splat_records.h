@@ -61,9 +61,10 @@ GLEANER_SIZE(SplatPointParameters, 112);
 #define SPLAT_SPACING \
   11u  // m, of a shading cluster: how far its members lie apart; else the mean distance without bounds
 // Places of the cache have more words: rows of SPLAT_PLACE_WORDS words.
-#define SPLAT_PLACE_WORDS 20u
-#define SPLAT_NARROW 16u  // as CACHE_NARROW
-#define SPLAT_SHAPED 18u  // uint: 1: Hessians tell how far it reaches; 0: mean distances do
+#define SPLAT_PLACE_WORDS 36u
+#define SPLAT_NARROW 16u     // as CACHE_NARROW
+#define SPLAT_SHAPED 18u     // uint: 1: Hessians tell how far it reaches; 0: mean distances do
+#define SPLAT_CLEARANCE 20u  // as CACHE_CLEARANCE
 
 // Stage kind "splat_gather" (input "places"). An item is a place; its record is a row of the cache.
 typedef struct {
@@ -80,7 +81,7 @@ GLEANER_SIZE(SplatGatherParameters, 160);
 
 // A record of the cache: rows of CACHE_WORDS words. Gradients are vectors, a colour after the other: W/m^2 per radian
 // of rotation about their axis, and per metre.
-#define CACHE_WORDS 36u
+#define CACHE_WORDS 52u
 #define CACHE_POSITION 0u
 #define CACHE_NORMAL 3u
 #define CACHE_RADIUS 6u        // m: R_k
@@ -97,6 +98,13 @@ GLEANER_SIZE(SplatGatherParameters, 160);
 // Of what was gathered with Hessians, until "splat_merge" puts CACHE_NARROW there: second derivatives of the irradiance
 // by s s, s t and t t, over it, 1/m^2. Of the mean of the colours.
 #define CACHE_HESSIAN 32u
+// One over how far the surface is clear about the record, 1/m, in SPLAT_DIRECTIONS directions; 0: nothing stands there.
+// Directions and distances are those of the diamond |x| + |y| = 1 about it, in the tangents of its normal: so one over
+// the distance to a straight wall is linear between neighbouring directions. A point beyond gets no light of the
+// record (kernels/splat/weight.h).
+#define CACHE_LEAST_CLEAR 35u  // the largest of them
+#define CACHE_CLEARANCE 36u
+#define SPLAT_DIRECTIONS 16u
 
 // Stage kind "splat_lobe_gather" (input "places"): incoming radiance. An item is a place; its record is a row of
 // RADIANCE_WORDS(order) words.

@@ -19,6 +19,21 @@ FN vf across_of(global const float* record, v3 d, v3 m) {
   return along_s * dot3(d, s) + along_t * dot3(d, t);
 }
 
+// Lanes whose points, by `d` from a record of normal `m`, lie behind something that stands on its surface (`reach`: how
+// far it reaches, m).
+FN vi behind_something(global const float* record, v3 d, v3 m, float reach) {
+  // |x| + |y| is at most sqrt(2) times the distance.
+  if (record[CACHE_LEAST_CLEAR] * reach * 1.4143f <= 1.0f) return no_lanes();
+  v3 s, t;
+  basis3(m, &s, &t);
+  vf away, direction = splat_direction(dot3(d, s), dot3(d, t), &away);
+  vu before = min(to_u(direction), (vu)(SPLAT_DIRECTIONS - 1u));
+  vf part = direction - to_f(before);
+  vf one_over = gather_f(record + CACHE_CLEARANCE, before) * (one_f() - part) +
+                gather_f(record + CACHE_CLEARANCE, (before + 1u) & (SPLAT_DIRECTIONS - 1u)) * part;
+  return away * one_over > (vf)(1.0f + SPLAT_SLACK);
+}
+
 // A record as the lanes' points see it.
 typedef struct {
   v3 from;    // it to the point, m
@@ -37,6 +52,9 @@ FN RecordRead read_record(global const float* record, v3 p, v3 n, vu level, vi t
   read.counts = there & (level == ((global const uint*)record)[CACHE_LEVEL]) &
                 (error <= (vf)(accuracy * (1.0f + SPLAT_SLACK))) &
                 none(splat_is_hidden(d.x, d.y, d.z, n.x, n.y, n.z, m.x, m.y, m.z, SPLAT_MOST_DEPTH));
+  if (any_lane(read.counts))
+    read.counts =
+        read.counts & none(behind_something(record, d, m, accuracy * record[CACHE_RADIUS] * (1.0f + SPLAT_SLACK)));
   vf least = (vf)(1.0f / accuracy);
   read.weight = pick(zero_f(), max_f(one_f() / error - least, SPLAT_SLACK * least), read.counts);
   read.from = d;

@@ -3,6 +3,8 @@
 #ifndef GLEANER_KERNELS_SPLAT_WEIGHT_H
 #define GLEANER_KERNELS_SPLAT_WEIGHT_H
 
+#include "kernels/splat_records.h"
+
 // A point that lies deeper than this part of its distance below a record's surface gets nothing from it: what the
 // record sees may be hidden from there (Ward, Rubinstein & Clear 1988). Surfaces that curve need the margin.
 #define SPLAT_MOST_DEPTH 0.05f
@@ -10,6 +12,9 @@
 #define SPLAT_LEAST_ERROR 1e-6f
 // Host and device round differently: a point is covered by a stricter measure than it is read by.
 #define SPLAT_SLACK 1e-3f
+// Rays that tell how far a surface is clear rise by so much of their length: they pass steps, and what a curved surface
+// does itself.
+#define SPLAT_CLEAR_SLOPE 0.25f
 
 // 1 / w of eq. 2. (x, y, z): from the record to the point; (nx, ny, nz): the point's normal, (mx, my, mz): the
 // record's. 1 - n.m is half of |n - m|^2, which does not cancel. `across`: how much farther the point counts as along
@@ -19,6 +24,14 @@ FN vf splat_error(vf x, vf y, vf z, vf nx, vf ny, vf nz, vf mx, vf my, vf mz, vf
   vf away = sqrt(x * x + y * y + z * z + across * across) / radius;
   vf dx = nx - mx, dy = ny - my, dz = nz - mz;
   return max_f(away + sqrt((dx * dx + dy * dy + dz * dz) * 0.5f), (vf)SPLAT_LEAST_ERROR);
+}
+
+// Of a place (x, y) in a record's tangent plane: which of SPLAT_DIRECTIONS directions about the diamond |x| + |y| = 1
+// it lies in, from 0 to SPLAT_DIRECTIONS, and how far away, by |x| + |y|.
+FN vf splat_direction(vf x, vf y, vf* away) {
+  *away = max_f(fabs(x) + fabs(y), (vf)1e-30f);
+  vf part = x / *away;
+  return (float)(SPLAT_DIRECTIONS / 4u) * pick((vf)3.0f + part, (vf)1.0f - part, y >= (vf)0.0f);
 }
 
 // Whether the point is below the record's surface, as both normals see it, by more than `depth` of its distance.

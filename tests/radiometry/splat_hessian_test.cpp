@@ -162,15 +162,18 @@ TEST(SplatHessian, NewPlacesAreShapedLikeGivenOnes) {
     points[i].footprint = 1.0f / 32;
     points[i].table = GLEANER_NONE;
   }
-  const auto far = [](std::span<const std::uint32_t> asked) { return std::vector<float>(asked.size(), 1.0f); };
+  const auto all_at = [](float mean) {
+    return [mean](std::span<const std::uint32_t> asked) {
+      return std::vector<worker::Surroundings>(asked.size(), {.mean = mean});
+    };
+  };
   const worker::Selection::Place given{.point = points[0], .mean = 1, .radius = 0.8f, .narrow = {3, 0}, .shaped = true};
-  const worker::Selection made = worker::select_places(s, points, std::span(&given, 1), far);
+  const worker::Selection made = worker::select_places(s, points, std::span(&given, 1), all_at(1));
   EXPECT_TRUE(made.whole);
   ASSERT_GT(made.places.size(), 2u);
   EXPECT_NEAR(made.places[1].radius, 0.8f, 1e-5f);
   EXPECT_NEAR(std::abs(made.places[1].narrow[0]), 3, 1e-4f);
-  const auto near = [](std::span<const std::uint32_t> asked) { return std::vector<float>(asked.size(), 0.05f); };
-  const worker::Selection shrunk = worker::select_places(s, points, std::span(&given, 1), near);
+  const worker::Selection shrunk = worker::select_places(s, points, std::span(&given, 1), all_at(0.05f));
   EXPECT_TRUE(shrunk.whole);
   EXPECT_LT(shrunk.places[0].radius, 0.7f);
   EXPECT_GT(shrunk.places.size(), made.places.size());

@@ -147,9 +147,9 @@ float harmonic_mean(const Room& room, const SplatPoint& point, std::uint32_t see
 
 worker::ProbePoints probe_of(const Room& room, const std::vector<SplatPoint>& points) {
   return [&](std::span<const std::uint32_t> asked) {
-    std::vector<float> means;
-    for (const std::uint32_t point : asked) means.push_back(harmonic_mean(room, points[point], point));
-    return means;
+    std::vector<worker::Surroundings> found;
+    for (const std::uint32_t point : asked) found.push_back({.mean = harmonic_mean(room, points[point], point)});
+    return found;
   };
 }
 
@@ -181,7 +181,7 @@ std::size_t serial_records(const SelectSettings& s, const std::vector<SplatPoint
   };
   const auto add = [&](std::uint32_t at) {
     const std::uint32_t asked[] = {at};
-    Selection::Place added{.point = points[at], .mean = probe(asked)[0]};
+    Selection::Place added{.point = points[at], .mean = probe(asked)[0].mean};
     if (clamps)
       for (Selection::Place& other : places) {
         const float distance = 1.5f * apart(other.point, added.point);

@@ -65,11 +65,19 @@ bool Coverage::covers(std::uint32_t point) {
 
 void Coverage::add(const Selection::Place& place) {
   const auto number = static_cast<std::uint32_t>(records_.size());
-  records_.push_back(record_of(place));
+  std::uint32_t standing = GLEANER_NONE;
+  const float least = std::ranges::max(place.clearance);
+  if (splat::stands_near(least, accuracy_ * place.radius)) {
+    standing = static_cast<std::uint32_t>(standing_.size());
+    standing_.push_back({place.clearance, TangentFrame(place.point.normal)});
+  }
+  records_.push_back(record_of(place, standing));
   each_tile(records_.back(), [&](std::uint32_t tile) { near_[tile].push_back(number); });
 }
 
-void Coverage::reshape(std::size_t record, const Selection::Place& place) { records_[record] = record_of(place); }
+void Coverage::reshape(std::size_t record, const Selection::Place& place) {
+  records_[record] = record_of(place, records_[record].standing);
+}
 
 float Coverage::widest_footprint(std::size_t number) const {
   const Record& record = records_[number];
@@ -81,13 +89,14 @@ float Coverage::widest_footprint(std::size_t number) const {
   return widest;
 }
 
-Coverage::Record Coverage::record_of(const Selection::Place& place) {
+Coverage::Record Coverage::record_of(const Selection::Place& place, std::uint32_t standing) const {
   return {.center = place.point.position,
           .normal = place.point.normal,
           .radius = place.radius,
           .level = place.point.level(),
           .narrow = splat::narrow_of(place.point.normal, place.narrow),
-          .round = place.narrow[0] == 0 && place.narrow[1] == 0};
+          .round = place.narrow[0] == 0 && place.narrow[1] == 0,
+          .standing = standing};
 }
 
 bool Coverage::covers(const Record& record, std::uint32_t number) const {
@@ -99,8 +108,12 @@ bool Coverage::covers(const Record& record, std::uint32_t number) const {
   if (!(x * x + y * y + z * z <= reach * reach) || point.level() != record.level) return false;
   const float across =
       record.round ? 0 : static_cast<float>(x * record.narrow[0] + y * record.narrow[1] + z * record.narrow[2]);
-  return splat::splat_error(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], record.radius, across) <= accuracy_ &&
-         !splat::splat_is_hidden(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], SPLAT_MOST_DEPTH * (1 - SPLAT_SLACK));
+  if (!(splat::splat_error(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], record.radius, across) <= accuracy_) ||
+      splat::splat_is_hidden(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], SPLAT_MOST_DEPTH * (1 - SPLAT_SLACK)))
+    return false;
+  if (record.standing == GLEANER_NONE) return true;
+  const Standing& standing = standing_[record.standing];
+  return !splat::behind_something(standing.clearance, standing.frame, {x, y, z}, 0);
 }
 
 template <typename Call>

@@ -12,6 +12,7 @@
 
 #include "worker/stages/splat/points.h"
 #include "worker/stages/splat/select.h"
+#include "worker/stages/splat/tangent_frame.h"
 
 namespace gleaner::worker {
 
@@ -38,13 +39,19 @@ class Coverage {
     std::uint32_t level;
     std::array<double, 3> narrow;  // CACHE_NARROW in the world
     bool round;                    // equally far along both tangents
+    std::uint32_t standing;        // of standing_, where something stands near it; else GLEANER_NONE
+  };
+  // What stands about a record.
+  struct Standing {
+    Clearance clearance;
+    TangentFrame frame;
   };
   struct Group {
     PointBox box{};
     std::vector<std::uint32_t> tiles{};
   };
 
-  static Record record_of(const Selection::Place& place);
+  Record record_of(const Selection::Place& place, std::uint32_t standing) const;
   bool covers(const Record& record, std::uint32_t point) const;
   // Calls call(tile) for each tile of which the record may cover a point.
   template <typename Call>
@@ -57,6 +64,7 @@ class Coverage {
   std::vector<PointBox> boxes_;  // about each tile's points
   std::vector<Group> groups_;    // of tiles that are passed over together
   std::vector<Record> records_;
+  std::vector<Standing> standing_;
   std::vector<std::vector<std::uint32_t>> near_;  // records that may cover a point of the tile
   std::vector<std::uint32_t> witnesses_;          // a record that covered the point
 };

@@ -27,11 +27,15 @@ struct SplatPoint {
 };
 static_assert(sizeof(SplatPoint) == SPLAT_POINT_WORDS * 4);
 
+// CACHE_CLEARANCE.
+using Clearance = std::array<float, SPLAT_DIRECTIONS>;
+
 // A row of "splat_select". Of its point, `factor` has the radius, the accuracy and the mean distance.
 struct SplatPlace {
   SplatPoint point;
   std::array<float, 2> narrow;
   std::uint32_t shaped, reserved;
+  Clearance clearance;
 };
 static_assert(sizeof(SplatPlace) == SPLAT_PLACE_WORDS * 4);
 
@@ -44,7 +48,8 @@ struct CacheRecord {
   std::uint32_t level;
   std::array<float, 2> spare;
   std::array<float, 3> hessian;  // CACHE_HESSIAN, or CACHE_NARROW and nothing
-  float reserved;
+  float least_clear;             // CACHE_LEAST_CLEAR
+  Clearance clearance;
   float noise() const { return spare[0]; }                                  // CACHE_NOISE
   std::array<float, 2> narrow() const { return {hessian[0], hessian[1]}; }  // of a merged record
 };

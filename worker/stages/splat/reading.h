@@ -2,9 +2,11 @@
 // What single records of a cache say of a place, on the host (Gautron et al. 2005, eq. 2 and 8). They count as in
 // kernels/splat/shade.cl, which changes their light by the mean of all their gradients.
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 
 #include "worker/stages/splat/points.h"
 #include "worker/stages/splat/scalar.h"
@@ -27,6 +29,23 @@ inline float across_of(const std::array<float, 3>& normal, const std::array<floa
   return static_cast<float>(d[0] * axis[0] + d[1] * axis[1] + d[2] * axis[2]);
 }
 
+// Whether a place by `d` from a record, in its frame, lies behind something that stands on its surface.
+inline bool behind_something(const Clearance& clearance, const TangentFrame& frame, const std::array<float, 3>& d,
+                             float slack) {
+  const auto along = [&](const TangentFrame::Vec& axis) {
+    return static_cast<float>(d[0] * axis[0] + d[1] * axis[1] + d[2] * axis[2]);
+  };
+  float away = 0;
+  const float direction = splat_direction(along(frame.s), along(frame.t), &away);
+  const auto before = std::min(static_cast<std::uint32_t>(direction), SPLAT_DIRECTIONS - 1);
+  const float part = direction - static_cast<float>(before);
+  const float one_over = clearance[before] * (1 - part) + clearance[(before + 1) & (SPLAT_DIRECTIONS - 1)] * part;
+  return away * one_over > 1 + slack;
+}
+
+// Whether anything stands within `reach` of a record, m. `least`: CACHE_LEAST_CLEAR.
+inline bool stands_near(float least, float reach) { return least * reach * 1.4143f > 1; }
+
 // w - 1 / a at a place of normal n; 0: the record does not reach there. `stretch`: how many times as far as a picture
 // lets it.
 inline double record_weight(const CacheRecord& record, const std::array<float, 3>& p, const std::array<float, 3>& n,
@@ -38,6 +57,9 @@ inline double record_weight(const CacheRecord& record, const std::array<float, 3
   const float error =
       splat_error(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], record.radius, across_of(m, record.narrow(), {x, y, z}));
   if (error > most || splat_is_hidden(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], SPLAT_MOST_DEPTH)) return 0;
+  if (stands_near(record.least_clear, reach) &&
+      behind_something(record.clearance, TangentFrame(m), {x, y, z}, SPLAT_SLACK))
+    return 0;
   const float least = 1 / accuracy;
   return std::max(1 / error - least, SPLAT_SLACK * least);
 }

@@ -16,14 +16,25 @@ using kernels::SplatGatherParameters;
 constexpr std::uint32_t kMostPaths = 1u << 19;
 constexpr std::size_t kSlotBytes = FILTERED_SLOT_WORDS * 4;
 
-std::vector<SplatPoint> read_places(const StageRun& run, const SplatGatherParameters& p, std::size_t row_bytes) {
+struct Places {
+  std::vector<SplatPoint> points;
+  std::vector<Clearance> clearances;  // of rows that have them
+};
+
+Places read_places(const StageRun& run, const SplatGatherParameters& p, std::size_t row_bytes) {
   const InputRows input(run.task, "places", row_bytes);
   input.expect_rows(std::uint64_t{p.first_place} + p.records);
-  std::vector<SplatPoint> rows(run.count);
+  Places places{.points = std::vector<SplatPoint>(run.count), .clearances = {}};
+  if (row_bytes == sizeof(SplatPlace)) places.clearances.resize(run.count);
+  std::vector<SplatPoint>& rows = places.points;
   const std::uint64_t first_row = p.first_place + run.first;
   input.visit(first_row, run.count, [&](std::uint64_t first, std::span<const std::byte> piece) {
-    for (std::size_t at = 0; at < piece.size(); at += row_bytes)
-      std::memcpy(&rows[first - first_row + at / row_bytes], piece.data() + at, sizeof(SplatPoint));
+    for (std::size_t at = 0; at < piece.size(); at += row_bytes) {
+      const std::size_t i = first - first_row + at / row_bytes;
+      std::memcpy(&rows[i], piece.data() + at, sizeof(SplatPoint));
+      if (!places.clearances.empty())
+        std::memcpy(&places.clearances[i], piece.data() + at + SPLAT_CLEARANCE * 4, sizeof(Clearance));
+    }
   });
   for (std::size_t i = 0; i < rows.size(); ++i) {
     const SplatPoint& place = rows[i];
@@ -41,7 +52,11 @@ std::vector<SplatPoint> read_places(const StageRun& run, const SplatGatherParame
         table != GLEANER_NONE && !run.scene.has_albedo_row(table, place.row))
       input.fail(row, "table", "an albedo table of the scene", std::to_string(table));
   }
-  return rows;
+  for (std::size_t i = 0; i < places.clearances.size(); ++i)
+    for (const float one_over : places.clearances[i])
+      if (!(one_over >= 0) || !std::isfinite(one_over))
+        input.fail(first_row + i, "clearance", "1/m, not negative", std::to_string(one_over));
+  return places;
 }
 
 // A record of its rays' slots. Light that is not finite is left out and counted.
@@ -63,19 +78,27 @@ void make_record(const SplatPoint& place, const HemisphereGrid& grid, const floa
   maker.make(place, grid, samples, record);
 }
 
-// Makes the records of a part's places, by all host threads.
-void make_records(const StageRun& run, const SamplePart& part, std::span<const SplatPoint> places,
-                  const HemisphereGrid& grid, const RecordMaker& maker, std::byte* records, BatchResult& result,
-                  cl::CommandQueue& queue) {
+void set_clearance(std::byte* record, const Clearance& clearance) {
+  const float least = std::ranges::max(clearance);
+  std::memcpy(record + CACHE_LEAST_CLEAR * 4, &least, sizeof least);
+  std::memcpy(record + CACHE_CLEARANCE * 4, &clearance, sizeof clearance);
+}
+
+// Makes the records of the places of a part, which begins with place `done` of the batch, by all host threads.
+void make_records(const StageRun& run, const SamplePart& part, const Places& places, std::uint64_t done,
+                  const HemisphereGrid& grid, const RecordMaker& maker, BatchResult& result, cl::CommandQueue& queue) {
   std::vector<float> slots(std::size_t{part.paths} * FILTERED_SLOT_WORDS);
   queue.enqueueReadBuffer(part.slots, CL_TRUE, 0, part.paths * kSlotBytes, slots.data());
   const unsigned threads = host_threads(run.device);
   std::vector<ThreadCounters> counters(threads);
   run_threads(threads, [&](unsigned thread) {
     const double start = seconds_now();
-    for (std::size_t i = thread; i < places.size(); i += threads)
-      make_record(places[i], grid, &slots[i * grid.strata() * FILTERED_SLOT_WORDS], maker, counters[thread],
-                  part.first_item + i, records + i * maker.bytes);
+    for (std::size_t i = thread; i < part.item_count; i += threads) {
+      std::byte* record = result.records.data() + (done + i) * maker.bytes;
+      make_record(places.points[done + i], grid, &slots[i * grid.strata() * FILTERED_SLOT_WORDS], maker,
+                  counters[thread], part.first_item + i, record);
+      if (!places.clearances.empty()) set_clearance(record, places.clearances[done + i]);
+    }
     counters[thread].all = seconds_now() - start;
   });
   for (const ThreadCounters& one : counters) one.add_to(result.counters, threads);
@@ -97,7 +120,8 @@ BatchResult gather_records(const StageRun& run, const SplatGatherParameters& p, 
   const double start = seconds_now();
   const HemisphereGrid grid{p.polar, p.azimuthal};
   cl::CommandQueue queue = run.device.make_queue();
-  const std::vector<SplatPoint> rows = read_places(run, p, maker.place_bytes);
+  const Places read = read_places(run, p, maker.place_bytes);
+  const std::vector<SplatPoint>& rows = read.points;
   PlaceTable places{.buffer = run.workspace.take("splat.places", (rows.size() + 1) * sizeof(SplatPoint))};
   queue.enqueueWriteBuffer(places.buffer, CL_TRUE, 0, rows.size() * sizeof(SplatPoint), rows.data());
   BatchResult result;
@@ -115,8 +139,7 @@ BatchResult gather_records(const StageRun& run, const SplatGatherParameters& p, 
     part.slots = run.workspace.take("path.slots", (std::size_t{part.slot_count()} + 1) * kSlotBytes);
     WorkQueue work(part.paths, host_threads(run.device), 1024);
     run_host_threads(work, result, [&](unsigned index) { return make_thread(places, part, work, index); });
-    make_records(run, part, std::span(rows).subspan(done, part.item_count), grid, maker,
-                 result.records.data() + done * maker.bytes, result, queue);
+    make_records(run, part, read, done, grid, maker, result, queue);
   }
   result.counters.seconds = seconds_now() - start;
   return result;

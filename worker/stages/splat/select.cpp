@@ -53,9 +53,9 @@ class Selector {
         found = true;
         ++made_.rounds;
         made_.probes += asked.size();
-        const std::vector<float> radii = probe(asked);
+        const std::vector<Surroundings> about = probe(asked);
         for (std::size_t i = 0; i < asked.size(); ++i)
-          if (!coverage_.covers(asked[i])) add(points_[asked[i]], radii[i]);
+          if (!coverage_.covers(asked[i])) add(points_[asked[i]], about[i]);
         if (settings_.most_new && made_.places.size() - given.size() > settings_.most_new) return std::move(made_);
       }
     }
@@ -99,12 +99,13 @@ class Selector {
     means_.add(number, place.point.position, place.mean);
   }
 
-  void add(const SplatPoint& point, float mean) {
+  void add(const SplatPoint& point, const Surroundings& about) {
     const Vec& p = point.position;
+    float mean = about.mean;
     if (!(mean > 0)) mean = settings_.most_radius * point.footprint;
     mean = means_.clamped(p, mean);
     means_.clamp_others(p, mean, [&](std::uint32_t number, float most) { clamp(number, most); });
-    Selection::Place place{.point = point, .mean = mean, .radius = bounded(point, mean)};
+    Selection::Place place{.point = point, .mean = mean, .radius = bounded(point, mean), .clearance = about.clearance};
     if (shaped_) shape(place);
     means_.add(static_cast<std::uint32_t>(made_.places.size()), p, mean);
     made_.places.push_back(place);

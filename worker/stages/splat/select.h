@@ -32,14 +32,19 @@ struct Selection {
     float radius = 0;               // R_k, m
     std::array<float, 2> narrow{};  // CACHE_NARROW
     bool shaped = false;            // Hessians tell the radius: neighbours' mean distances do not change it
+    Clearance clearance{};
   };
   std::vector<Place> places;  // those that were given, in their order, and the new ones
   std::uint64_t points = 0, rounds = 0, probes = 0;
   bool whole = false;  // every point is covered
 };
 
-// The harmonic mean distance to the surfaces about each of these points, m; 0: none is in sight.
-using ProbePoints = std::function<std::vector<float>(std::span<const std::uint32_t> points)>;
+struct Surroundings {
+  float mean = 0;  // harmonic mean distance to the surfaces about a point, m; 0: none is in sight
+  Clearance clearance{};
+};
+// Those of each of these points.
+using ProbePoints = std::function<std::vector<Surroundings>(std::span<const std::uint32_t> points)>;
 
 // `points`: of whole tiles, as kernels/splat_records.h has them. Radii of `given` places may shrink: where this picture
 // shows them from nearer by, or a new record finds a surface that their rays missed. Where they are shaped, new places

@@ -48,13 +48,20 @@ class ProbeRays : public HostThread {
         rows_(take("splat.places", std::size_t{capacity_} * sizeof(SplatPoint))),
         hits_(take("paths", PathWave::bytes(capacity_ * rays, RAY_HIT_ROWS))),
         sums_(take("splat.radii", std::size_t{capacity_} * 4)),
+        clearances_(take("splat.clearances", std::size_t{capacity_} * sizeof(Clearance))),
         make_(run.device, program, "splat_probe_rays"),
-        sum_(run.device, program, "splat_probe_sum") {
+        sum_(run.device, program, "splat_probe_sum"),
+        clear_rays_(run.device, program, "splat_clear_rays"),
+        clear_(run.device, program, "splat_clearances") {
     make_.set("places", rows_).set("rays", rays).set("hits", hits_);
     sum_.set("hits", hits_).set("rays", rays).set("radii", sums_);
+    clear_rays_.set("places", rows_).set("hits", hits_);
+    clear_.set("places", rows_).set("hits", hits_).set("clearances", clearances_);
   }
 
-  void measure(std::span<const SplatPoint> places, std::span<float> radii) {
+  void measure(std::span<const SplatPoint> places, std::span<Surroundings> found) {
+    std::vector<float> radii(capacity_);
+    std::vector<Clearance> clearances(capacity_);
     for (std::size_t done = 0; done < places.size(); done += capacity_) {
       const auto count = static_cast<std::uint32_t>(std::min<std::size_t>(capacity_, places.size() - done));
       queue_.enqueueWriteBuffer(rows_, CL_TRUE, 0, count * sizeof(SplatPoint), &places[done]);
@@ -64,14 +71,23 @@ class ProbeRays : public HostThread {
       counters.scatter += count * rays_each_;
       sum_.set("count", count);
       launch(sum_, count, capacity_, 1);
-      queue_.enqueueReadBuffer(sums_, CL_TRUE, 0, count * 4, &radii[done]);
+      queue_.enqueueReadBuffer(sums_, CL_TRUE, 0, count * 4, radii.data());
+      constexpr std::uint32_t directions = SPLAT_DIRECTIONS;
+      clear_rays_.set("count", count * directions);
+      launch(clear_rays_, count * directions, std::size_t{capacity_} * rays_each_);
+      rays_.closest(hits_, single_rays(RAY_HIT_ROWS, count * directions));
+      counters.scatter += count * directions;
+      clear_.set("count", count * directions);
+      launch(clear_, count * directions, std::size_t{capacity_} * rays_each_);
+      queue_.enqueueReadBuffer(clearances_, CL_TRUE, 0, count * sizeof(Clearance), clearances.data());
+      for (std::uint32_t i = 0; i < count; ++i) found[done + i] = {radii[i], clearances[i]};
     }
   }
 
  private:
   std::uint32_t rays_each_, capacity_;
-  cl::Buffer rows_, hits_, sums_;
-  Kernel make_, sum_;
+  cl::Buffer rows_, hits_, sums_, clearances_;
+  Kernel make_, sum_, clear_rays_, clear_;
 };
 
 class Probe {
@@ -82,25 +98,25 @@ class Probe {
   Probe& operator=(const Probe&) = delete;
   ~Probe() { rays_.counters.add_to(result_.counters, 1); }
 
-  // The mean distances about these points. Each is measured once, however often a selection begins anew.
-  std::vector<float> operator()(std::span<const std::uint32_t> asked) {
+  // What is about these points. Each is measured once, however often a selection begins anew.
+  std::vector<Surroundings> operator()(std::span<const std::uint32_t> asked) {
     const double start = seconds_now();
     std::vector<SplatPoint> places;
     for (const std::uint32_t point : asked)
-      if (known_.try_emplace(point, static_cast<std::uint32_t>(radii_.size() + places.size())).second)
+      if (known_.try_emplace(point, static_cast<std::uint32_t>(found_.size() + places.size())).second)
         places.push_back(points_[point]);
-    const std::size_t before = radii_.size();
-    radii_.resize(before + places.size());
+    const std::size_t before = found_.size();
+    found_.resize(before + places.size());
     try {
-      rays_.measure(places, std::span(radii_).subspan(before));
+      rays_.measure(places, std::span(found_).subspan(before));
     } catch (...) {
       work_.stop();
       throw;
     }
-    std::vector<float> means;
-    for (const std::uint32_t point : asked) means.push_back(radii_[known_.at(point)]);
+    std::vector<Surroundings> about;
+    for (const std::uint32_t point : asked) about.push_back(found_[known_.at(point)]);
     rays_.counters.all += seconds_now() - start;
-    return means;
+    return about;
   }
 
  private:
@@ -108,8 +124,8 @@ class Probe {
   BatchResult& result_;
   WorkQueue work_{0, 1};
   ProbeRays rays_;
-  std::unordered_map<std::uint32_t, std::uint32_t> known_;  // point -> its place among the radii
-  std::vector<float> radii_;
+  std::unordered_map<std::uint32_t, std::uint32_t> known_;  // point -> its place in what was found
+  std::vector<Surroundings> found_;
 };
 
 // The places of records that exist already, as this stage wrote them. `accuracy`: what they were chosen with; 0: there
@@ -124,13 +140,15 @@ std::vector<Selection::Place> given_places(const StageRun& run, float* accuracy)
     for (std::size_t at = 0; at < piece.size(); at += sizeof(SplatPlace)) {
       SplatPlace row;
       std::memcpy(&row, piece.data() + at, sizeof row);
-      const Selection::Place place{row.point, row.point.factor[2], row.point.factor[0], row.narrow, row.shaped != 0};
+      const Selection::Place place{row.point,  row.point.factor[2], row.point.factor[0],
+                                   row.narrow, row.shaped != 0,     row.clearance};
       *accuracy = std::max(*accuracy, place.point.factor[1]);
       bool sound = place.point.exists() && place.radius > 0 && place.mean > 0 && std::isfinite(place.narrow[0]) &&
                    std::isfinite(place.narrow[1]);
       for (std::size_t k = 0; k < 3; ++k)
         sound = sound && std::isfinite(place.point.position[k]) && std::isfinite(place.point.normal[k]) &&
                 std::isfinite(place.point.factor[k]);
+      for (const float one_over : place.clearance) sound = sound && one_over >= 0 && std::isfinite(one_over);
       if (!sound) input.fail(first + at / sizeof(SplatPlace), "radius", "a place with its distances", "another");
       places.push_back(place);
     }
@@ -206,7 +224,11 @@ void choose_places(const StageRun& run, const SplatSelectParameters& p, const st
   result.records.resize(selection.places.size() * sizeof(SplatPlace));
   std::byte* to = result.records.data();
   for (const Selection::Place& place : selection.places) {
-    SplatPlace row{.point = place.point, .narrow = place.narrow, .shaped = place.shaped, .reserved = 0};
+    SplatPlace row{.point = place.point,
+                   .narrow = place.narrow,
+                   .shaped = place.shaped,
+                   .reserved = 0,
+                   .clearance = place.clearance};
     row.point.factor = {place.radius, static_cast<float>(facts.accuracy), place.mean};
     std::memcpy(to, &row, sizeof row);
     to += sizeof row;
