@@ -15,9 +15,15 @@ FN float4 sent_by(global const float4* sent, uint end, uint last, uint* beyond) 
   return sent[min(end, last)];
 }
 
+// With what each sum rounds away (Kahan 1965): hundreds of links would round to more than one part in a million.
 FN float4 gather_exact(global const float4* sent, global const uint* ends, uint links, uint last, uint* beyond) {
-  float4 sum = (float4)(0.0f);
-  for (uint k = 0; k < links; ++k) sum += as_float(ends[links + k]) * sent_by(sent, ends[k], last, beyond);
+  float4 sum = (float4)(0.0f), lost = (float4)(0.0f);
+  for (uint k = 0; k < links; ++k) {
+    float4 term = as_float(ends[links + k]) * sent_by(sent, ends[k], last, beyond) - lost;
+    float4 next = sum + term;
+    lost = (next - sum) - term;
+    sum = next;
+  }
   return sum;
 }
 

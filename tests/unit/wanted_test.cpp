@@ -83,7 +83,7 @@ TEST(Wanted, SelectionEndsAfterItsRound) {
   int rounds = 0;
   const auto probe = [&](std::span<const std::uint32_t> asked) {
     given_up = ++rounds == 2;
-    return std::vector<float>(asked.size(), 1.0f);
+    return std::vector<Surroundings>(asked.size(), {.mean = 1});
   };
   EXPECT_THAT(error_of([&] { select_places(settings, points, {}, probe); }), HasSubstr(nobody_wants_it));
   EXPECT_EQ(rounds, 2);
