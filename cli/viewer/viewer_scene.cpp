@@ -92,6 +92,12 @@ void aim(scene::Camera& camera, const json& words) {
   std::ranges::copy(above, camera.up);
 }
 
+std::array<double, 3> middle_of(const scene::Bounds& box) {
+  std::array<double, 3> middle;
+  for (std::size_t k = 0; k < 3; ++k) middle[k] = 0.5 * (double{box.lower[k]} + double{box.upper[k]});
+  return middle;
+}
+
 scene::LightChange light_change(const json& words, pb::LightChange& out) {
   scene::LightChange change;
   change.light = index(words, "light");
@@ -128,19 +134,15 @@ ViewerScene::ViewerScene(const scene::Scene& scene, std::string name, const coor
       width_(settings.width),
       height_(settings.height) {
   const scene::Bounds bounds = scene::bounds_of(scene);
+  centre_ = middle_of(bounds);
   double squared = 0;
-  for (std::size_t k = 0; k < 3; ++k) {
-    centre_[k] = 0.5 * (double{bounds.lower[k]} + double{bounds.upper[k]});
-    squared += std::pow(0.5 * (double{bounds.upper[k]} - double{bounds.lower[k]}), 2);
-  }
+  for (std::size_t k = 0; k < 3; ++k) squared += std::pow(0.5 * (double{bounds.upper[k]} - double{bounds.lower[k]}), 2);
   radius_ = std::sqrt(squared);
   for (const auto& [object, matrix] : objects) {
     const auto mesh = std::ranges::find(scene.meshes, object, &scene::Mesh::name);
-    const scene::Bounds box = scene::bounds_of(scene, *mesh);
-    Triple middle;
-    for (std::size_t k = 0; k < 3; ++k)
-      middle[k] = static_cast<float>(0.5 * (double{box.lower[k]} + double{box.upper[k]}));
-    objects_.push_back({object, matrix, middle});
+    Object& added = objects_.emplace_back(object, matrix);
+    std::ranges::transform(middle_of(scene::bounds_of(scene, *mesh)), added.rest.begin(),
+                           [](double x) { return static_cast<float>(x); });
   }
 }
 

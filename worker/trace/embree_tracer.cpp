@@ -175,7 +175,7 @@ class EmbreeTracer final : public Tracer {
       for (int k = 0; k < 16; ++k) valid.lanes[k] = asked->tfar[k] > 0 ? asking.lanes[k] : 0;
       // Each ray for itself: asked as a packet, Embree 3.13.5 may loop for ever once a ray of another octant than the
       // one it is at has ended in an instance.
-      Query single(false, levels_.native_packets());
+      Query single = new_query(false);
       one_by_one(may_meet(levels_.top_bounds(), valid, asked),
                  [&](const Valid& one) { single.any(levels_.top(), one.lanes, asked); });
     });
@@ -222,10 +222,12 @@ class EmbreeTracer final : public Tracer {
         visit(query, asking(block, count - i), block);
       }
     };
-    run(Query(false, levels_.native_packets()), 0, range.incoherent);
-    run(Query(true, levels_.native_packets()), range.coherent_base, range.coherent_count);
+    run(new_query(false), 0, range.incoherent);
+    run(new_query(true), range.coherent_base, range.coherent_count);
     _mm_setcsr(control);
   }
+
+  Query new_query(bool coherent) const { return {coherent, levels_.native_packets()}; }
 
   // Hits with the scene's numbers for triangle and instance.
   void find_closest(Query& query, const Valid& valid, RTCRayHit16* rays) {
@@ -283,7 +285,7 @@ class EmbreeTracer final : public Tracer {
     while (self) {
       const int lane = __builtin_ctz(self);
       self &= self - 1;
-      Query query(false, levels_.native_packets());
+      Query query = new_query(false);
       for (int tries = 0; tries < 4 && is_self_hit(rays, lane); ++tries) {
         rays->ray.tnear[lane] = std::nextafter(rays->ray.tfar[lane], std::numeric_limits<float>::infinity());
         rays->ray.tfar[lane] = std::numeric_limits<float>::infinity();

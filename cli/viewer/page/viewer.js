@@ -82,7 +82,6 @@ async function send() {
 
 const thing = (held) => scene[held.part][held.index];
 const heldBy = (marker) => ({part: marker.dataset.part, index: Number(marker.dataset.index)});
-const idOf = (part, index) => ({lights: "light-", objects: "object-"})[part] + index;
 
 const box = () => $("stage").getBoundingClientRect();
 
@@ -106,7 +105,7 @@ function drawMarkers() {
 function addMarker(part, index, kind, name) {
   const marker = document.createElement("button");
   marker.type = "button";
-  marker.id = idOf(part, index);
+  marker.id = part.slice(0, -1) + "-" + index;  // "light-0", "object-0"
   marker.className = "marker " + kind;
   marker.dataset.part = part;
   marker.dataset.index = index;
