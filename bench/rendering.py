@@ -1,9 +1,9 @@
 """What the programs of this folder share: where scenes, references and Gleaner's own programs are; rendering and comparing.
 
 Scenes and references are looked for in $GLEANER_SHARED (default: ../shared beside the project), programs in $GLEANER_BIN
-(default: build/bin).
+(default: build/bin). Smaller references need a Python with numpy and OpenEXR.
 """
-import importlib.machinery, importlib.util, json, math, os, pathlib, subprocess, sys
+import atexit, functools, importlib.machinery, importlib.util, json, math, os, pathlib, subprocess, sys, tempfile
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 SHARED = pathlib.Path(os.environ.get("GLEANER_SHARED", ROOT.parent / "shared"))
@@ -30,9 +30,12 @@ def scene(name):
     return path
 
 
-def size_of(name):
-    """WxH of the scene's reference."""
-    return "x".join(map(str, json.loads((SHARED / "references" / f"{name}.json").read_text())["size"]))
+def size_of(name, shrink=1):
+    """WxH of the scene's reference, or of one that is smaller by a whole factor."""
+    sides = json.loads((SHARED / "references" / f"{name}.json").read_text())["size"]
+    if any(side % shrink for side in sides):
+        sys.exit(f"{name}: {sides[0]}x{sides[1]} pixels are not whole blocks of {shrink}x{shrink}")
+    return "x".join(str(side // shrink) for side in sides)
 
 
 def render(words, folder, name):
@@ -48,18 +51,46 @@ def compared(*words):
     return json.loads(out)
 
 
-def against_reference(picture, name):
+@functools.cache
+def reference_files(name, shrink):
+    """The scene's reference and its standard errors. Smaller by a whole factor: means over blocks, which is what pixels of that size see."""
+    files = [SHARED / "references" / f"{name}{kind}.exr" for kind in ("", ".stderr")]
+    if shrink == 1:
+        return files
+    try:
+        import numpy, OpenEXR
+    except ImportError:
+        sys.exit("SKIPPED, NOTHING WAS MEASURED: smaller references need numpy and OpenEXR (pip install numpy OpenEXR)")
+    temporary = tempfile.TemporaryDirectory()
+    atexit.register(temporary.cleanup)
+
+    def means(file):
+        channels = OpenEXR.File(str(file)).channels()
+        image = channels["RGB"].pixels if "RGB" in channels else numpy.stack([channels[c].pixels for c in "RGB"], -1)
+        height, width = (side // shrink for side in image.shape[:2])
+        blocks = image.astype(float).reshape(height, shrink, width, shrink, 3)
+        # The square of a mean's standard error is that of the values over their number.
+        return numpy.sqrt((blocks**2).mean((1, 3))) / shrink if file.stem.endswith(".stderr") else blocks.mean((1, 3))
+
+    smaller = [pathlib.Path(temporary.name) / file.name for file in files]
+    for file, to in zip(files, smaller):
+        with OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": numpy.ascontiguousarray(means(file), numpy.float32)}) as exr:
+            exr.write(str(to))
+    return smaller
+
+
+def against_reference(picture, name, shrink=1):
     """As compared(): the picture beside the scene's reference, whose noise is taken off."""
-    reference = SHARED / "references" / name
-    return compared(picture, f"{reference}.exr", "--stderr", f"{reference}.stderr.exr")
+    reference, noise = reference_files(name, shrink)
+    return compared(picture, reference, "--stderr", noise)
 
 
 def needed(points, target):
-    """Seconds to the target: error is taken for a power of time between the two counts about it."""
+    """Seconds to the target: error is taken for a power of time between the two counts about it. The first count's where it is met by that."""
+    if points and points[0][1] <= target:
+        return points[0][0]
     at = next((k for k in range(1, len(points)) if points[k][1] <= target), None)
     if at is None:
         return None
     (t0, e0), (t1, e1) = points[at - 1][:2], points[at][:2]
-    if e0 <= target:
-        return t0
     return t0 * (target / e0) ** (math.log(t1 / t0) / math.log(e1 / e0))
