@@ -22,8 +22,7 @@ FN vf across_of(global const float* record, v3 d, v3 m) {
 // Lanes whose points, by `d` from a record of normal `m`, lie behind something that stands on its surface (`reach`: how
 // far it reaches, m).
 FN vi behind_something(global const float* record, v3 d, v3 m, float reach) {
-  // |x| + |y| is at most sqrt(2) times the distance.
-  if (record[CACHE_LEAST_CLEAR] * reach * 1.4143f <= 1.0f) return no_lanes();
+  if (!splat_stands_near(record[CACHE_LEAST_CLEAR], reach)) return no_lanes();
   v3 s, t;
   basis3(m, &s, &t);
   vf away, direction = splat_direction(dot3(d, s), dot3(d, t), &away);

@@ -34,6 +34,10 @@ FN vf splat_direction(vf x, vf y, vf* away) {
   return (float)(SPLAT_DIRECTIONS / 4u) * pick((vf)3.0f + part, (vf)1.0f - part, y >= (vf)0.0f);
 }
 
+// Whether anything stands within `reach` of a record, m. `least`: its CACHE_LEAST_CLEAR. |x| + |y| is at most sqrt(2)
+// times the distance.
+FN int splat_stands_near(float least, float reach) { return least * reach * 1.4143f > 1.0f; }
+
 // Whether the point is below the record's surface, as both normals see it, by more than `depth` of its distance.
 FN vi splat_is_hidden(vf x, vf y, vf z, vf nx, vf ny, vf nz, vf mx, vf my, vf mz, float depth) {
   vf height = (x * (nx + mx) + y * (ny + my) + z * (nz + mz)) * 0.5f;

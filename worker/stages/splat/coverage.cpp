@@ -66,8 +66,7 @@ bool Coverage::covers(std::uint32_t point) {
 void Coverage::add(const Selection::Place& place) {
   const auto number = static_cast<std::uint32_t>(records_.size());
   std::uint32_t standing = GLEANER_NONE;
-  const float least = std::ranges::max(place.clearance);
-  if (splat::stands_near(least, accuracy_ * place.radius)) {
+  if (splat::splat_stands_near(least_clear(place.clearance), accuracy_ * place.radius)) {
     standing = static_cast<std::uint32_t>(standing_.size());
     standing_.push_back({place.clearance, TangentFrame(place.point.normal)});
   }

@@ -1,6 +1,7 @@
 #pragma once
 // Rows of kernels/splat_records.h on the host.
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
@@ -29,6 +30,8 @@ static_assert(sizeof(SplatPoint) == SPLAT_POINT_WORDS * 4);
 
 // CACHE_CLEARANCE.
 using Clearance = std::array<float, SPLAT_DIRECTIONS>;
+// CACHE_LEAST_CLEAR.
+inline float least_clear(const Clearance& clearance) { return std::ranges::max(clearance); }
 
 // A row of "splat_select". Of its point, `factor` has the radius, the accuracy and the mean distance.
 struct SplatPlace {

@@ -43,9 +43,6 @@ inline bool behind_something(const Clearance& clearance, const TangentFrame& fra
   return away * one_over > 1 + slack;
 }
 
-// Whether anything stands within `reach` of a record, m. `least`: CACHE_LEAST_CLEAR.
-inline bool stands_near(float least, float reach) { return least * reach * 1.4143f > 1; }
-
 // w - 1 / a at a place of normal n; 0: the record does not reach there. `stretch`: how many times as far as a picture
 // lets it.
 inline double record_weight(const CacheRecord& record, const std::array<float, 3>& p, const std::array<float, 3>& n,
@@ -57,7 +54,7 @@ inline double record_weight(const CacheRecord& record, const std::array<float, 3
   const float error =
       splat_error(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], record.radius, across_of(m, record.narrow(), {x, y, z}));
   if (error > most || splat_is_hidden(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], SPLAT_MOST_DEPTH)) return 0;
-  if (stands_near(record.least_clear, reach) &&
+  if (splat_stands_near(record.least_clear, reach) &&
       behind_something(record.clearance, TangentFrame(m), {x, y, z}, SPLAT_SLACK))
     return 0;
   const float least = 1 / accuracy;

@@ -79,7 +79,7 @@ void make_record(const SplatPoint& place, const HemisphereGrid& grid, const floa
 }
 
 void set_clearance(std::byte* record, const Clearance& clearance) {
-  const float least = std::ranges::max(clearance);
+  const float least = least_clear(clearance);
   std::memcpy(record + CACHE_LEAST_CLEAR * 4, &least, sizeof least);
   std::memcpy(record + CACHE_CLEARANCE * 4, &clearance, sizeof clearance);
 }
