@@ -105,6 +105,18 @@ TEST(SplatSmooth, ASingleBrightRecordIsTakenBack) {
   EXPECT_LT(worker::smooth_cache(records)[odd].irradiance[0], 1.7 * truth);
 }
 
+// So it is where walls close about it, which leave it no neighbours.
+TEST(SplatSmooth, ASingleBrightRecordAmongWallsIsTakenBack) {
+  auto records = records_of(smooth_field, 0.05);
+  CacheRecord& odd = records[40 * 20 + 20];
+  for (float& light : odd.irradiance) light *= 3;
+  odd.spare[0] = 1;
+  odd.clearance.fill(1000);  // one over the distance, 1/m
+  odd.least_clear = 1000;
+  const double truth = smooth_field(odd.position[0], odd.position[1]);
+  EXPECT_LT(worker::smooth_cache(records)[40 * 20 + 20].irradiance[0], 1.7 * truth);
+}
+
 // Light that falls on one record alone, and that both halves of its rays have seen.
 TEST(SplatSmooth, ASingleBrightRecordOfLittleNoiseStays) {
   auto records = records_of(smooth_field, 0.05);

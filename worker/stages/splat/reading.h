@@ -44,9 +44,9 @@ inline bool behind_something(const Clearance& clearance, const TangentFrame& fra
 }
 
 // w - 1 / a at a place of normal n; 0: the record does not reach there. `stretch`: how many times as far as a picture
-// lets it.
+// lets it; `past_walls`: also behind what stands on its surface.
 inline double record_weight(const CacheRecord& record, const std::array<float, 3>& p, const std::array<float, 3>& n,
-                            float stretch = 1) {
+                            float stretch = 1, bool past_walls = false) {
   const float x = p[0] - record.position[0], y = p[1] - record.position[1], z = p[2] - record.position[2];
   const float accuracy = stretch * record.accuracy, most = accuracy * (1 + SPLAT_SLACK), reach = most * record.radius;
   if (!(x * x + y * y + z * z <= reach * reach)) return 0;
@@ -54,7 +54,7 @@ inline double record_weight(const CacheRecord& record, const std::array<float, 3
   const float error =
       splat_error(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], record.radius, across_of(m, record.narrow(), {x, y, z}));
   if (error > most || splat_is_hidden(x, y, z, n[0], n[1], n[2], m[0], m[1], m[2], SPLAT_MOST_DEPTH)) return 0;
-  if (splat_stands_near(record.least_clear, reach) &&
+  if (!past_walls && splat_stands_near(record.least_clear, reach) &&
       behind_something(record.clearance, TangentFrame(m), {x, y, z}, SPLAT_SLACK))
     return 0;
   const float least = 1 / accuracy;

@@ -46,11 +46,16 @@ double square_of(const Color& color) { return color[0] * color[0] + color[1] * c
 class Smoothing {
  public:
   explicit Smoothing(std::vector<CacheRecord> records)
-      : records_(std::move(records)), neighbours_(records_.size()), said_(records_.size()) {
+      : records_(std::move(records)), neighbours_(records_.size()), cut_off_(records_.size()), said_(records_.size()) {
     const splat::RecordGrid grid(records_, kStretch);
     for (std::uint32_t i = 0; i < records_.size(); ++i) {
       if (i % 1024 == 0) check_wanted();
       find_neighbours(grid, i);
+      if (neighbours_[i].size() < kLeastNeighbours) {
+        cut_off_[i] = true;
+        neighbours_[i].clear();
+        find_neighbours(grid, i);
+      }
       said_[i] = said(i);
     }
   }
@@ -70,12 +75,14 @@ class Smoothing {
   };
 
   // Of two records as neighbours: each reaches the other. What reaches far says little of a corner, where light changes
-  // within the little that records reach there.
+  // within the little that records reach there. Walls leave some records hardly any neighbours, and a single ray that
+  // finds a lamp would stay in their light: these ask beyond the walls.
   double weight_at(std::uint32_t of, std::uint32_t at) const {
     if (of == at || records_[of].level != records_[at].level) return 0;
     const CacheRecord &a = records_[of], &b = records_[at];
-    const double weight = splat::record_weight(a, b.position, b.normal, kStretch);
-    return weight > 0 ? std::min(weight, splat::record_weight(b, a.position, a.normal, kStretch)) : 0;
+    const bool past_walls = cut_off_[at];
+    const double weight = splat::record_weight(a, b.position, b.normal, kStretch, past_walls);
+    return weight > 0 ? std::min(weight, splat::record_weight(b, a.position, a.normal, kStretch, past_walls)) : 0;
   }
 
   void find_neighbours(const splat::RecordGrid& grid, std::uint32_t i) {
@@ -147,7 +154,9 @@ class Smoothing {
     }
     if (!(noise > 0)) return 0;
     const double share = std::min(noise / std::max(differences, noise), kMostShare);
-    const double most = kMostMove * std::sqrt(std::max(said_[i].noise, noise / weights));
+    // What lies behind walls may be noisier for reasons of its own.
+    const double own = said_[i].noise, noisiest = cut_off_[i] ? own : std::max(own, noise / weights);
+    const double most = kMostMove * std::sqrt(noisiest);
     const double move = share * std::sqrt(*difference(i, i));
     return move > most ? share * most / move : share;
   }
@@ -174,6 +183,7 @@ class Smoothing {
 
   std::vector<CacheRecord> records_;
   std::vector<std::vector<Neighbour>> neighbours_;
+  std::vector<char> cut_off_;  // whether walls leave a record too few neighbours
   std::vector<Said> said_;
 };
 
