@@ -389,9 +389,11 @@ void Bsdf::check_samples(const Board& board, double lowest) {
         }
   while (lx.size() % 16) lx.push_back(0), ly.push_back(0), lz.push_back(1);
   const cl::Buffer bx = bench_.buffer(lx), by = bench_.buffer(ly), bz = bench_.buffer(lz);
+  // One lane at a time is slow: what it may do otherwise than many shows at one angle.
+  const std::vector<double> cosines = GetParam() == 1 ? std::vector{0.35} : std::vector{0.9, 0.35, 0.15};
   cl_uint material = 0;
   for (const std::string& name : board.names) {
-    for (const double mu : {0.9, 0.35, 0.15}) {
+    for (const double mu : cosines) {
       const Direction v = direction(mu, 2.1);
       cl::Kernel evaluate(program, "evaluate"), draw(program, "draw");
       auto told = spaces(2, lx.size());
@@ -444,7 +446,7 @@ void Bsdf::check_samples(const Board& board, double lowest) {
       const ChiSquare chi = chi_square(seen, expected);
       std::printf("  %-28s cosine %.2f: above the surface %.4f, drawn %.4f, chi-square %.1f of %zu, p = %.3f\n",
                   name.c_str(), mu, mass, 1 - seen.back() / kDraws, chi.statistic, chi.degrees, chi.p);
-      EXPECT_GE(chi.p, sidak(kFamily, 3 * board.names.size())) << name << ", cosine " << mu;
+      EXPECT_GE(chi.p, sidak(kFamily, cosines.size() * board.names.size())) << name << ", cosine " << mu;
       // Glass is evaluated by the half-vector that the two directions, rounded, have between them.
       EXPECT_LT(worst, lowest < 0 ? 1e-4 : 1e-5) << name << ": a sample's density or weight is not its direction's";
       EXPECT_LT(mass, 1 + 1e-3) << name;
