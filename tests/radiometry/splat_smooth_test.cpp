@@ -7,6 +7,7 @@
 #include <cstring>
 #include <functional>
 #include <random>
+#include <utility>
 #include <vector>
 
 #include "worker/stages/splat/reading.h"
@@ -95,37 +96,29 @@ TEST(SplatSmooth, AnEdgeStays) {
   EXPECT_LT(errors_of(smoothed, edge).rms, 0.8 * errors_of(records, edge).rms);
 }
 
-// A single ray that finds a lamp: its record is told by its neighbours, for they know how noisy records are there.
-TEST(SplatSmooth, ASingleBrightRecordIsTakenBack) {
+// Smoothed light of a record, over the truth, that is three times too bright and tells so much noise. `clearance`: one
+// over the distance of walls about it, 1/m.
+double bright_record(float told, float clearance = 0) {
   auto records = records_of(smooth_field, 0.05);
-  const std::size_t odd = 40 * 20 + 20;
-  for (float& light : records[odd].irradiance) light *= 3;
-  records[odd].spare[0] = 1;  // one half has it, the other one has not
-  const double truth = smooth_field(records[odd].position[0], records[odd].position[1]);
-  EXPECT_LT(worker::smooth_cache(records)[odd].irradiance[0], 1.7 * truth);
+  const std::size_t at = 40 * 20 + 20;
+  CacheRecord& odd = records[at];
+  for (float& light : odd.irradiance) light *= 3;
+  odd.spare[0] = told;
+  odd.clearance.fill(clearance);
+  odd.least_clear = clearance;
+  const double truth = smooth_field(odd.position[0], odd.position[1]);
+  return worker::smooth_cache(std::move(records))[at].irradiance[0] / truth;
 }
+
+// A single ray that finds a lamp: one half has it, the other one has not. Its record is told by its neighbours, for they
+// know how noisy records are there.
+TEST(SplatSmooth, ASingleBrightRecordIsTakenBack) { EXPECT_LT(bright_record(1), 1.7); }
 
 // So it is where walls close about it, which leave it no neighbours.
-TEST(SplatSmooth, ASingleBrightRecordAmongWallsIsTakenBack) {
-  auto records = records_of(smooth_field, 0.05);
-  CacheRecord& odd = records[40 * 20 + 20];
-  for (float& light : odd.irradiance) light *= 3;
-  odd.spare[0] = 1;
-  odd.clearance.fill(1000);  // one over the distance, 1/m
-  odd.least_clear = 1000;
-  const double truth = smooth_field(odd.position[0], odd.position[1]);
-  EXPECT_LT(worker::smooth_cache(records)[40 * 20 + 20].irradiance[0], 1.7 * truth);
-}
+TEST(SplatSmooth, ASingleBrightRecordAmongWallsIsTakenBack) { EXPECT_LT(bright_record(1, 1000), 1.7); }
 
 // Light that falls on one record alone, and that both halves of its rays have seen.
-TEST(SplatSmooth, ASingleBrightRecordOfLittleNoiseStays) {
-  auto records = records_of(smooth_field, 0.05);
-  const std::size_t odd = 40 * 20 + 20;
-  for (float& light : records[odd].irradiance) light *= 3;
-  records[odd].spare[0] = 0.01f;
-  const double truth = smooth_field(records[odd].position[0], records[odd].position[1]);
-  EXPECT_GT(worker::smooth_cache(records)[odd].irradiance[0], 2.7 * truth);
-}
+TEST(SplatSmooth, ASingleBrightRecordOfLittleNoiseStays) { EXPECT_GT(bright_record(0.01f), 2.7); }
 
 // What lies in the mirror's depth, or on the other side of a wall, is no neighbour.
 TEST(SplatSmooth, OtherLevelsAndSidesAreNoNeighbours) {
