@@ -1,10 +1,10 @@
-# `gleaner`: all of cli/*.cpp but the other programs' mains and what they share. The commands are those whose files are there.
+# `gleaner`: all of cli/*.cpp but the other programs' mains and what is a library. The commands are those whose files are there.
 find_package(nlohmann_json REQUIRED)
 find_package(CLI11 REQUIRED)
 find_package(fmt REQUIRED)
 
 file(GLOB gleaner_sources CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/*.cpp)
-list(FILTER gleaner_sources EXCLUDE REGEX "/(gleaner_(coordinator|worker)|data_lock|client|machine_memory|program|signals)\\.cpp$")
+list(FILTER gleaner_sources EXCLUDE REGEX "/(gleaner_(coordinator|worker)|data_lock|client|embedded|machine_memory|program|signals)\\.cpp$")
 
 set(gleaner_commands "")
 foreach(command render session submit watch events fetch show list cancel pause resume retry workers drain why replay explain methods info compare denoise scene devices keys)
@@ -16,7 +16,7 @@ file(CONFIGURE OUTPUT ${CMAKE_BINARY_DIR}/generated/cli/present_commands.h
      CONTENT "#define GLEANER_COMMANDS(X)@gleaner_commands@\n" @ONLY)
 
 add_executable(gleaner ${gleaner_sources})
-target_link_libraries(gleaner PRIVATE gleaner_client gleaner_gateway gleaner_status_json gleaner_agent gleaner_import gleaner_bvh gleaner_library gleaner_viewer CLI11::CLI11 fmt::fmt
+target_link_libraries(gleaner PRIVATE gleaner_client gleaner_embedded gleaner_gateway gleaner_status_json gleaner_agent gleaner_import gleaner_bvh gleaner_library gleaner_viewer CLI11::CLI11 fmt::fmt
                                       nlohmann_json::nlohmann_json)
 
 # Read once for all commands: a third of what compiling one takes.

@@ -110,8 +110,8 @@ double bright_record(float told, float clearance = 0) {
   return worker::smooth_cache(std::move(records))[at].irradiance[0] / truth;
 }
 
-// A single ray that finds a lamp: one half has it, the other one has not. Its record is told by its neighbours, for they
-// know how noisy records are there.
+// A single ray that finds a lamp: one half has it, the other one has not. Its record is told by its neighbours, for
+// they know how noisy records are there.
 TEST(SplatSmooth, ASingleBrightRecordIsTakenBack) { EXPECT_LT(bright_record(1), 1.7); }
 
 // So it is where walls close about it, which leave it no neighbours.
