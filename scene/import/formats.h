@@ -4,8 +4,8 @@
 
 #include <string>
 
+#include "scene/files/warnings.h"
 #include "scene/import/import.h"
-#include "scene/import/warnings.h"
 #include "scene/model/scene.h"
 
 namespace gleaner::scene {

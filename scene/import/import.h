@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "scene/images/environment.h"
 #include "scene/model/frame_state.h"
 #include "scene/model/scene.h"
 
@@ -90,15 +91,5 @@ class MovingScene {
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };
-
-struct EnvironmentOptions {
-  double rotation_degrees = 0;  // about +y, counter-clockwise seen from above
-  double strength = 1;          // factor of the radiance
-};
-
-// Reads a lat-long .exr or .hdr. Radiance that is negative or not a number becomes 0, what is infinite the largest
-// finite half float; one warning counts them. Throws Error::bad_input.
-Environment import_environment(const std::string& path, const EnvironmentOptions& options = {},
-                               std::vector<std::string>* warnings = nullptr);
 
 }  // namespace gleaner::scene

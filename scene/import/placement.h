@@ -7,7 +7,7 @@
 #include <limits>
 #include <string>
 
-#include "scene/import/warnings.h"
+#include "scene/files/warnings.h"
 #include "scene/model/scene.h"
 
 namespace gleaner::scene {

@@ -10,8 +10,8 @@
 #include <tuple>
 #include <vector>
 
-#include "scene/import/images.h"
-#include "scene/import/warnings.h"
+#include "scene/files/warnings.h"
+#include "scene/images/images.h"
 #include "scene/model/scene.h"
 
 namespace gleaner::scene {

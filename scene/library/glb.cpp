@@ -2,8 +2,6 @@
 // instanced meshes, which stand in their own space, one node an instance. What moves hangs from the nodes of a motion,
 // each of which stands at its pivot.
 
-#include <OpenImageIO/filesystem.h>
-#include <OpenImageIO/imageio.h>
 #include <fcntl.h>
 #include <unistd.h>
 
@@ -23,6 +21,7 @@
 #include <span>
 #include <system_error>
 
+#include "scene/images/write.h"
 #include "scene/library/library.h"
 #include "scene/model/error.h"
 
@@ -363,18 +362,12 @@ class GlbWriter {
   }
 
   std::vector<unsigned char> png(const Texture& t) const {
-    const std::unique_ptr<OIIO::ImageOutput> output = OIIO::ImageOutput::create("png");
-    if (!output) cannot_write(path_, "OpenImageIO has no PNG: " + OIIO::geterror());
-    std::vector<unsigned char> bytes;
-    OIIO::Filesystem::IOVecOutput memory(bytes);
-    OIIO::ImageSpec spec(static_cast<int>(t.width), static_cast<int>(t.height), 4, OIIO::TypeDesc::UINT8);
-    spec.alpha_channel = 3;
-    spec.attribute("oiio:UnassociatedAlpha", 1);  // our texels are, and must not be divided by their alpha
-    output->set_ioproxy(&memory);
-    if (!output->open("texture.png", spec) ||
-        !output->write_image(OIIO::TypeDesc::UINT8, &scene_.texels[t.first_texel]) || !output->close())
-      cannot_write(path_, output->geterror());
-    return bytes;
+    try {
+      return png_bytes(t.width, t.height,
+                       std::span(scene_.texels).subspan(t.first_texel, std::size_t{t.width} * t.height));
+    } catch (const Error& error) {
+      cannot_write(path_, error.what());
+    }
   }
 
   void use(const char* extension) { extensions_.insert(extension); }
@@ -592,14 +585,11 @@ class GlbWriter {
 
 void write_environment(const Environment& environment, const std::string& path) {
   AtomicFile file(path);
-  const std::unique_ptr<OIIO::ImageOutput> output = OIIO::ImageOutput::create("openexr");
-  if (!output) cannot_write(path, "OpenImageIO has no OpenEXR: " + OIIO::geterror());
-  OIIO::ImageSpec spec(static_cast<int>(environment.width), static_cast<int>(environment.height), 3,
-                       OIIO::TypeDesc::FLOAT);
-  spec.attribute("compression", "zip");
-  if (!output->open(file.temporary(), spec) ||
-      !output->write_image(OIIO::TypeDesc::FLOAT, environment.radiance.data()) || !output->close())
-    cannot_write(path, output->geterror());
+  try {
+    write_exr(file.temporary(), environment.width, environment.height, environment.radiance);
+  } catch (const Error& error) {
+    cannot_write(path, error.what());
+  }
   file.commit();
 }
 

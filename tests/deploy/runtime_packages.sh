@@ -8,7 +8,7 @@ command -v dpkg-query >/dev/null || skip "no dpkg here to say which package a li
 # The packages of the libraries that a program names itself; their own dependencies follow.
 linked() {
   local program library path
-  for program in gleaner gleaner-coordinator gleaner-worker; do
+  for program in gleaner gleaner-coordinator gleaner-worker ../lib/gleaner-images.so; do
     readelf -d "$1/$program" | sed -n 's/.*(NEEDED).*\[\(.*\)\]/\1/p'
   done | sort -u | while read -r library; do
     path=$(ldconfig -p | awk -v name="$library" '$1 == name { print $NF; exit }')

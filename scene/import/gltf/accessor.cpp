@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <array>
 
-#include "scene/import/files.h"
+#include "scene/files/files.h"
 #include "scene/model/error.h"
 
 namespace gleaner::scene::gltf {

@@ -7,9 +7,9 @@
 #include <string>
 #include <vector>
 
+#include "scene/files/warnings.h"
 #include "scene/import/gltf/accessor.h"
 #include "scene/import/gltf/document.h"
-#include "scene/import/warnings.h"
 #include "scene/model/scene.h"
 
 namespace gleaner::scene::gltf {

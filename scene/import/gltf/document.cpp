@@ -9,10 +9,10 @@
 #include <cstring>
 #include <set>
 
-#include "scene/import/files.h"
+#include "scene/files/files.h"
+#include "scene/files/text.h"
 #include "scene/import/gltf/compression.h"
 #include "scene/import/gltf/mend.h"
-#include "scene/import/text.h"
 #include "scene/model/error.h"
 
 namespace gleaner::scene::gltf {

@@ -9,8 +9,8 @@
 #include <string>
 #include <vector>
 
+#include "scene/files/warnings.h"
 #include "scene/import/gltf/element.h"
-#include "scene/import/warnings.h"
 
 namespace gleaner::scene::gltf {
 

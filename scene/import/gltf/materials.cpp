@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "scene/import/files.h"
+#include "scene/files/files.h"
 #include "scene/import/formats.h"
 
 namespace gleaner::scene::gltf {

@@ -3,7 +3,7 @@
 
 #include <nlohmann/json.hpp>
 
-#include "scene/import/warnings.h"
+#include "scene/files/warnings.h"
 
 namespace gleaner::scene::gltf {
 

@@ -11,7 +11,7 @@
 #include <string_view>
 #include <vector>
 
-#include "scene/import/files.h"
+#include "scene/files/files.h"
 #include "scene/model/error.h"
 
 namespace gleaner::scene {

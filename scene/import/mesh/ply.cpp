@@ -7,11 +7,11 @@
 #include <filesystem>
 #include <optional>
 
+#include "scene/files/text.h"
 #include "scene/import/formats.h"
 #include "scene/import/mesh/piece_reader.h"
 #include "scene/import/placement.h"
 #include "scene/import/polygon.h"
-#include "scene/import/text.h"
 #include "scene/import/texture_table.h"
 #include "scene/import/vertex_colors.h"
 #include "scene/model/limits.h"

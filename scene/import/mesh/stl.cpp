@@ -4,10 +4,10 @@
 #include <charconv>
 #include <cmath>
 
+#include "scene/files/text.h"
 #include "scene/import/formats.h"
 #include "scene/import/mesh/piece_reader.h"
 #include "scene/import/placement.h"
-#include "scene/import/text.h"
 #include "scene/model/limits.h"
 
 namespace gleaner::scene {

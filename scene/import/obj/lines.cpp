@@ -7,8 +7,8 @@
 #include <cstdio>
 #include <cstring>
 
-#include "scene/import/files.h"
-#include "scene/import/text.h"
+#include "scene/files/files.h"
+#include "scene/files/text.h"
 #include "scene/model/error.h"
 
 namespace gleaner::scene::obj {

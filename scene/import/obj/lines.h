@@ -10,7 +10,7 @@
 #include <string_view>
 #include <vector>
 
-#include "scene/import/text.h"
+#include "scene/files/text.h"
 
 namespace gleaner::scene::obj {
 

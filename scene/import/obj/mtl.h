@@ -7,8 +7,8 @@
 #include <optional>
 #include <string>
 
+#include "scene/files/warnings.h"
 #include "scene/import/obj/lines.h"
-#include "scene/import/warnings.h"
 #include "scene/model/records.h"
 
 namespace gleaner::scene::obj {

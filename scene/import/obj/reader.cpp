@@ -7,7 +7,7 @@
 #include <set>
 #include <string_view>
 
-#include "scene/import/files.h"
+#include "scene/files/files.h"
 #include "scene/import/formats.h"
 #include "scene/import/obj/lines.h"
 #include "scene/import/obj/materials.h"

@@ -1,6 +1,8 @@
 // Lat-long environments. What published files get wrong is mended with a word: pixels that lossy compression left
 // negative, suns that overflowed, windows that do not cover the picture.
 
+#include "scene/images/environment.h"
+
 #include <OpenImageIO/imageio.h>
 
 #include <algorithm>
@@ -9,8 +11,7 @@
 #include <filesystem>
 #include <limits>
 
-#include "scene/import/files.h"
-#include "scene/import/import.h"
+#include "scene/files/files.h"
 #include "scene/model/error.h"
 #include "scene/model/limits.h"
 

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "scene/import/warnings.h"
+#include "scene/files/warnings.h"
 
 namespace gleaner::scene {
 

@@ -1,4 +1,4 @@
-#include "scene/import/warnings.h"
+#include "scene/files/warnings.h"
 
 namespace gleaner::scene {
 

@@ -1,4 +1,4 @@
-#include "scene/import/images.h"
+#include "scene/images/images.h"
 
 #include <OpenImageIO/filesystem.h>
 #include <OpenImageIO/imageio.h>
@@ -13,7 +13,7 @@
 #include <optional>
 #include <thread>
 
-#include "scene/import/files.h"
+#include "scene/files/files.h"
 #include "scene/model/error.h"
 #include "scene/model/limits.h"
 

@@ -1,4 +1,4 @@
-#include "scene/import/files.h"
+#include "scene/files/files.h"
 
 #include <algorithm>
 #include <array>
@@ -6,7 +6,7 @@
 #include <fstream>
 #include <system_error>
 
-#include "scene/import/text.h"
+#include "scene/files/text.h"
 #include "scene/model/error.h"
 
 namespace gleaner::scene {

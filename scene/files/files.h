@@ -8,7 +8,7 @@
 #include <string_view>
 #include <vector>
 
-#include "scene/import/warnings.h"
+#include "scene/files/warnings.h"
 
 namespace gleaner::scene {
 

@@ -1,4 +1,4 @@
-#include "scene/import/text.h"
+#include "scene/files/text.h"
 
 #include <algorithm>
 #include <cctype>
