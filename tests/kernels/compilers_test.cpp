@@ -12,6 +12,7 @@
 #include <sstream>
 
 #include "scene/model/error.h"
+#include "worker/device/compile_turn.h"
 #include "worker/device/kernel.h"
 #include "worker/device/kernel_compilers.h"
 #include "worker/stages/stage_table.h"
@@ -118,8 +119,41 @@ TEST_F(Compilers, EndAtOnce) {
 }
 
 // What serve_kernel_compiler() relies on: a kernel that is told of no work returns.
+TEST_F(Compilers, TakeTurns) {
+  const auto mark = folder_ / "a" / "kernel";
+  auto first = std::make_unique<CompileTurn>(mark);
+  std::atomic<bool> had_turn = false;
+  auto second = std::async(std::launch::async, [&] {
+    CompileTurn turn(mark);
+    had_turn = true;
+    turn.done();
+  });
+  std::this_thread::sleep_for(100ms);
+  EXPECT_FALSE(had_turn) << "while another compiled";
+  first.reset();  // as if it had been killed: nothing is compiled
+  second.wait();
+  // From here on nobody waits for anybody.
+  CompileTurn third(mark), fourth(mark);
+}
+
+TEST_F(Compilers, WaitOnlySoLongForATurn) {
+  const auto mark = folder_ / "kernel";
+  const CompileTurn stopped(mark);
+  const auto begun = std::chrono::steady_clock::now();
+  CompileTurn impatient(mark, 50ms);
+  EXPECT_GE(std::chrono::steady_clock::now() - begun, 50ms);
+  impatient.done();
+  CompileTurn other(mark);
+}
+
+TEST_F(Compilers, WithoutAFolderCompileAtOnce) {
+  CompileTurn(std::filesystem::path()).done();
+  CompileTurn("/proc/no/such/folder/kernel").done();
+}
+
+// One lane at a time: that compiles in a third of the time.
 TEST(IdleKernels, ReturnAtOnce) {
-  const Device device({.device = -1, .threads = 1, .trace = TraceKind::automatic});
+  const Device device({.device = -1, .threads = 1, .trace = TraceKind::automatic, .lanes = 1});
   cl::CommandQueue queue = device.make_queue();
   const std::string lanes = "-D LANES=" + std::to_string(device.lanes());
   std::set<std::string_view> programs;

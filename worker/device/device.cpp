@@ -12,6 +12,7 @@
 #include <thread>
 
 #include "scene/model/error.h"
+#include "worker/device/compile_turn.h"
 #include "worker/device/kernel_sources.h"
 #include "worker/trace/tracer.h"
 
@@ -85,7 +86,7 @@ std::uint64_t fingerprint(std::uint64_t hash, std::string_view text) {
 // Processes that compile beside this one, at most.
 constexpr unsigned kMostCompilers = 4;
 
-constexpr const char* kCompiledMark = ".compiled";
+constexpr const char* kCompiledMark = ".compiled";  // every kernel of a program
 
 std::filesystem::path cache_folder() {
   if (const char* folder = std::getenv("GLEANER_CACHE")) return folder;
@@ -94,7 +95,7 @@ std::filesystem::path cache_folder() {
   return {};
 }
 
-// Whether the folder has no mark of a compiled program (Device::compiled_mark).
+// Whether the folder has no mark of a compiled program (Device::mark).
 bool nothing_compiled() {
   const std::filesystem::path folder = cache_folder();
   std::error_code ignored;
@@ -234,27 +235,27 @@ void Device::compile_ahead(const std::string& file, const std::string& options) 
   if (!was_compiled(text, options)) compilers_->ask(file, options, kernel_names(parse_kernels(text, file)));
 }
 
-// An empty file in our cache folder stands for a program of which PoCL's holds every kernel. Where PoCL's has been
-// emptied since, this process compiles alone once more.
-std::filesystem::path Device::compiled_mark(const std::string& text, const std::string& options) const {
+// Files of such names in our cache folder say what PoCL's holds. Where that has been emptied since, each process
+// compiles for itself once more.
+std::filesystem::path Device::mark(const std::string& text, const std::string& options, const std::string& of) const {
   const std::filesystem::path folder = cache_folder();
-  if (folder.empty()) return {};
+  if (folder.empty() || info_.platform != kPoclPlatform) return {};
   const char* pocl = std::getenv("POCL_CACHE_DIR");
-  return folder / (build_name(text, options + (pocl ? pocl : "")) + kCompiledMark);
+  return folder / (build_name(text, options + (pocl ? pocl : "")) + of);
 }
 
 bool Device::was_compiled(const std::string& text, const std::string& options) const {
   std::error_code ignored;
-  const auto mark = compiled_mark(text, options);
-  return !mark.empty() && std::filesystem::exists(mark, ignored);
+  const auto compiled = mark(text, options, kCompiledMark);
+  return !compiled.empty() && std::filesystem::exists(compiled, ignored);
 }
 
 void Device::remember_compiled(const std::string& text, const std::string& options) const {
-  const auto mark = compiled_mark(text, options);
-  if (mark.empty()) return;
+  const auto compiled = mark(text, options, kCompiledMark);
+  if (compiled.empty()) return;
   std::error_code ignored;
-  std::filesystem::create_directories(mark.parent_path(), ignored);
-  std::ofstream touched(mark);
+  std::filesystem::create_directories(compiled.parent_path(), ignored);
+  std::ofstream touched(compiled);
 }
 
 cl::Buffer Device::make_buffer(std::size_t bytes, cl_mem_flags flags) const {
@@ -270,7 +271,9 @@ Program Device::build(const std::string& file, const std::string& options) const
       const std::string text = program_text(file);
       const auto kernels = std::make_shared<const KernelDeclarations>(parse_kernels(text, file));
       if (compilers_) compilers_->claim(file, options);
-      program->second = {file, options, compile(file, text, options), kernels};
+      CompileTurn turn(mark(text, options, ".program"));
+      program->second = {file, options, compile(file, text, options), kernels, mark(text, options, "")};
+      turn.done();
       if (compilers_ && !was_compiled(text, options)) compilers_->ask_kernels(file, options, kernel_names(*kernels));
     } catch (...) {
       programs_.erase(program);

@@ -53,7 +53,7 @@ class Device {
 
  private:
   std::string build_name(const std::string& text, const std::string& options) const;
-  std::filesystem::path compiled_mark(const std::string& text, const std::string& options) const;
+  std::filesystem::path mark(const std::string& text, const std::string& options, const std::string& of) const;
   bool was_compiled(const std::string& text, const std::string& options) const;
   void remember_compiled(const std::string& text, const std::string& options) const;
   void ready_compiler();

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "scene/model/error.h"
+#include "worker/device/compile_turn.h"
 
 namespace gleaner::worker {
 namespace {
@@ -36,10 +37,13 @@ Kernel::Kernel(const Device& device, const Program& program, const std::string& 
       name_(name),
       file_(program.file),
       options_(program.options),
+      mark_(program.mark),
       kernel_(program.handle, name.c_str()),
       parameters_(declaration(program, name, kernel_)),
       set_(parameters_.size()),
-      unset_(parameters_.size()) {}
+      unset_(parameters_.size()) {
+  if (!mark_.empty()) mark_ += "." + name;
+}
 
 unsigned Kernel::index_of(std::string_view name, KernelParameter::Kind kind) {
   const auto found = std::ranges::find(parameters_, name, &KernelParameter::name);
@@ -76,7 +80,9 @@ void Kernel::launch(cl::CommandQueue& queue, const Grid& grid) {
     throw Error::failed("kernel " + name_ + " was launched without " +
                         parameters_[static_cast<std::size_t>(missing)].name);
   }
-  if (!std::exchange(launched_, true) && device_.compilers()) device_.compilers()->claim(file_, options_, name_);
+  const bool first = !std::exchange(launched_, true);
+  if (first && device_.compilers()) device_.compilers()->claim(file_, options_, name_);
+  CompileTurn turn(first ? mark_ : std::filesystem::path());
   const bool cpu = device_.info().cpu;
   const std::size_t items = ((cpu ? grid.capacity : grid.work) + grid.per_item - 1) / grid.per_item;
   const std::size_t group = grid.group ? grid.group : cpu ? 8 : 64;
@@ -84,6 +90,7 @@ void Kernel::launch(cl::CommandQueue& queue, const Grid& grid) {
   cl::Event event;
   queue.enqueueNDRangeKernel(kernel_, cl::NullRange, cl::NDRange((items + group - 1) / group * group),
                              cl::NDRange(group), nullptr, timed ? &event : nullptr);
+  turn.done();
   if (timed) device_.profile().add(name_, event, grid.work);
 }
 

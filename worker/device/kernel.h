@@ -48,6 +48,7 @@ class Kernel {
 
   const Device& device_;
   std::string name_, file_, options_;
+  std::filesystem::path mark_;  // CompileTurn's
   bool launched_ = false;
   cl::Kernel kernel_;
   std::vector<KernelParameter> parameters_;

@@ -1,6 +1,7 @@
 #pragma once
 // A built program, and what parameters its kernels declare.
 
+#include <filesystem>
 #include <map>
 #include <memory>
 #include <string>
@@ -29,6 +30,8 @@ struct Program {
   std::string file, options;
   cl::Program handle{};
   std::shared_ptr<const KernelDeclarations> kernels{};
+  // With a kernel's name behind it: its turn to be compiled (compile_turn.h). May be empty.
+  std::filesystem::path mark{};
 };
 
 }  // namespace gleaner::worker
