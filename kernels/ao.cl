@@ -12,7 +12,7 @@
 //   until no ray is left
 //   camera_resolve      samples are summed to the items' records
 //
-// camera_samples.h and shadow_rays.h have the kernels of those names. The rays are shadow rays: alpha and thin panes
+// camera_samples.cl and shadow_rays.h have the kernels of those names. The rays are shadow rays: alpha and thin panes
 // weaken them as they weaken light.
 
 #include "kernels/ao_records.h"

@@ -9,7 +9,7 @@
 //   until no path is left
 //   camera_resolve      slots are summed to the items' records, in the order of the samples
 //
-// camera_samples.h and shadow_rays.h have the kernels of those names. Where light passes surfaces straight, trace
+// camera_samples.cl and shadow_rays.h have the kernels of those names. Where light passes surfaces straight, trace
 // (closest hits) and shadow_pass take turns on the shadow rays until none is left. With -D PATH_FILTER a partner method
 // has some of the light, and the path tracer the rest (kernels/path_filter.h). Photon maps gather by paths of this file
 // that leave places where a map is to be read, in `reads` (kernels/photon/gather.cl).

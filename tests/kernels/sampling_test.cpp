@@ -272,7 +272,7 @@ TEST_P(Sampling, TheTracerUsesTheseKeys) {
   p.samples_per_item = p.last_item_samples = samples;
   p.seed_low = 21;
   p.items_low = pixels * chunks;
-  cl::Program program = bench_.build("#include \"kernels/path.cl\"\n");
+  cl::Program program = bench_.build("#include \"kernels/camera_samples.cl\"\n");
   cl::Kernel generate(program, "camera_generate");
   cl::Buffer parameters = bench_.buffer(std::vector<kernels::PathParameters>{p});
   cl::Buffer paths = bench_.space(count * PATH_ROWS), slots = bench_.space((count + 1) * SLOT_WORDS);

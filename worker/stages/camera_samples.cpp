@@ -52,6 +52,11 @@ void upload_list(const ItemList& list, cl::CommandQueue& queue, const cl::Buffer
                    });
 }
 
+// The program of camera rays, in the variant that lays paths and slots out as the stage's own program does.
+Program camera_program(const StageRun& run, bool filtered) {
+  return run.build_plain("camera_samples.cl", run.scene.layout_options() + (filtered ? " -D PATH_FILTER=1" : ""));
+}
+
 // Sums the paths' slots to the items' records, at `out`.
 void resolve(const StageRun& run, cl::CommandQueue& queue, const SamplePart& part, std::size_t record_bytes,
              std::byte* out, BatchCounters& counters) {
@@ -59,7 +64,7 @@ void resolve(const StageRun& run, cl::CommandQueue& queue, const SamplePart& par
   cl::Buffer records = run.workspace.take("records", part.item_count * record_bytes);
   FiniteReport report(run.workspace.take("report", FiniteReport::kWords * 4));
   report.clear(queue);
-  Kernel kernel(run.device, part.program, "camera_resolve");
+  Kernel kernel(run.device, part.camera, "camera_resolve");
   kernel.set("parameters", part.parameters)
       .set_words("first_item", part.first_item)
       .set("count", part.item_count)
@@ -110,7 +115,8 @@ SampleThread::SampleThread(const SamplePart& part, Workspace& workspace, WorkQue
             take("next_paths", PathWave::bytes(wave_size(part.device), part.scene.path_rows())), wave_size(part.device),
             part.scene.path_rows()),
       shadows_(take("shadows", PathWave::bytes(wave_.capacity(), part.scene.shadow_rows()))),
-      generate_(part.device, part.program, part.generator.empty() ? "camera_generate" : part.generator),
+      generate_(part.device, part.generator.empty() ? part.camera : part.program,
+                part.generator.empty() ? "camera_generate" : part.generator),
       shadow_rows_(part.scene.shadow_rows()),
       transparent_(part.scene.transparent_shadows()),
       connect_(part.device, part.program, transparent_ ? "shadow_pass" : "shadow_connect") {
@@ -202,7 +208,8 @@ BatchResult run_samples(const StageRun& run, const PathParameters& p, const Prog
   BatchResult result;
   result.records.resize(run.count * record_bytes);
   cl::CommandQueue queue = run.device.make_queue();
-  SamplePart part{.device = run.device, .scene = run.scene, .program = program};
+  SamplePart part{
+      .device = run.device, .scene = run.scene, .program = program, .camera = camera_program(run, p.filter != 0)};
   part.parameters = run.parameter_buffer(queue);
   part.media = run.scene.media_of(p.camera);
   part.listed = list.has_value();

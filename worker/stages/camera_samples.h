@@ -25,6 +25,7 @@ struct SamplePart {
   const Device& device;
   DeviceScene& scene;
   Program program;
+  Program camera{};                // of kernels/camera_samples.cl; not used where there is a generator
   std::array<cl_uint, 2> media{};  // that camera rays begin in
   cl::Buffer parameters{}, items{}, slots{}, features{};
   bool listed = false;

@@ -79,6 +79,11 @@ std::string surface_needs(const scene::Scene& scene, scene::SceneNeeds needs) {
 
 }  // namespace
 
+std::string DeviceScene::layout_options() const {
+  if (path_rows_ == MEDIA_PATH_ROWS) return " -D NEED_MEDIA -D CLUSTERS=1";
+  return path_rows_ == TRANSPARENT_PATH_ROWS ? " -D NEED_ALPHA -D CLUSTERS=1" : "";
+}
+
 std::array<cl_uint, 2> DeviceScene::media_of(const scene::Camera& camera) const {
   if (!media_) return {};
   std::lock_guard lock(media_mutex_);

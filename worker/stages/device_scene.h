@@ -34,6 +34,8 @@ class DeviceScene {
   const std::string& kernel_options() const { return options_; }
   // The same for programs that read no light: no lights are among them.
   const std::string& surface_options() const { return surface_options_; }
+  // Behind plain_options(): those of programs that know of a scene how its paths are laid out, and nothing else.
+  std::string layout_options() const;
   Tracer& tracer() { return *tracer_; }
   // Shadow rays may meet surfaces that light passes straight (kernels/path_layout.h: TRANSPARENT_SHADOWS).
   bool transparent_shadows() const { return transparent_shadows_; }

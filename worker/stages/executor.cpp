@@ -45,7 +45,8 @@ struct Executor::Impl {
     const std::string& variant = shown.kernel_options();
     if (!asked_ahead.emplace(variant, kind.kind).second) return;
     for (const LaterProgram& one : kind.later) {
-      const std::string options = one.plain         ? plain_options(device)
+      const std::string options = one.layout        ? plain_options(device) + shown.layout_options()
+                                  : one.plain       ? plain_options(device)
                                   : one.reads_light ? variant
                                                     : shown.surface_options();
       device.compile_ahead(std::string(one.file), options + std::string(one.options));

@@ -22,6 +22,7 @@ struct LaterProgram {
   std::string_view file;
   std::string_view options{};
   bool plain = false;       // as StageRun::build_plain()
+  bool layout = false;      // the same with DeviceScene::layout_options()
   bool reads_light = true;  // as its stage
 };
 
