@@ -163,7 +163,7 @@ class Siege : public testing::TestWithParam<Crew> {
   static Rendered render(ProcessFarm& farm, const std::string& scene, const std::string& method, int seed) {
     const auto begun = Clock::now();
     const std::string job =
-        farm.submit({scene, "--size", "160x120", "--spp", std::to_string(number("GLEANER_SIEGE_SAMPLES", 64)), "--seed",
+        farm.submit({scene, "--size", "160x120", "--spp", std::to_string(number("GLEANER_SIEGE_SAMPLES", 32)), "--seed",
                      std::to_string(seed), "--method", method});
     const nlohmann::json report = farm.finish(job);
     return {report["pixels_sha256"], std::chrono::duration<double>(Clock::now() - begun).count()};

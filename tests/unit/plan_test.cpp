@@ -223,7 +223,7 @@ TEST(PathPlan, VarianceIsToldTruly) {
 // The error that was promised holds in at least 95 % of the frames, though the plan looks after every stage and ends at
 // the first that looks good enough.
 TEST(PathPlan, TargetErrorHolds) {
-  constexpr std::uint32_t width = 24, height = 16, runs = 1000;
+  constexpr std::uint32_t width = 24, height = 16, runs = 400;
   const Truth truth = exponential(width * height);
   double mean = 0;
   for (const double m : truth.mean) mean += m * (1 + 0.5 + 0.25) / (3.0 * width * height);
