@@ -90,10 +90,10 @@ void LimitedPlan::preview(const std::string& stage, std::uint64_t first, std::ui
 }
 
 std::vector<std::string> LimitedPlan::outline() const {
-  std::vector<std::string> lines = method_->outline();
-  lines.insert(lines.begin(), "pace: paths of up to " + std::to_string(kPacePixels) +
-                                  " pixels, split: how fast the farm is; the counts below are for all samples, and "
-                                  "become less where the time limit asks");
+  std::vector<std::string> lines = {"pace: paths of up to " + std::to_string(kPacePixels) +
+                                    " pixels, split: how fast the farm is; the counts below are for all samples, and "
+                                    "become less where the time limit asks"};
+  for (std::string& line : method_->outline()) lines.push_back(std::move(line));
   return lines;
 }
 
