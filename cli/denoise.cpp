@@ -52,9 +52,12 @@ int denoise(const Options& options) {
   coordinator::Film film = coordinator::read_exr(options.input);
   auto metadata = coordinator::read_exr_texts(options.input);
   const coordinator::DenoiserInput input = coordinator::denoiser_input(film, options.input);
-  const kernels::DenoiseParameters parameters{film.width, film.height,
+  const kernels::DenoiseParameters parameters{film.width,
+                                              film.height,
                                               quality == Denoise::fast ? kernels::kDenoiseFast : kernels::kDenoiseHigh,
-                                              input.halves ? 1u : 0u};
+                                              input.halves ? 1u : 0u,
+                                              input.emission ? 1u : 0u,
+                                              {}};
   const worker::DenoisedPicture picture =
       worker::denoise_picture(parameters, floats_of(*input.planes),
                               options.cpu ? worker::DenoiserDevice::cpu : worker::DenoiserDevice::fastest);

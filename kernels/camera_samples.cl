@@ -6,6 +6,11 @@
 #include "kernels/lost_samples.h"
 #include "kernels/transport/camera_samples.h"
 
+// What is known of a sample beside its light is written.
+FN bool has_features(global const PathParameters* parameters) {
+  return parameters->features || parameters->seen == PATH_SEEN_APART;
+}
+
 // Fields of PathParameters are read one by one: the struct itself never lands in registers.
 kernel WIDE void camera_generate(global const PathParameters* restrict parameters, global const uint* restrict items,
                                  uint listed, uint first_item_low, uint first_item_high, uint first_path, uint base,
@@ -73,7 +78,7 @@ kernel WIDE void camera_generate(global const PathParameters* restrict parameter
 #endif
   for (uint k = 0; k < SLOT_WORDS; ++k)
     store_f(slots + (ulong)SLOT_WORDS * (first_path + first_lane) + k * LANES, 0, zero_f());
-  if (parameters->features)
+  if (has_features(parameters))
     for (uint k = 0; k < FEATURE_WORDS; ++k)
       store_f(features + (ulong)FEATURE_WORDS * (first_path + first_lane) + k * LANES, 0, zero_f());
 }
@@ -94,16 +99,20 @@ kernel void camera_resolve(global const PathParameters* restrict parameters, uin
   ulong index = (((ulong)first_item_high << 32) | first_item_low) + item;
   ulong total = ((ulong)parameters->items_high << 32) | parameters->items_low;
   uint used = index == total - 1u ? parameters->last_item_samples : samples;
-  float sum[SLOT_WORDS] = {0};
+  bool apart = parameters->seen == PATH_SEEN_APART;
+  float sum[SLOT_WORDS] = {0}, seen[3] = {0, 0, 0};
   uint lost = 0;
   for (uint s = 0; s < used; ++s) {
     global const float* slot = slots + (ulong)SLOT_WORDS * (item * samples + s);
-    if (finite_words(slot, SUMS))
-      for (uint k = 0; k < SUMS; ++k) sum[k] += slot[k];
-    else
+    if (!finite_words(slot, SUMS)) {
       ++lost;
+      continue;
+    }
+    for (uint k = 0; k < SUMS; ++k) sum[k] += slot[k];
+    if (apart)
+      for (uint k = 0; k < 3; ++k) seen[k] += features[(ulong)FEATURE_WORDS * (item * samples + s) + FEATURE_SEEN + k];
   }
-  uint words = (parameters->features ? 14u : 6u) + (SUMS - 6u);
+  uint own = parameters->features ? 14u : 6u, words = own + (apart ? 3u : 0u) + (SUMS - 6u);
   global float* record = records + (ulong)words * item;
   for (uint k = 0; k < 6; ++k) record[k] = sum[k];
   if (parameters->features) {
@@ -112,6 +121,8 @@ kernel void camera_resolve(global const PathParameters* restrict parameters, uin
       for (uint k = 0; k < 8; ++k) f[k] += features[(ulong)FEATURE_WORDS * (item * samples + s) + k];
     for (uint k = 0; k < 8; ++k) record[6 + k] = f[k];
   }
+  if (apart)
+    for (uint k = 0; k < 3; ++k) record[own + k] = seen[k];
   // What the partner lacks stands last.
   for (uint k = 6u; k < SUMS; ++k) record[words - SUMS + k] = sum[k];
   report_lost(report, item, lost);

@@ -8,9 +8,11 @@ namespace gleaner::kernels {
 
 // Solo stage kind "denoise". An item is a pixel. Its input "film" holds planes one behind the other, of width * height
 // pixels each: radiance of the first half of the samples (RGB a pixel), of the second half (RGB), albedo (RGB), normal
-// (XYZ), and the first half's share of the samples (one float). Where the samples have no halves, the first plane is
-// the picture, and the second and the last are not read.
-constexpr gl_uint kDenoiseWords = 13;  // floats a pixel
+// (XYZ), and the first half's share of the samples (one float). Where emission that the camera sees directly is known
+// apart, that of each half follows (RGB, RGB): it is taken out before and put back after. Where the samples have no
+// halves, the first plane is the picture, the first one of emission likewise, and the second ones and the share are not
+// read.
+constexpr gl_uint kDenoiseWords = 13, kDenoiseEmissionWords = 6;  // floats a pixel
 
 constexpr gl_uint kDenoiseFast = 0, kDenoiseHigh = 1;
 
@@ -18,8 +20,10 @@ struct DenoiseParameters {
   gl_uint width, height;  // pixels
   gl_uint quality;        // kDenoiseFast or kDenoiseHigh
   gl_uint halves;         // whether the samples have halves; else 0, and no error is known
+  gl_uint emission;       // whether there are planes of emission
+  gl_uint reserved[3];
 };
-GLEANER_SIZE(DenoiseParameters, 16);
+GLEANER_SIZE(DenoiseParameters, 32);
 
 struct DenoiseRecord {
   gl_float color[3];       // radiance

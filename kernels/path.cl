@@ -57,16 +57,17 @@ FN Path load_path(global const float* paths, uint block, vu meta) {
   return path;
 }
 
-// Light that the path itself found.
-FN void add_found(global float* slots, uint slot_count, const Path* path, const PathFilter* filter, v3 found,
-                  vi active) {
+// Light that the path itself found. `seen`: what a camera path finds before any scattering is to stand apart.
+FN void add_found(global float* slots, global float* features, bool seen, uint slot_count, const Path* path,
+                  const PathFilter* filter, v3 found, vi active) {
   add_to_slots(slots, slot_count, path->slot, path->indirect, found, active);
   add_compensation(slots, slot_count, path->slot, found, active & filter->compensates);
+  if (seen) add_seen(features, slot_count, path->slot, found, active & (path->depth == 0u));
 }
 
 #ifdef NEED_ENVIRONMENT
-FN void find_environment(const Scene* scene, global float* slots, uint slot_count, const Path* path,
-                         const PathFilter* filter, vi missed) {
+FN void find_environment(const Scene* scene, global float* slots, global float* features, bool seen, uint slot_count,
+                         const Path* path, const PathFilter* filter, vi missed) {
   if (!any_lane(missed)) return;
   vf u, v;
   // Lanes that hold no path may hold anything, and what they look up must lie within the table all the same.
@@ -75,14 +76,14 @@ FN void find_environment(const Scene* scene, global float* slots, uint slot_coun
   v3 radiance = environment_radiance(scene, u, v);
   vf light = environment_pdf(scene, u, v, safe_sqrt(one_f() - d.y * d.y)) * environment_chance(scene, path->total);
   vf weight = pick(one_f(), power_heuristic(path->pdf, light), path->pdf > zero_f());
-  add_found(slots, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight),
+  add_found(slots, features, seen, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight),
             shows_emission(filter, missed));
 }
 #endif
 
 #ifdef NEED_EMISSIVE_TRIANGLES
-FN void find_emission(const Scene* scene, global float* slots, uint slot_count, const Path* path,
-                      const PathFilter* filter, const Vertex* v) {
+FN void find_emission(const Scene* scene, global float* slots, global float* features, bool seen, uint slot_count,
+                      const Path* path, const PathFilter* filter, const Vertex* v) {
   const Hit* h = &v->hit;
   vu emitter = as_vu(h->first[TRIANGLE_EMITTER]);
   vi emits = v->active & shines_towards(h, path->direction) & (emitter != GLEANER_NONE);
@@ -107,7 +108,7 @@ FN void find_emission(const Scene* scene, global float* slots, uint slot_count, 
   vf light = light_pdf(scene, e, path->origin, path->direction, path->segment_length, path->total);
 #endif
   vf weight = pick(one_f(), power_heuristic(path->pdf, light), path->pdf > zero_f());
-  add_found(slots, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight),
+  add_found(slots, features, seen, slot_count, path, filter, scale3(mul3(path->throughput, radiance), weight),
             shows_emission(filter, emits));
 }
 #endif
@@ -339,6 +340,14 @@ FN void write_no_connection(global float* shadows, uint block, uint slot_count) 
   set_row_u(shadows, SHADOW_ROWS, block, ROW_SHADOW_SLOT, (vu)slot_count);
 }
 
+// Of a block whose paths all end here, before any of them reads a map.
+FN void write_end(global float* shadows, global float* reads, uint block, uint slot_count) {
+  write_no_connection(shadows, block, slot_count);
+#ifdef PHOTON_GATHER
+  scatter_u((global uint*)reads + READ_SLOT, ((vu)(block * LANES) + lane_index()) * READ_WORDS, (vu)slot_count);
+#endif
+}
+
 // `reads`: of PHOTON_GATHER alone.
 kernel WIDE void path_shade(global const PathParameters* restrict parameters, SCENE_PARAMETERS, uint survivors,
                             uint fresh_base, uint fresh_count, global const float* restrict paths,
@@ -354,21 +363,19 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
   Path path = load_path(paths, block, meta);
   PathFilter filter = load_filter(paths, block);
   vi hit = active & (row_u(paths, PATH_ROWS, block, ROW_GEOMETRY) != GLEANER_NONE);
+  bool apart = parameters->seen == PATH_SEEN_APART, alone = parameters->seen == PATH_SEEN_ALONE;
 #ifdef NEED_ENVIRONMENT
-  find_environment(scene, slots, slot_count, &path, &filter, active & none(hit));
+  find_environment(scene, slots, features, apart, slot_count, &path, &filter, active & none(hit));
 #endif
   if (!any_lane(hit)) {
-    write_no_connection(shadows, block, slot_count);
-#ifdef PHOTON_GATHER
-    scatter_u((global uint*)reads + READ_SLOT, ((vu)(block * LANES) + lane_index()) * READ_WORDS, (vu)slot_count);
-#endif
+    write_end(shadows, reads, block, slot_count);
     return;
   }
   Vertex v = meet_surface(scene, paths, PATH_ROWS, block, hit);
   path.segment_length = length3(sub3(v.hit.p, path.origin));
   path.throughput = through_media(scene, &v, paths, block, path.origin, path.direction, path.throughput);
 #ifdef NEED_EMISSIVE_TRIANGLES
-  find_emission(scene, slots, slot_count, &path, &filter, &v);
+  find_emission(scene, slots, features, apart, slot_count, &path, &filter, &v);
 #endif
   if (parameters->features)
     write_features(features, slot_count, path.slot, path.direction, path.segment_length, &v,
@@ -381,7 +388,8 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 #ifdef NEED_UNLIT
   vi unlit = v.active & none(v.passes) & ((as_vu(v.hit.words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_UNLIT) != 0u);
   if (any_lane(unlit))
-    add_found(slots, slot_count, &path, &filter, mul3(path.throughput, v.surface.base), shows_unlit(&filter, unlit));
+    add_found(slots, features, apart, slot_count, &path, &filter, mul3(path.throughput, v.surface.base),
+              shows_unlit(&filter, unlit));
   v.active = v.active & none(unlit);
 #endif
   uint most = parameters->depth;
@@ -389,9 +397,15 @@ kernel WIDE void path_shade(global const PathParameters* restrict parameters, SC
 #ifdef PASSES_GLASS
   // Paths that may not scatter again may still go straight on.
   spent = v.active & none(v.passes) & (path.depth >= (vu)most) & ((vu)most != 0u);
+  if (alone) spent = v.active & none(v.passes);
 #else
   if (most) v.active = v.active & ((path.depth < most) | v.passes);
+  if (alone) v.active = v.active & v.passes;
 #endif
+  if (alone && !any_lane(v.active)) {
+    write_end(shadows, reads, block, slot_count);
+    return;
+  }
   filter_vertex(&filter, parameters->clamp, path.origin, path.direction, &v);
   prepare_scattering(scene, &v, path.direction);
 #ifdef PASSES_GLASS

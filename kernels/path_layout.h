@@ -85,8 +85,9 @@
 #endif
 #define SLOT_INDIRECT 3u
 #define SLOT_COMPENSATION 6u
-// Albedo, normal, depth, 1 where something was hit.
-#define FEATURE_WORDS 8u
+// Albedo, normal, depth, 1 where something was hit; emission seen directly.
+#define FEATURE_WORDS 12u
+#define FEATURE_SEEN 8u
 
 #define COUNTER_ALIVE 0u
 #define COUNTER_SHADOW 1u

@@ -40,6 +40,11 @@ namespace gleaner::kernels {
 // kernels/lobe_rows.h).
 #define PATH_CLASS_LOBE 1024u
 
+// Emission seen directly: that a camera path finds before any scattering, straight or past what it passes straight.
+#define PATH_SEEN_WITHIN 0u  // is part of the direct light, as any other
+#define PATH_SEEN_APART 1u   // is that, and stands apart at the records' end as well
+#define PATH_SEEN_ALONE 2u   // is all that the paths look for: they end at the first surface that they do not pass
+
 // Stage kind "path". An item is (pixel, chunk): samples_per_item camera paths through one pixel. Without the input
 // "items", item i is pixel i % (width * height), chunk first_chunk + i / (width * height); with it, item i is what the
 // list says. A pixel has two independently scrambled sequences; chunk c goes on with sequence c % 2 where its last
@@ -58,7 +63,8 @@ typedef struct {
   // more, the sums of what the partner lacks.
   gl_uint filter;
   gl_float clamp;  // with a filter: the partner's bound of the geometry term, 1/m^2; infinity: none
-  gl_uint reserved[3];
+  gl_uint seen;    // PATH_SEEN_...; APART: records have three words more, before those of a filter
+  gl_uint reserved[2];
 } PathParameters;
 GLEANER_SIZE(PathParameters, 128);
 

@@ -46,7 +46,7 @@ Layout layout_of(const RecordedBatch& batch) {
   const std::string& kind = batch.task.kind;
   if (kind == "path" || kind == "ao" || kind == "photon_gather") {
     const auto p = parameters_of<kernels::PathParameters>(batch);
-    const unsigned words = (p.features ? 14 : 6) + (p.filter ? 3 : 0);
+    const unsigned words = (p.features ? 14 : 6) + (p.seen == PATH_SEEN_APART ? 3 : 0) + (p.filter ? 3 : 0);
     return {.row_words = words, .reals = range(0, words), .sums = range(0, 6), .bound = {0.01, 0.03, 0.01}};
   }
   if (kind == "vpl_trace")

@@ -79,7 +79,7 @@ double Accumulator::variance(std::size_t pixel, int k) const {
   const double a = samples[0], b = samples[1];
   if (a == 0 || b == 0) return 0;
   const double first = first_[k][pixel], second = direct_[k][pixel] + indirect_[k][pixel] - first;
-  const double difference = first / a - second / b;
+  const double difference = first / a + seen_by(0, pixel, k, samples) - second / b - seen_by(1, pixel, k, samples);
   return difference * difference * a * b / ((a + b) * (a + b));
 }
 
@@ -135,6 +135,45 @@ void Accumulator::add_clamped(std::uint32_t pixel, const float clamped[3]) {
   for (int k = 0; k < 3; ++k) clamped_[k][pixel] += clamped[k];
 }
 
+void Accumulator::add_seen(std::uint32_t pixel, std::uint32_t chunk, const float emission[3]) {
+  if (!(emission[0] > 0 || emission[1] > 0 || emission[2] > 0)) return;
+  if (!sees_emission())
+    for (auto& sequence : seen_) resize(sequence, pixel_count());
+  for (int k = 0; k < 3; ++k) seen_[chunk % 2][k][pixel] += emission[k];
+}
+
+void Accumulator::add_seen_alone(std::uint32_t pixel, std::uint32_t chunk, const float emission[3],
+                                 std::uint32_t rays) {
+  SeenAlone& alone = seen_alone_[chunk % 2][pixel];
+  for (int k = 0; k < 3; ++k) alone.sums[k] += emission[k];
+  alone.samples += rays;
+}
+
+double Accumulator::seen_by(std::size_t sequence, std::size_t pixel, int k, const Samples& by_sequence) const {
+  if (!sees_emission()) return 0;
+  const auto& few = seen_alone_[sequence];
+  if (const auto alone = few.find(static_cast<std::uint32_t>(pixel));
+      alone != few.end() && alone->second.samples > by_sequence[sequence])
+    return alone->second.sums[k] / alone->second.samples;
+  return by_sequence[sequence] ? double{seen_[sequence][k][pixel]} / by_sequence[sequence] : 0;
+}
+
+double Accumulator::seen_by_all(std::size_t pixel, int k) const {
+  const Samples by_sequence = sequence_samples(pixel);
+  const double a = by_sequence[0], b = by_sequence[1];
+  if (!sees_emission() || a + b == 0) return 0;
+  return (a * seen_by(0, pixel, k, by_sequence) + b * seen_by(1, pixel, k, by_sequence)) / (a + b);
+}
+
+std::vector<float> Accumulator::seen(std::size_t sequence) const {
+  return layer([&](std::size_t i) {
+    const Samples by_sequence = sequence_samples(i);
+    double sum = 0;
+    for (int k = 0; k < 3; ++k) sum += seen_by(sequence, i, k, by_sequence);
+    return static_cast<float>(sum / 3);
+  });
+}
+
 PixelNoise Accumulator::noise() const {
   PixelNoise noise{std::vector<float>(pixel_count()), std::vector<std::uint32_t>(pixel_count()), width_, height_};
   noise.mean.resize(pixel_count());
@@ -171,7 +210,7 @@ double Accumulator::mean_radiance() const {
   double sum = 0;
   for (std::size_t i = 0; i < pixel_count(); ++i)
     if (const std::uint32_t count = samples(i))
-      for (int k = 0; k < 3; ++k) sum += (direct_[k][i] + indirect_[k][i]) / count;
+      for (int k = 0; k < 3; ++k) sum += (direct_[k][i] + indirect_[k][i]) / count + seen_by_all(i, k);
   return sum / (3.0 * static_cast<double>(pixel_count()));
 }
 
@@ -206,7 +245,9 @@ Film Accumulator::preview(bool guides) const {
   for (std::size_t k = 0; k < 3; ++k)
     film.channels.push_back({kColor[k], layer([&](std::size_t i) {
                                const float pass = preview_pass_.empty() ? 0.0f : preview_pass_[3 * i + k];
-                               return pass + (sampled() ? mean(direct_[k][i] + indirect_[k][i], samples(i)) : 0.0f);
+                               if (!sampled()) return pass;
+                               return pass + mean(direct_[k][i] + indirect_[k][i], samples(i)) +
+                                      static_cast<float>(seen_by_all(i, static_cast<int>(k)));
                              })});
   if (!guides || depth_.empty() || feature_samples_ % pixel_count() != 0) return film;
   const auto count = static_cast<std::uint32_t>(feature_samples_ / pixel_count());
@@ -240,14 +281,16 @@ Film Accumulator::take_film() {
   const auto half_mean = [&](std::size_t i, int k) {
     const Samples by_sequence = sequence_samples(i);
     // A pixel of one sequence has no halves.
-    return by_sequence[0] && by_sequence[1] ? static_cast<float>(first_[k][i] / by_sequence[0])
-                                            : mean(direct_[k][i] + indirect_[k][i], samples(i));
+    return by_sequence[0] && by_sequence[1]
+               ? static_cast<float>(first_[k][i] / by_sequence[0] + seen_by(0, i, k, by_sequence))
+               : mean(direct_[k][i] + indirect_[k][i], samples(i)) + static_cast<float>(seen_by_all(i, k));
   };
   for (int k = 0; k < 3; ++k) {
     spread[k] = layer([&](std::size_t i) { return bounded(variance(i, k)); });
     if (halves_) half[k] = layer([&](std::size_t i) { return half_mean(i, k); });
     free_memory(first_[k]);
-    direct[k] = layer([&](std::size_t i) { return mean(direct_[k][i], samples(i)); });
+    direct[k] =
+        layer([&](std::size_t i) { return mean(direct_[k][i], samples(i)) + static_cast<float>(seen_by_all(i, k)); });
     free_memory(direct_[k]);
     indirect[k] = layer([&](std::size_t i) { return mean(indirect_[k][i], samples(i)); });
     free_memory(indirect_[k]);
@@ -269,6 +312,7 @@ Film Accumulator::take_film() {
   })
                                      : std::vector<float>();
   if (halves_) put("half.A", share);
+  if (sees_emission()) take_emission(film);
   std::vector<float> count = layer([&](std::size_t i) { return static_cast<float>(samples(i)); });
   put("samples.Y", count);
   for (int k = 0; k < 3 && !clamped_[0].empty(); ++k) {
@@ -279,6 +323,20 @@ Film Accumulator::take_film() {
   if (passes_ > 0) add_passes(film);
   *this = Accumulator(width_, height_);
   return film;
+}
+
+void Accumulator::take_emission(Film& film) {
+  for (int k = 0; k < 3; ++k)
+    film.channels.push_back({std::string("emission.") + kColor[k],
+                             layer([&](std::size_t i) { return static_cast<float>(seen_by_all(i, k)); })});
+  if (!halves_) return;
+  for (int k = 0; k < 3; ++k)
+    film.channels.push_back({std::string("half.emission.") + kColor[k], layer([&](std::size_t i) {
+                               const Samples by_sequence = sequence_samples(i);
+                               return static_cast<float>(by_sequence[0] && by_sequence[1]
+                                                             ? seen_by(0, i, k, by_sequence)
+                                                             : seen_by_all(i, k));
+                             })});
 }
 
 void Accumulator::take_features(Film& film) {

@@ -46,12 +46,20 @@ class Accumulator {
   void add_features(std::uint32_t pixel, const FeatureSums& features, std::uint32_t samples);
   // Of the sums that add() got, the part that compensates the bounded geometry term of virtual point lights.
   void add_clamped(std::uint32_t pixel, const float clamped[3]);
+  // Emission seen directly, a sum over the samples of a chunk. add() gets the rest of their light alone.
+  void add_seen(std::uint32_t pixel, std::uint32_t chunk, const float emission[3]);
+  // The same by `samples` rays of the pixel's sequence chunk % 2 that look for nothing else: where there are more of
+  // them than samples of that sequence, they say what is seen.
+  void add_seen_alone(std::uint32_t pixel, std::uint32_t chunk, const float emission[3], std::uint32_t samples);
+  // What the samples of one sequence, 0 or 1, have seen: radiance, mean over the channels.
+  std::vector<float> seen(std::size_t sequence) const;
   // A pass: indirect radiance, RGB of every pixel.
   void add_pass(std::span<const float> rgb);
   std::uint32_t passes() const { return passes_; }
 
   // The sample variance of whole chunks' means, mean over the channels; 0 for pixels of fewer than two. Chunks of one
   // sequence repel each other, so that it overstates what more of them would leave: a guide to where the noise is.
+  // Without what is seen directly.
   PixelNoise noise() const;
   // What the picture's squared error, the mean over pixels and channels, stays below in 97.7 % of pictures: the
   // estimate from the pixels' variances and two standard deviations more. Of the samples, without the passes.
@@ -66,7 +74,8 @@ class Accumulator {
 
   // Layers R G B, direct.*, indirect.*, variance.*, samples.Y and, where features were added, albedo.*, normal.*,
   // depth.Z; where add_clamped() was called, clamped.* (a part of indirect.*); where halves are kept, half.* (radiance
-  // by the first half alone) and half.A (its share of the samples, in [0, 1]).
+  // by the first half alone) and half.A (its share of the samples, in [0, 1]). Where something was seen directly,
+  // emission.* (a part of direct.*) and half.emission.* (by the first half alone).
   Film film() const;
   // The same without the passes.
   Film film_of_samples() const;
@@ -91,6 +100,11 @@ class Accumulator {
   double variance(std::size_t pixel, int k) const;  // of the mean; 0 where a sequence is empty
   template <typename Value>
   std::vector<float> layer(const Value& value) const;
+  bool sees_emission() const { return !seen_[0][0].empty(); }
+  double seen_by(std::size_t sequence, std::size_t pixel, int k, const Samples& samples) const;  // mean radiance
+  // Of both sequences, in the shares that their samples have.
+  double seen_by_all(std::size_t pixel, int k) const;
+  void take_emission(Film& film);
   void take_features(Film& film);
   void add_passes(Film& film);
 
@@ -102,6 +116,13 @@ class Accumulator {
   std::vector<double> square_;          // squared deviations of whole chunks' means, summed over chunks and channels
   std::vector<Samples> whole_;          // whole chunks, by sequence
   std::map<std::uint32_t, ShortChunks> short_;  // by pixel; a stage has one at most
+  // From the first emission that is seen on: sums over samples, by sequence.
+  std::array<Channels<float>, 2> seen_;
+  struct SeenAlone {
+    double sums[3] = {};
+    std::uint32_t samples = 0;
+  };
+  std::array<std::map<std::uint32_t, SeenAlone>, 2> seen_alone_;  // by sequence and pixel; of few pixels
   // From the first features on: sums.
   Channels<float> albedo_, normal_;
   std::vector<float> depth_, hits_;

@@ -27,7 +27,7 @@ class AoPlan final : public GraphPlan {
   AoPlan(const FrameSettings& settings, const SceneSummary& scene)
       : GraphPlan(settings, scene),
         ao_(read_settings(settings)),
-        samples_(graph_, film_, settings, {.kind = "ao", .method_parameters = bytes_of(ao_)}) {
+        samples_(graph_, film_, settings, {.kind = "ao", .method_parameters = bytes_of(ao_), .sees_emission = false}) {
     skips_.push_back({"lights and materials", "ambient occlusion is of the shape alone", 1});
     if (!scene.needs.alpha) skips_.push_back({"alpha tests", "every surface is opaque", 1});
   }

@@ -27,6 +27,7 @@ Graph::Artifact ask_denoising(Graph& graph, const std::string& name, const Film&
   p.height = film.height;
   p.quality = quality == Denoise::fast ? kernels::kDenoiseFast : kernels::kDenoiseHigh;
   p.halves = input.halves ? 1 : 0;
+  p.emission = input.emission ? 1 : 0;
   StageSpec spec;
   spec.name = name;
   spec.kind = "denoise";

@@ -73,6 +73,6 @@ class GivenPicture final : public Plan {
 
 // What the stage's input, its records and the layers of its own take.
 inline constexpr std::uint64_t kDenoiseBytesAPixel =
-    (kernels::kDenoiseWords + 8) * sizeof(float) + sizeof(kernels::DenoiseRecord);
+    (kernels::kDenoiseWords + 2 * kernels::kDenoiseEmissionWords + 8) * sizeof(float) + sizeof(kernels::DenoiseRecord);
 
 }  // namespace gleaner::coordinator

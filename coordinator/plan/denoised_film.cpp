@@ -58,21 +58,32 @@ DenoiserInput denoiser_input(const Film& film, const std::string& name) {
     if (!film.find(picture + color))
       throw Error::bad_input(name, "layers", "a picture in layers R, G and B", "no layer " + picture + color);
   for (const char* color : kColor)
-    for (const std::string& layer : {picture, std::string("half."), std::string("albedo.")})
+    for (const std::string& layer : {picture, std::string("half."), std::string("albedo."), std::string("emission."),
+                                     std::string("half.emission.")})
       require_finite(film, layer + color, name);
   for (const char* axis : kAxis) require_finite(film, std::string("normal.") + axis, name);
   require_finite(film, "half.A", name);
   const std::vector<float>* share = values_of(film, "half.A");
-  const bool halves = share && film.find("half.R") && film.find("half.G") && film.find("half.B");
+  const auto colored = [&](const std::string& layer) {
+    return std::ranges::all_of(kColor, [&](const char* color) { return film.find(layer + color); });
+  };
+  const bool halves = share && colored("half.");
+  const bool emission = colored("emission.") && (!halves || colored("half.emission."));
   const std::size_t pixels = std::size_t{film.width} * film.height;
-  auto bytes = std::make_shared<scene::Bytes>(pixels * kernels::kDenoiseWords * sizeof(float));
+  const std::size_t words = kernels::kDenoiseWords + (emission ? kernels::kDenoiseEmissionWords : 0);
+  auto bytes = std::make_shared<scene::Bytes>(pixels * words * sizeof(float));
   auto* const first = reinterpret_cast<float*>(bytes->data());
   float* const second = interleave(film, halves ? "half." : picture, kColor, first);
   if (halves) put_second_half(film, picture, first, *share, second);
   float* to = interleave(film, "albedo.", kColor, second + 3 * pixels);
   to = interleave(film, "normal.", kAxis, to);
   if (halves) std::ranges::copy(*share, to);
-  return {std::move(bytes), halves};
+  if (emission) {
+    float* const seen = to + pixels;
+    to = interleave(film, halves ? "half.emission." : "emission.", kColor, seen);
+    if (halves) put_second_half(film, "emission.", seen, *share, to);
+  }
+  return {std::move(bytes), halves, emission};
 }
 
 void check_denoised(std::span<const kernels::DenoiseRecord> records, const std::string& where) {

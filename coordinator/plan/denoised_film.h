@@ -14,7 +14,8 @@ namespace gleaner::coordinator {
 
 struct DenoiserInput {
   std::shared_ptr<const scene::Bytes> planes;
-  bool halves = false;  // the film tells two halves of its samples apart
+  bool halves = false;    // the film tells two halves of its samples apart
+  bool emission = false;  // and what of them is emission that the camera sees directly
 };
 
 // Of a film that was denoised before, its noisy.* layers are the picture. Guides that it does not have are black.

@@ -1,6 +1,7 @@
 #include "coordinator/plan/path_sampler.h"
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cmath>
 #include <cstring>
@@ -10,6 +11,7 @@
 #include "coordinator/plan/allocation.h"
 #include "coordinator/plan/denoise_plan.h"
 #include "coordinator/plan/denoised_film.h"
+#include "coordinator/plan/seen_emission.h"
 #include "scene/model/error.h"
 
 namespace gleaner::coordinator {
@@ -27,6 +29,15 @@ constexpr std::uint64_t kMostItems = std::uint64_t{1} << 25;
 // Neighbours asked about a pixel's noise: half of (2 r + 1)^2, two chunks each. Fewer would make the counts themselves
 // noisy.
 constexpr int kNoiseRadius = 3;
+
+// Emission seen directly, at edges: in each half of the samples, kSeenRays to kMostSeenRays rays a pixel,
+// kSeenFactor times its samples. Of the picture's pixels, one in kSeenPixels at most, by each half; and, in all, no
+// more rays than half of the samples, or than kSeenBudget a pixel of the picture.
+constexpr std::uint32_t kSeenRays = 512, kMostSeenRays = 2048, kSeenFactor = 4, kSeenPixels = 16, kSeenBudget = 8;
+// Differences below this share of the picture's mean are left as they were sampled.
+constexpr double kSeenLeast = 0.05;
+// What such a ray costs, in samples of a path tracer.
+constexpr double kSeenWork = 0.2;
 
 // The budget in quarters: two chunks for every pixel first (the least that shows a variance), then as the noise asks.
 std::uint32_t chunk_samples(std::uint32_t spp) {
@@ -53,21 +64,27 @@ void list_in_rounds(const Allocation& given, PathItem* item) {
 // One item's record, of which some words may be missing: those stay 0.
 struct Sums {
   PathFeatureRecord record{};
+  float seen[3] = {};  // of record.direct
   float clamped[3] = {};
 };
 
-Sums read_sums(const std::byte* at, bool features, bool compensates) {
+Sums read_sums(const std::byte* at, bool features, bool apart, bool compensates) {
   Sums sums;
-  const std::size_t bytes = features ? sizeof(PathFeatureRecord) : sizeof(PathRecord);
-  std::memcpy(&sums.record, at, bytes);
-  if (compensates) std::memcpy(sums.clamped, at + bytes, sizeof sums.clamped);
+  const auto read = [&](void* to, std::size_t bytes) {
+    std::memcpy(to, at, bytes);
+    at += bytes;
+  };
+  read(&sums.record, features ? sizeof(PathFeatureRecord) : sizeof(PathRecord));
+  if (apart) read(sums.seen, sizeof sums.seen);
+  if (compensates) read(sums.clamped, sizeof sums.clamped);
   return sums;
 }
 
-bool finite(const Sums& sums) {
+void check_finite(const Sums& sums, const Graph::Artifact& stage, std::uint64_t item) {
   float words[sizeof sums / 4];
   std::memcpy(words, &sums, sizeof sums);
-  return std::ranges::all_of(words, [](float word) { return std::isfinite(word); });
+  if (!std::ranges::all_of(words, [](float word) { return std::isfinite(word); }))
+    throw Error::failed("stage " + stage.stage() + ", item " + std::to_string(item) + ": a sum that is not finite");
 }
 
 }  // namespace
@@ -92,7 +109,11 @@ std::uint64_t PathSampler::budget() const {
 std::uint64_t PathSampler::planned() const { return std::min(budget(), pixels() * settings_.planned_spp()); }
 
 std::uint32_t PathSampler::samples_of(const Asked& asked, std::uint64_t item) const {
-  return item + 1 == asked.items ? asked.last_item_samples : chunk_samples_;
+  return item + 1 == asked.items ? asked.last_item_samples : samples_per_item(asked);
+}
+
+std::uint32_t PathSampler::samples_per_item(const Asked& asked) const {
+  return asked.seen == PATH_SEEN_ALONE ? GLEANER_PATH_MAX_ITEM_SAMPLES : chunk_samples_;
 }
 
 std::uint64_t PathSampler::samples_of(const Asked& asked, const ItemRange& range) const {
@@ -101,7 +122,8 @@ std::uint64_t PathSampler::samples_of(const Asked& asked, const ItemRange& range
 }
 
 std::size_t PathSampler::record_bytes(const Asked& asked) const {
-  return (asked.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord)) + (complement_.classes ? 12 : 0);
+  return (asked.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord)) + (asked.seen == PATH_SEEN_APART ? 12 : 0) +
+         (complement_.classes ? 12 : 0);
 }
 
 PathItem PathSampler::item_of(const Asked& asked, std::uint64_t item) const {
@@ -121,12 +143,12 @@ void PathSampler::begin(const Complement& complement, Program program) {
   begin(complement);
 }
 
-void PathSampler::ask(Asked asked) {
+PathParameters PathSampler::parameters_of(const Asked& asked) const {
   PathParameters p{};
   p.camera = settings_.camera;
   p.width = settings_.width;
   p.height = settings_.height;
-  p.samples_per_item = chunk_samples_;
+  p.samples_per_item = samples_per_item(asked);
   p.last_item_samples = asked.last_item_samples;
   p.depth = settings_.depth;
   p.seed_low = low(settings_.seed);
@@ -136,26 +158,77 @@ void PathSampler::ask(Asked asked) {
   p.items_high = static_cast<std::uint32_t>(asked.items >> 32);
   p.filter = complement_.classes;
   p.clamp = complement_.limit;
+  p.seen = asked.seen;
+  return p;
+}
+
+Graph::Artifact PathSampler::add_stage(const Asked& asked, const std::string& name, double work) {
   StageSpec spec;
-  spec.name = program_.kind + "." + std::to_string(stages_.size());
+  spec.name = name;
   spec.kind = program_.kind;
   spec.items = asked.items;
   // 16 paths are one packet: what shares a packet must not depend on where batches are cut.
-  spec.tile = std::max(1u, 16 / chunk_samples_);
-  spec.work = static_cast<double>(samples_of(asked, {0, asked.items}));
+  spec.tile = std::max(1u, 16 / samples_per_item(asked));
+  spec.work = work;
   // The records of a whole stage of a large film are larger than all that the film holds.
   spec.output = {
       .record_bytes = static_cast<std::uint32_t>(record_bytes(asked)), .placement = Placement::stream, .floats = true};
   std::vector<Graph::Input> inputs = program_.inputs;
   if (asked.list) inputs.push_back({"items", graph_.data(asked.list), Extent::own_items});
-  spec.parameters = bytes_of(p);
+  spec.parameters = bytes_of(parameters_of(asked));
   spec.parameters.insert(spec.parameters.end(), program_.method_parameters.begin(), program_.method_parameters.end());
-  asked.artifact = graph_.add(std::move(spec), std::move(inputs));
+  return graph_.add(std::move(spec), std::move(inputs));
+}
+
+void PathSampler::ask(Asked asked) {
+  if (tells_emission()) asked.seen = PATH_SEEN_APART;
+  const std::uint64_t samples = samples_of(asked, {0, asked.items});
+  asked.artifact = add_stage(asked, program_.kind + "." + std::to_string(stages_.size()), static_cast<double>(samples));
   graph_.on_records(asked.artifact,
                     [this](auto first, auto count, const Bytes& records) { absorb(first, count, records); });
   graph_.when({asked.artifact}, [this] { continue_or_end(); });
-  spent_ += samples_of(asked, {0, asked.items});
+  spent_ += samples;
   stages_.push_back(std::move(asked));
+}
+
+// What one half of the samples has seen decides for the other half: had a pixel's own samples a say in whether they
+// stay, those that by chance saw nothing of a small light would.
+void PathSampler::ask_seen() {
+  const double least = kSeenLeast * (film_.mean_radiance() + complement_.mean);
+  std::array<std::vector<std::uint32_t>, 2> edges;  // by half
+  for (std::size_t half = 0; half < 2; ++half)
+    edges[half] =
+        emission_edges(film_.seen(1 - half), settings_.width, settings_.height, least, pixels() / kSeenPixels);
+  const std::uint64_t found = edges[0].size() + edges[1].size();
+  if (found == 0) return;
+  const std::uint32_t spp = settings_.planned_spp();
+  const std::uint64_t wanted = std::clamp(kSeenFactor * (spp / 2), kSeenRays, kMostSeenRays),
+                      most = pixels() * std::max(spp / 2, kSeenBudget) / found;
+  const auto chunks = static_cast<std::uint32_t>(
+      std::bit_floor(std::max<std::uint64_t>(1, std::min(wanted, most) / GLEANER_PATH_MAX_ITEM_SAMPLES)));
+  std::vector<PathItem> list;
+  for (std::uint32_t half = 0; half < 2; ++half)
+    for (const std::uint32_t pixel : edges[half])
+      for (std::uint32_t k = 0; k < chunks; ++k) list.push_back({pixel, 2 * k + half});
+  seen_ = Asked{.artifact = {},
+                .items = list.size(),
+                .last_item_samples = GLEANER_PATH_MAX_ITEM_SAMPLES,
+                .list = bytes_of(list),
+                .seen = PATH_SEEN_ALONE};
+  seen_work_ = kSeenWork * static_cast<double>(list.size()) * GLEANER_PATH_MAX_ITEM_SAMPLES;
+  seen_->artifact = add_stage(*seen_, program_.kind + ".seen", seen_work_);
+  graph_.on_records(seen_->artifact,
+                    [this](auto first, auto count, const Bytes& records) { absorb_seen(first, count, records); });
+}
+
+void PathSampler::absorb_seen(std::uint64_t first, std::uint64_t count, const Bytes& records) {
+  const std::size_t stride = record_bytes(*seen_);
+  for (std::uint64_t k = 0; k < count; ++k) {
+    const Sums sums = read_sums(records.data() + k * stride, false, false, false);
+    check_finite(sums, seen_->artifact, first + k);
+    const PathItem item = item_of(*seen_, first + k);
+    film_.add_seen_alone(item.pixel, item.chunk, sums.record.direct, samples_of(*seen_, first + k));
+  }
 }
 
 // A stage of so many samples, given out by the noise seen so far.
@@ -188,13 +261,16 @@ void PathSampler::absorb(std::uint64_t first, std::uint64_t count, const Bytes& 
   const Asked& asked = stages_.back();
   const std::size_t stride = record_bytes(asked);
   for (std::uint64_t k = 0; k < count; ++k) {
-    const Sums sums = read_sums(records.data() + k * stride, asked.features, complement_.compensates);
-    if (!finite(sums))
-      throw Error::failed("stage " + asked.artifact.stage() + ", item " + std::to_string(first + k) +
-                          ": a sum that is not finite");
+    Sums sums =
+        read_sums(records.data() + k * stride, asked.features, asked.seen == PATH_SEEN_APART, complement_.compensates);
+    check_finite(sums, asked.artifact, first + k);
     const std::uint32_t samples = samples_of(asked, first + k);
     const PathItem item = item_of(asked, first + k);
-    const PathFeatureRecord& r = sums.record;
+    PathFeatureRecord& r = sums.record;
+    if (asked.seen == PATH_SEEN_APART) {
+      for (int c = 0; c < 3; ++c) r.direct[c] -= sums.seen[c];
+      film_.add_seen(item.pixel, item.chunk, sums.seen);
+    }
     film_.add(item.pixel, item.chunk, r.direct, r.indirect, samples, samples == chunk_samples_);
     if (asked.features)
       film_.add_features(
@@ -252,9 +328,13 @@ void PathSampler::reach_for_target() {
 void PathSampler::continue_or_end() {
   // Lists are large: the next one is made when this one's memory is free.
   stages_.back().list.reset();
+  if (stages_.size() == 1 && tells_emission()) ask_seen();
   if (settings_.target_error > 0) {
     const auto look = [this] { settings_.denoise == Denoise::off ? reach_for_target() : ask_judgement(); };
-    return complement_.known ? graph_.when({complement_.known}, look) : look();
+    std::vector<Graph::Artifact> known;
+    if (complement_.known) known.push_back(complement_.known);
+    if (seen_) known.push_back(seen_->artifact);
+    return known.empty() ? look() : graph_.when(std::move(known), look);
   }
   done_ = spent_ == budget();
   if (done_) return program_.inputs.clear();

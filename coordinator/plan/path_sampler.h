@@ -37,6 +37,7 @@ class PathSampler {
     std::string kind = "path";           // stages are kind.0, kind.1 and so on
     Bytes method_parameters{};           // follow PathParameters
     std::vector<Graph::Input> inputs{};  // beside the list of items
+    bool sees_emission = true;           // its records are light
   };
 
   PathSampler(Graph& graph, Accumulator& film, const FrameSettings& settings, Program program);
@@ -62,7 +63,7 @@ class PathSampler {
   std::vector<std::string> outline() const;
   std::vector<std::string> warnings() const { return warnings_; }
   double predicted_work() const;  // of what is still to be asked for, in samples
-  double asked_work() const { return static_cast<double>(spent_); }
+  double asked_work() const { return static_cast<double>(spent_) + seen_work_; }
 
  private:
   // A stage that was asked for: which pixel and chunk each of its items is.
@@ -72,6 +73,7 @@ class PathSampler {
     bool features = false;
     std::uint32_t last_item_samples = 0;
     std::shared_ptr<const Bytes> list{};  // PathItem each; null: pixel = item % pixels
+    std::uint32_t seen = PATH_SEEN_WITHIN;
   };
 
   std::uint64_t pixels() const { return std::uint64_t{settings_.width} * settings_.height; }
@@ -82,7 +84,16 @@ class PathSampler {
   std::uint64_t samples_of(const Asked& asked, const ItemRange& range) const;
   std::size_t record_bytes(const Asked& asked) const;
   kernels::PathItem item_of(const Asked& asked, std::uint64_t item) const;
+  // Emission that is seen directly has records of its own, for a picture that will be denoised.
+  bool tells_emission() const { return program_.sees_emission && settings_.denoise != Denoise::off; }
+  std::uint32_t samples_per_item(const Asked& asked) const;
+  kernels::PathParameters parameters_of(const Asked& asked) const;
+  // Asks for the stage; returns its output, which asked.artifact then is.
+  Graph::Artifact add_stage(const Asked& asked, const std::string& name, double work);
   void ask(Asked asked);
+  // Where the first samples saw edges of emission: camera rays that look for nothing else.
+  void ask_seen();
+  void absorb_seen(std::uint64_t first, std::uint64_t count, const Bytes& records);
   void spend(std::uint64_t samples);
   void absorb(std::uint64_t first, std::uint64_t count, const Bytes& records);
   void continue_or_end();
@@ -101,6 +112,8 @@ class PathSampler {
   std::uint64_t spent_ = 0;    // samples asked for so far
   std::vector<Asked> stages_;  // the last one runs
   std::vector<std::string> warnings_;
+  std::optional<Asked> seen_;  // what ask_seen() asked for
+  double seen_work_ = 0;
   std::uint64_t target_samples_ = 0;  // that the target error is predicted to take in all
   // Where the picture is denoised and has a target error: what its last look said. Only the samples are looked at, not
   // the passes of the method's own, of which there are more or fewer at any moment.

@@ -48,13 +48,22 @@ FN void store_path(global float* paths, vu to, const vf* rows) {
 FN void write_features(global float* features, uint slot_count, vu slot, v3 direction, vf distance, const Vertex* v,
                        vi first_hit) {
   if (!any_lane(first_hit)) return;
-  vf words[FEATURE_WORDS];
+  vf words[FEATURE_SEEN];
   put_words3(words, 0u, v->surface.base);
   v3 n = v->hit.normal;
   put_words3(words, 3u, pick3(n, negate3(n), dot3(n, direction) > zero_f()));
   words[6] = distance;
   words[7] = one_f();
-  scatter_words(features, 1u, pick_u((vu)slot_count, slot, first_hit) * FEATURE_WORDS, words, FEATURE_WORDS);
+  scatter_words(features, 1u, pick_u((vu)slot_count, slot, first_hit) * FEATURE_WORDS, words, FEATURE_SEEN);
+}
+
+// Emission seen directly, in lanes of `seen`. A path may pass some and see more behind.
+FN void add_seen(global float* features, uint slot_count, vu slot, v3 emission, vi seen) {
+  if (!any_lane(seen)) return;
+  vu at = pick_u((vu)slot_count, slot, seen) * FEATURE_WORDS + (vu)FEATURE_SEEN;
+  vf words[3] = {emission.x, emission.y, emission.z};
+  for (uint k = 0; k < 3u; ++k) words[k] += gather_f(features + k, at);
+  scatter_words(features, 1u, at, words, 3u);
 }
 
 #endif

@@ -75,10 +75,17 @@ TEST_F(DenoisedFrames, AreNearerToTheTruthAndKnowHowNear) {
 TEST_F(DenoisedFrames, RepeatTheirBitsAndKeepTheSamples) {
   const Rendered first = render(frame_of("path", 8, Denoise::fast)),
                  second = render(frame_of("path", 8, Denoise::fast));
-  const Rendered raw = render(frame_of("path", 8, Denoise::off));
   EXPECT_EQ(coordinator::pixels_sha256(first.film), coordinator::pixels_sha256(second.film));
+  // The middle of the picture, where no lamp is seen: its emission would have rays of its own.
+  const auto middle = [](Denoise denoise) {
+    Frame frame = frame_of("path", 8, denoise);
+    frame.settings.camera.half_width = frame.settings.camera.half_height *= 0.5f;
+    return render(frame).film;
+  };
+  const Film denoised = middle(Denoise::fast), raw = middle(Denoise::off);
+  EXPECT_FALSE(denoised.find("emission.R"));
   for (const char* color : {"R", "G", "B"})
-    EXPECT_EQ(first.film.find(std::string("noisy.") + color)->values, raw.film.find(color)->values);
+    EXPECT_EQ(denoised.find(std::string("noisy.") + color)->values, raw.find(color)->values);
   EXPECT_EQ(first.parameters["denoise"]["quality"], "fast");
   EXPECT_EQ(first.parameters["denoise"]["library"], "Open Image Denoise " + worker::denoiser_version());
 }
@@ -103,6 +110,82 @@ TEST_F(DenoisedFrames, ATargetErrorIsTheDenoisedPictures) {
               denoised.parameters["samples"].get<double>() / raw.parameters["samples"].get<double>());
   EXPECT_LT(error, 0.02);
   EXPECT_LT(denoised.parameters["samples"].get<double>(), 0.5 * raw.parameters["samples"].get<double>());
+}
+
+// --- Emission seen directly: with or without the library ---
+
+// `wide`: times the usual field of view, in which the room and its lamp are smaller.
+Rendered lamp_of(std::uint32_t size, std::uint32_t spp, std::uint64_t seed, const std::string& method = "path",
+                 float wide = 1) {
+  Frame frame = frame_of(method, spp, Denoise::fast);
+  frame.settings.width = frame.settings.height = size;
+  frame.settings.seed = seed;
+  frame.settings.camera.half_width = frame.settings.camera.half_height *= wide;
+  return render(frame);
+}
+
+// Red emission a pixel by the first samples alone.
+std::vector<float> sampled_emission(const Rendered& frame) {
+  constexpr std::size_t kSeenAt = sizeof(kernels::PathFeatureRecord) / 4, kWords = kSeenAt + 3;
+  const std::vector<float> words = frame.floats("path.0");
+  const std::size_t pixels = std::size_t{frame.film.width} * frame.film.height, items = words.size() / kWords;
+  const auto samples = static_cast<float>(items / pixels * frame.parameters["samples_per_chunk"].get<std::size_t>());
+  std::vector<float> emission(pixels);
+  for (std::size_t item = 0; item < items; ++item) emission[item % pixels] += words[item * kWords + kSeenAt] / samples;
+  return emission;
+}
+
+double deviation(const std::vector<float>& a, const std::vector<float>& b) {
+  double sum = 0;
+  for (std::size_t i = 0; i < a.size(); ++i) sum += std::pow(double{a[i]} - b[i], 2);
+  return std::sqrt(sum / static_cast<double>(a.size()));
+}
+
+TEST(SeenEmission, EdgesOfLampsFlickerLessThanTheirSamples) {
+  const Rendered one = lamp_of(64, 8, 1), other = lamp_of(64, 8, 2);
+  const double own = deviation(one.film.find("emission.R")->values, other.film.find("emission.R")->values),
+               sampled = deviation(sampled_emission(one), sampled_emission(other));
+  std::printf("  a lamp in frames of other seeds: %.4f, by its samples %.4f\n", own, sampled);
+  // 1,024 rays for 4 samples: by chance alone it were 1/16; these fill the pixel evenly.
+  EXPECT_LT(own, 0.04 * sampled);
+  // No more of them than half of the samples, or than 8 a pixel.
+  EXPECT_LE(one.specs.at("path.seen").items * 64, 8u * 64 * 64);
+}
+
+// The picture's samples and what is seen directly add up to what is rendered without a denoiser, also where paths
+// read a map.
+TEST(SeenEmission, IsPartOfThePicture) {
+  for (const char* method : {"path", "photon"}) {
+    const Rendered frame = lamp_of(32, 64, 1, method);
+    double seen = 0, reflected = 0, whole = 0;
+    for (const char* color : {"R", "G", "B"}) {
+      seen += mean_of(frame.film, std::string("emission.") + color);
+      reflected +=
+          mean_of(frame.film, std::string("noisy.") + color) - mean_of(frame.film, std::string("emission.") + color);
+      whole += mean_of(truth(), color);
+    }
+    std::printf("  %s: seen %.4f, the rest %.4f, truth %.4f\n", method, seen / 3, reflected / 3, whole / 3);
+    EXPECT_NEAR((seen + reflected) / whole, 1, 0.02) << method;
+    EXPECT_GT(seen / whole, 0.1) << method;
+  }
+}
+
+// A lamp smaller than a pixel, by two samples: most pictures' samples see nothing of it. Whether rays are sent must not
+// depend on the samples that they replace, or the lamp would be too dark on average.
+TEST(SeenEmission, SmallLampsKeepTheirMean) {
+  constexpr unsigned kFrames = 600;
+  double sum = 0, squares = 0;
+  for (unsigned seed = 1; seed <= kFrames; ++seed) {
+    const Rendered frame = lamp_of(16, 2, seed, "path", 4);
+    const double seen = frame.film.find("emission.R") ? mean_of(frame.film, "emission.R") : 0;
+    sum += seen / kFrames;
+    squares += seen * seen / kFrames;
+  }
+  const double expected = mean_of(lamp_of(16, 4096, 1, "path", 4).film, "emission.R"),
+               deviation = std::sqrt((squares - sum * sum) / kFrames);
+  std::printf("  mean of %u frames %.4f +- %.4f, expected %.4f\n", kFrames, sum, deviation, expected);
+  EXPECT_NEAR(sum, expected, 4 * deviation);
+  EXPECT_LT(deviation, 0.12 * expected) << "too few frames to tell";
 }
 
 TEST_F(DenoisedFrames, WhatIsConcludedIsDenoised) {

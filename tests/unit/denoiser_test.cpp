@@ -134,7 +134,7 @@ std::vector<float> planes() {
 }
 
 TEST_F(DenoiserOfADouble, PicturesWithoutHalvesAreDenoisedWhole) {
-  const kernels::DenoiseParameters parameters{2, 1, kernels::kDenoiseFast, 0};
+  const kernels::DenoiseParameters parameters{2, 1, kernels::kDenoiseFast, 0, 0, {}};
   const DenoisedPicture picture = denoise_picture(parameters, planes(), DenoiserDevice::cpu);
   EXPECT_EQ(picture.pixels.at(1).color[2], 2);
   EXPECT_EQ(picture.pixels.at(1).squared_error, 0);
@@ -142,9 +142,20 @@ TEST_F(DenoiserOfADouble, PicturesWithoutHalvesAreDenoisedWhole) {
   EXPECT_STREQ(picture.facts.version, "2.5.1");
 }
 
+TEST_F(DenoiserOfADouble, EmissionSeenDirectlyIsTakenOutAndPutBack) {
+  const kernels::DenoiseParameters parameters{2, 1, kernels::kDenoiseFast, 0, 1, {}};
+  std::vector<float> values = planes();
+  values.resize(2 * (kernels::kDenoiseWords + kernels::kDenoiseEmissionWords), 0.75f);
+  ::setenv("FAKE_OIDN_DOUBLES", "1", 1);
+  const DenoisedPicture picture = denoise_picture(parameters, values, DenoiserDevice::cpu);
+  ::unsetenv("FAKE_OIDN_DOUBLES");
+  EXPECT_FLOAT_EQ(picture.pixels.at(0).color[0], 2 * (1 - 0.75f) + 0.75f);
+  EXPECT_THAT(error_of([&] { denoise_picture(parameters, planes(), DenoiserDevice::cpu); }), HasSubstr("38 numbers"));
+}
+
 // What a worker without the library makes of a picture.
 TEST_F(DenoiserOfADouble, WhatIsNotDenoisedStaysAsItWas) {
-  const kernels::DenoiseParameters parameters{2, 1, kernels::kDenoiseFast, 1};
+  const kernels::DenoiseParameters parameters{2, 1, kernels::kDenoiseFast, 1, 0, {}};
   const DenoisedPicture picture = sampled_picture(parameters, planes(), "for a reason");
   EXPECT_FLOAT_EQ(picture.pixels.at(0).color[0], 2);       // the mean of both halves
   EXPECT_FLOAT_EQ(picture.pixels.at(0).squared_error, 1);  // (1 - 3)^2 / 4
@@ -154,7 +165,7 @@ TEST_F(DenoiserOfADouble, WhatIsNotDenoisedStaysAsItWas) {
 }
 
 TEST_F(DenoiserOfADouble, PlanesAreChecked) {
-  const kernels::DenoiseParameters parameters{2, 1, kernels::kDenoiseFast, 1};
+  const kernels::DenoiseParameters parameters{2, 1, kernels::kDenoiseFast, 1, 0, {}};
   std::vector<float> odd = planes();
   odd[7] = std::nanf("");
   EXPECT_THAT(error_of([&] { denoise_picture(parameters, odd, DenoiserDevice::cpu); }), HasSubstr("number 7"));

@@ -1,5 +1,6 @@
 // A double of Open Image Denoise's C interface: it writes down who calls what, fails where $FAKE_OIDN_FAILS says, and
-// says that it is of version $FAKE_OIDN_VERSION. Its "denoiser" adds 1 to the picture, and halves a guide.
+// says that it is of version $FAKE_OIDN_VERSION. Its "denoiser" adds 1 to the picture (with $FAKE_OIDN_DOUBLES:
+// doubles it), and halves a guide.
 
 #include <cstdlib>
 #include <cstring>
@@ -109,7 +110,8 @@ void oidnExecuteFilter(void* filter) {
                                                                          : "normal")
                                        ->values;
   std::vector<float>& to = images.at("output")->values;
-  for (std::size_t i = 0; i < to.size(); ++i) to[i] = picture ? from[i] + 1 : from[i] / 2;
+  const bool doubles = std::getenv("FAKE_OIDN_DOUBLES");
+  for (std::size_t i = 0; i < to.size(); ++i) to[i] = !picture ? from[i] / 2 : doubles ? 2 * from[i] : from[i] + 1;
 }
 void oidnReleaseFilter(void* filter) {
   --live;

@@ -21,10 +21,13 @@ using kernels::DenoiseRecord;
 
 struct Planes {
   std::span<const float> first, second, albedo, normal, share;
+  std::span<const float> first_emission, second_emission;  // empty: none is known
 };
 
 Planes planes_of(const DenoiseParameters& p, std::span<const float> values) {
-  const std::size_t pixels = std::size_t{p.width} * p.height, floats = kernels::kDenoiseWords * pixels;
+  const std::size_t pixels = std::size_t{p.width} * p.height,
+                    words = kernels::kDenoiseWords + (p.emission ? kernels::kDenoiseEmissionWords : 0),
+                    floats = words * pixels;
   if (values.size() != floats)
     throw Error::bad_input("denoising", "input film", std::to_string(floats) + " numbers",
                            std::to_string(values.size()));
@@ -33,7 +36,20 @@ Planes planes_of(const DenoiseParameters& p, std::span<const float> values) {
     throw Error::bad_input("denoising", "input film, number " + std::to_string(odd - values.begin()), "a finite number",
                            std::to_string(*odd));
   const auto plane = [&](std::size_t at, std::size_t size) { return values.subspan(at * pixels, size * pixels); };
-  return {plane(0, 3), plane(3, 3), plane(6, 3), plane(9, 3), plane(12, 1)};
+  return {.first = plane(0, 3),
+          .second = plane(3, 3),
+          .albedo = plane(6, 3),
+          .normal = plane(9, 3),
+          .share = plane(12, 1),
+          .first_emission = p.emission ? plane(13, 3) : values.first(0),
+          .second_emission = p.emission ? plane(16, 3) : values.first(0)};
+}
+
+// `factor` times the emission added to a picture.
+std::vector<float> with_emission(std::span<const float> picture, std::span<const float> emission, float factor) {
+  std::vector<float> values(picture.begin(), picture.end());
+  for (std::size_t i = 0; i < emission.size(); ++i) values[i] += factor * emission[i];
+  return values;
 }
 
 template <std::size_t Size>
@@ -73,10 +89,15 @@ DenoisedPicture denoise_picture(const DenoiseParameters& p, std::span<const floa
     planes.albedo = clean_albedo;
     planes.normal = clean_normal;
   }
-  std::vector<DenoiserImage> colors = {image(planes.first)};
-  if (p.halves) colors.push_back(image(planes.second));
+  // Emission that is seen directly has no noise but that of edges, which a denoiser would blur.
+  std::vector<std::vector<float>> reflected = {with_emission(planes.first, planes.first_emission, -1)};
+  if (p.halves) reflected.push_back(with_emission(planes.second, planes.second_emission, -1));
+  std::vector<DenoiserImage> colors;
+  for (const std::vector<float>& color : reflected) colors.push_back(image(color));
   std::vector<std::vector<float>> denoised =
       denoiser.denoise(colors, image(planes.albedo), image(planes.normal), quality);
+  denoised[0] = with_emission(denoised[0], planes.first_emission, 1);
+  if (p.halves) denoised[1] = with_emission(denoised[1], planes.second_emission, 1);
   DenoisedPicture picture;
   if (p.halves) {
     picture =

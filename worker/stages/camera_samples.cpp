@@ -103,6 +103,7 @@ void check_sample_parameters(const StageRun& run, const PathParameters& p, std::
                                ", " + std::to_string(PATH_CLASS_RADIANCE) + " or " +
                                std::to_string(PATH_CLASS_SAMPLED_RADIOSITY),
                            std::to_string(p.filter));
+  if (p.seen > PATH_SEEN_ALONE) throw Error::bad_input(run.where(), "seen", "0, 1 or 2", std::to_string(p.seen));
   if (p.filter && !(p.clamp > 0))
     throw Error::bad_input(run.where(), "clamp", "a number above 0", std::to_string(p.clamp));
   run.check_range(wide(p.items_high, p.items_low));
@@ -204,7 +205,9 @@ BatchResult run_samples(const StageRun& run, const PathParameters& p, const Prog
   const std::uint64_t total = wide(p.items_high, p.items_low), pixels = std::uint64_t{p.width} * p.height;
   const std::optional<ItemList> list = find_list(run, p);
   const double start = seconds_now();
-  const std::size_t record_bytes = (p.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord)) + (p.filter ? 12 : 0);
+  const bool apart = p.seen == PATH_SEEN_APART;
+  const std::size_t record_bytes =
+      (p.features ? sizeof(PathFeatureRecord) : sizeof(PathRecord)) + (apart ? 12 : 0) + (p.filter ? 12 : 0);
   BatchResult result;
   result.records.resize(run.count * record_bytes);
   cl::CommandQueue queue = run.device.make_queue();
@@ -221,7 +224,7 @@ BatchResult run_samples(const StageRun& run, const PathParameters& p, const Prog
     part.paths = part.item_count * p.samples_per_item;
     const std::size_t slots = part.slot_count() + 1;
     part.slots = run.workspace.take("path.slots", slots * (p.filter ? FILTERED_SLOT_WORDS : PLAIN_SLOT_WORDS) * 4);
-    part.features = run.workspace.take("path.features", p.features ? slots * FEATURE_WORDS * 4 : 4);
+    part.features = run.workspace.take("path.features", p.features || apart ? slots * FEATURE_WORDS * 4 : 4);
     part.items = run.workspace.take("path.items", list ? (part.item_count + RAY_BLOCK) * sizeof(PathItem) : 4);
     if (list) upload_list(*list, queue, part.items, done, part.item_count, pixels);
 

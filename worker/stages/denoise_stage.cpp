@@ -31,10 +31,11 @@ BatchResult run_denoise_stage(const StageRun& run) {
   const double start = seconds_now();
   const auto p = run.parameters<DenoiseParameters>();
   const std::uint64_t pixels = std::uint64_t{p.width} * p.height;
-  if (pixels == 0 || pixels > (1u << 28) || p.quality > kernels::kDenoiseHigh || p.halves > 1)
-    throw Error::bad_input("stage denoise", "parameters", "a film of 1 to 2^28 pixels, a quality, and halves or none",
-                           std::to_string(p.width) + "x" + std::to_string(p.height) + ", quality " +
-                               std::to_string(p.quality) + ", halves " + std::to_string(p.halves));
+  if (pixels == 0 || pixels > (1u << 28) || p.quality > kernels::kDenoiseHigh || p.halves > 1 || p.emission > 1)
+    throw Error::bad_input(
+        "stage denoise", "parameters", "a film of 1 to 2^28 pixels, a quality, and halves and emission or none",
+        std::to_string(p.width) + "x" + std::to_string(p.height) + ", quality " + std::to_string(p.quality) +
+            ", halves " + std::to_string(p.halves) + ", emission " + std::to_string(p.emission));
   run.check_range(pixels);
   const DenoisedPicture picture = denoise_or_say_why(
       p, input_rows(run.task, "film", 1), run.device.info().cpu ? DenoiserDevice::cpu : DenoiserDevice::fastest);

@@ -108,6 +108,7 @@ void make_records(const StageRun& run, const SamplePart& part, const Places& pla
 
 void check_record_parameters(const StageRun& run, const SplatGatherParameters& p) {
   if (p.samples.features) throw Error::bad_input(run.where(), "features", "0", std::to_string(p.samples.features));
+  if (p.samples.seen) throw Error::bad_input(run.where(), "seen", "0", std::to_string(p.samples.seen));
   const std::uint64_t strata = std::uint64_t{p.polar} * p.azimuthal;
   if (strata == 0 || strata > SPLAT_MOST_RAYS || p.azimuthal % RAY_BLOCK != 0)
     throw Error::bad_input(run.where(), "strata", "rings of a multiple of 16, up to " + std::to_string(SPLAT_MOST_RAYS),
