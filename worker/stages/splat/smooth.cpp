@@ -6,6 +6,10 @@
 // (James & Stein 1961, in the form of Efron & Morris 1973). Both s^2 and d^2 are means over the neighbours, without the
 // record itself: what is chosen by its own noise would be biased. Where light changes fast d^2 is large, and records
 // stay as they are; so they do where there is no noise.
+//
+// That trusts records to be as noisy as their neighbours. A ray that finds a lamp by chance makes one brighter than all
+// of them, in one half of its strata alone. What is beyond both the neighbours' word, with what records there usually
+// differ by, and the record's darker half is such a ray's: it is light of all of them that one found, and goes to all.
 
 #include <algorithm>
 #include <array>
@@ -35,6 +39,9 @@ constexpr std::size_t kLeastNeighbours = 3;
 constexpr double kMostMove = 2;
 // Of the neighbours' word, at most.
 constexpr double kMostShare = 0.85;
+// A record is brighter than its neighbours say by so many times the median of what they are off by, where that is not
+// chance: three standard deviations of normal numbers.
+constexpr double kPlausible = 4.5;
 
 struct Neighbour {
   std::uint32_t record;
@@ -56,8 +63,9 @@ class Smoothing {
         neighbours_[i].clear();
         find_neighbours(grid, i);
       }
-      said_[i] = said(i);
     }
+    hear_all();
+    take_back_chance();
   }
 
   std::vector<CacheRecord> smoothed() const {
@@ -119,6 +127,10 @@ class Smoothing {
     return light;
   }
 
+  void hear_all() {
+    for (std::uint32_t i = 0; i < records_.size(); ++i) said_[i] = said(i);
+  }
+
   Said said(std::uint32_t i) const {
     Said said;
     said.light = mean_over(i, [&](std::uint32_t other) { return light_at(other, i); });
@@ -139,6 +151,64 @@ class Smoothing {
     }
     for (std::size_t c = 0; c < 3; ++c) off[c] -= at.irradiance[c];
     return square_of(off);
+  }
+
+  // What of a record's difference from its neighbours' word is a single ray's, found by chance. Records that ask beyond
+  // walls would send their light there.
+  double share_of_chance(std::uint32_t i) const {
+    if (cut_off_[i] || neighbours_[i].size() < kLeastNeighbours) return 0;
+    const CacheRecord& at = records_[i];
+    double brighter = 0;
+    for (std::size_t c = 0; c < 3; ++c) brighter += at.irradiance[c] - said_[i].light[c];
+    if (!(brighter > 0)) return 0;
+    std::vector<double> differences;
+    for (const Neighbour& n : neighbours_[i])
+      if (!neighbours_[n.record].empty())
+        if (const std::optional<double> off = difference(n.record, i)) differences.push_back(*off);
+    if (differences.empty()) return 0;
+    const auto middle = differences.begin() + static_cast<std::ptrdiff_t>(differences.size() / 2);
+    std::ranges::nth_element(differences, middle);
+    const double off = std::sqrt(*difference(i, i)), plausible = kPlausible * std::sqrt(*middle);
+    return std::clamp(std::min(off - plausible, std::sqrt(said_[i].noise)) / off, 0.0, 1.0);
+  }
+
+  // Single rays' light goes from the records that they belong to, to these and their neighbours alike.
+  void take_back_chance() {
+    std::vector<Color> given(records_.size());
+    std::vector<CacheRecord> without = records_;
+    bool any = false;
+    for (std::uint32_t i = 0; i < records_.size(); ++i) {
+      const double chance = share_of_chance(i);
+      if (!(chance > 0)) continue;
+      any = true;
+      without[i] = blended(i, chance);
+      give(i, without[i], given);
+    }
+    if (!any) return;
+    records_ = std::move(without);
+    for (std::uint32_t i = 0; i < records_.size(); ++i)
+      for (std::size_t c = 0; c < 3; ++c)
+        records_[i].irradiance[c] = std::max(0.0f, records_[i].irradiance[c] + static_cast<float>(given[i][c]));
+    hear_all();
+  }
+
+  // What record i has lost, as it is `now`, so that the light of the surface about them stays: each stands for as much
+  // of it as it reaches over.
+  void give(std::uint32_t i, const CacheRecord& now, std::vector<Color>& given) const {
+    const double own = said_[i].weights / static_cast<double>(neighbours_[i].size());
+    double all = own * area(i);
+    for (const Neighbour& n : neighbours_[i]) all += n.weight * area(n.record);
+    const auto add = [&](std::uint32_t to, double weight) {
+      for (std::size_t c = 0; c < 3; ++c)
+        given[to][c] += weight * area(i) / all * (double{records_[i].irradiance[c]} - now.irradiance[c]);
+    };
+    add(i, own);
+    for (const Neighbour& n : neighbours_[i]) add(n.record, n.weight);
+  }
+
+  double area(std::uint32_t i) const {
+    const double reach = double{records_[i].accuracy} * records_[i].radius;
+    return reach * reach;
   }
 
   double share_of_neighbours(std::uint32_t i) const {
