@@ -23,7 +23,7 @@ namespace {
 namespace fs = std::filesystem;
 using coordinator::Denoise;
 
-struct Options {
+struct DenoiseOptions {
   std::string input, output, quality = "high";
   double exposure_stops = 0;
   bool cpu = false;
@@ -44,7 +44,7 @@ void tell(const kernels::DenoiseFacts& facts, bool halves) {
                  "everywhere, and its error is not known\n";
 }
 
-int denoise(const Options& options) {
+int denoise(const DenoiseOptions& options) {
   if (fs::path(options.output).extension() != ".exr")
     throw Error::usage("-o: expected a name that ends in .exr, found \"" + options.output + "\"");
   const Denoise quality = coordinator::parse_denoise(options.quality);
@@ -81,7 +81,7 @@ int denoise(const Options& options) {
 }  // namespace
 
 void add_denoise(CLI::App& app, Run& run) {
-  auto options = std::make_shared<Options>();
+  auto options = std::make_shared<DenoiseOptions>();
   CLI::App* command = app.add_subcommand("denoise", "Denoise a picture that was rendered before");
   command->add_option("IN.exr", options->input, "a picture; its layers albedo.*, normal.* and half.* help")->required();
   command->add_option("-o,--output", options->output, "OUT.exr; a PNG is written beside it")->required();

@@ -37,6 +37,9 @@ struct Recipe {
   std::vector<std::shared_ptr<const Recipe>> inputs;
 };
 
+// Of an item's number of records, which stand before the records of a counted stage's batch.
+inline constexpr std::uint64_t count_bytes = 4;
+
 // Of a counted output.
 struct CountedBatch {
   Bytes counts, records;

@@ -17,8 +17,6 @@ namespace fs = std::filesystem;
 
 namespace {
 
-constexpr std::uint64_t count_bytes = 4;
-
 // The range can be the answer to a lease of the stage.
 bool answers(const RunningStage& stage, const JournalRange& range) {
   const StageSpec& spec = stage.spec;

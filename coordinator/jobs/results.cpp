@@ -15,7 +15,6 @@ using Clock = std::chrono::steady_clock;
 
 constexpr std::size_t most_nonfinite_items = 16;  // in a report
 constexpr std::size_t most_facts_bytes = std::size_t{64} << 10;
-constexpr std::uint64_t count_bytes = 4;
 constexpr Seconds unavailable_for = 60;  // that inputs may lack, beyond the time in which a lost worker is noticed
 
 // Sums of a film's samples must stay finite: a record beyond is no light.
