@@ -294,7 +294,8 @@ std::string Device::build_name(const std::string& text, const std::string& optio
 }
 
 cl::Program Device::compile(const std::string& file, const std::string& text, const std::string& options) const {
-  const std::string all_options = "-cl-std=CL1.2 " + options;
+  // PoCL tells the number of warnings on standard error, whoever listens there.
+  const std::string all_options = "-cl-std=CL1.2 -w " + options;
   std::filesystem::path cached;
   // PoCL has a cache of its own. To be asked for a binary makes it compile every kernel once more, for a launch that
   // never comes: half of a first frame's wait.
