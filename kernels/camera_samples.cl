@@ -1,5 +1,5 @@
 // Camera rays of pixels' samples, and their sums (kernels/transport/camera_samples.h). One program for all scenes whose
-// paths have the same rows: of the scene's needs it is built with those of kernels/path_layout.h alone, and PATH_FILTER
+// paths have the same rows: of the scene's needs it is built with what kernels/path_layout.h asks for, and PATH_FILTER
 // stands for any filter. A sample's random numbers are keyed by seed, pixel, sequence and sample alone.
 
 #include "kernels/camera.h"

@@ -6,6 +6,7 @@
 
 #include "scene/images/module.h"
 #include "scene/model/error.h"
+#include "scene/model/program_folder.h"
 
 namespace gleaner::scene {
 namespace {
@@ -13,10 +14,9 @@ namespace {
 constexpr const char* kFile = "gleaner-images.so";
 
 const ImageModule& load() {
-  std::error_code code;
-  const auto program = std::filesystem::read_symlink("/proc/self/exe", code);
-  if (code) throw Error::failed("/proc/self/exe: " + code.message());
-  const auto file = program.parent_path().parent_path() / "lib" / kFile;
+  const std::filesystem::path folder = program_folder();
+  if (folder.empty()) throw Error::failed("the module that reads images: where this program lies is not known");
+  const std::filesystem::path file = folder / "lib" / kFile;
   void* library = dlopen(file.c_str(), RTLD_NOW | RTLD_LOCAL);
   if (!library) throw Error::failed("the module that reads images: " + std::string(dlerror()));
   const auto* module = static_cast<const ImageModule*>(dlsym(library, kImageModuleSymbol));

@@ -118,7 +118,6 @@ TEST_F(Compilers, EndAtOnce) {
   EXPECT_LT(std::chrono::steady_clock::now() - start, 20s);
 }
 
-// What serve_kernel_compiler() relies on: a kernel that is told of no work returns.
 TEST_F(Compilers, TakeTurns) {
   const auto mark = folder_ / "a" / "kernel";
   auto first = std::make_unique<CompileTurn>(mark);
@@ -151,7 +150,8 @@ TEST_F(Compilers, WithoutAFolderCompileAtOnce) {
   CompileTurn("/proc/no/such/folder/kernel").done();
 }
 
-// One lane at a time: that compiles in a third of the time.
+// What serve_kernel_compiler() relies on: a kernel that is told of no work returns. One lane at a time: that compiles
+// in a third of the time.
 TEST(IdleKernels, ReturnAtOnce) {
   const Device device({.device = -1, .threads = 1, .trace = TraceKind::automatic, .lanes = 1});
   cl::CommandQueue queue = device.make_queue();

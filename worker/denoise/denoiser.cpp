@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "scene/model/error.h"
+#include "scene/model/program_folder.h"
 #include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
@@ -50,9 +51,8 @@ struct Interface {
 };
 
 std::filesystem::path own_folder() {
-  std::error_code code;
-  const auto program = std::filesystem::read_symlink("/proc/self/exe", code);
-  return code ? std::filesystem::path() : program.parent_path().parent_path() / "oidn";
+  const std::filesystem::path folder = program_folder();
+  return folder.empty() ? folder : folder / "oidn";
 }
 
 void* open_library(const std::filesystem::path& path) { return dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL); }

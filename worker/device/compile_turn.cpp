@@ -19,9 +19,11 @@ bool is_done(int descriptor) {
 
 CompileTurn::CompileTurn(const std::filesystem::path& mark, std::chrono::milliseconds patience) {
   if (mark.empty()) return;
-  std::error_code ignored;
-  std::filesystem::create_directories(mark.parent_path(), ignored);
-  descriptor_ = ::open(mark.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644);
+  // Kernels are launched for the first time in every batch: the folder is made where it is missing alone.
+  const auto open_mark = [&] { return ::open(mark.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644); };
+  descriptor_ = open_mark();
+  if (std::error_code ignored; descriptor_ < 0 && std::filesystem::create_directories(mark.parent_path(), ignored))
+    descriptor_ = open_mark();
   if (descriptor_ < 0) return;
   const auto end = std::chrono::steady_clock::now() + patience;
   while (!is_done(descriptor_) && ::flock(descriptor_, LOCK_EX | LOCK_NB) != 0 &&
@@ -38,7 +40,8 @@ CompileTurn::~CompileTurn() {
 
 void CompileTurn::done() {
   // Where it cannot be written, others take turns again: that costs them a look at the cache.
-  if (descriptor_ >= 0 && ::pwrite(descriptor_, "1", 1, 0) != 1) return;
+  if (descriptor_ < 0) return;
+  [[maybe_unused]] const ssize_t written = ::pwrite(descriptor_, "1", 1, 0);
 }
 
 }  // namespace gleaner::worker

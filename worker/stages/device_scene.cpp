@@ -80,6 +80,7 @@ std::string surface_needs(const scene::Scene& scene, scene::SceneNeeds needs) {
 }  // namespace
 
 std::string DeviceScene::layout_options() const {
+  // Media are asked for together with what refracts: the headers know none without.
   if (path_rows_ == MEDIA_PATH_ROWS) return " -D NEED_SPECULAR -D NEED_TRANSMISSIVE -D NEED_MEDIA -D CLUSTERS=1";
   return path_rows_ == TRANSPARENT_PATH_ROWS ? " -D NEED_ALPHA -D CLUSTERS=1" : "";
 }
