@@ -21,5 +21,5 @@ target_link_libraries(gleaner PRIVATE gleaner_client gleaner_embedded gleaner_ga
 
 # Commands are compiled some at a time: each file that reads CLI11 compiles the validators that it defines, which takes
 # five seconds.
-set_target_properties(gleaner PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 10)
+gleaner_compile_together(gleaner 10)
 target_compile_options(gleaner PRIVATE $<$<CONFIG:Release>:-O1>)  # the work is done in libraries

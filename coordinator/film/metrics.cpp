@@ -14,7 +14,7 @@ constexpr std::size_t block_pixels = 16;
 constexpr double block_sigmas = 5, block_deviation = 0.01;
 constexpr std::size_t robust_part = 1000;  // one pixel in so many is left out of error_robust
 
-const std::vector<std::string> rgb{"R", "G", "B"};
+const std::vector<std::string> kPictureChannels{"R", "G", "B"};
 
 using Plane = const std::vector<float>*;
 using Planes = std::vector<Plane>;
@@ -220,7 +220,7 @@ void require_size(const Picture& picture, const Picture& reference) {
 }  // namespace
 
 OwnNoise own_noise(const Picture& picture) {
-  OwnNoise result{mean_of(planes_of(picture, rgb)), std::nullopt};
+  OwnNoise result{mean_of(planes_of(picture, kPictureChannels)), std::nullopt};
   if (const auto variance = variance_planes(picture))
     result.standard_error = over(std::sqrt(mean_of(*variance)), result.mean);
   result.denoised = is_denoised(picture);
@@ -229,17 +229,17 @@ OwnNoise own_noise(const Picture& picture) {
 
 Comparison compare(const Picture& test, const Picture& reference, const Picture* reference_error) {
   require_size(test, reference);
-  const Planes seen = planes_of(test, rgb), expected = planes_of(reference, rgb);
+  const Planes seen = planes_of(test, kPictureChannels), expected = planes_of(reference, kPictureChannels);
 
   Noise noise;
   if (reference_error) {
     require_size(*reference_error, reference);
-    noise.reference_error = planes_of(*reference_error, rgb);
+    noise.reference_error = planes_of(*reference_error, kPictureChannels);
   }
   if (auto variance = variance_planes(test)) noise.test_variance = *variance;
 
   Comparison result;
-  result.picture = compare_layer("", rgb, seen, expected, noise);
+  result.picture = compare_layer("", kPictureChannels, seen, expected, noise);
   result.reference_noise = result.picture.mse_measured - result.picture.mse;
 
   std::set<std::string> layers;

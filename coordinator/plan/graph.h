@@ -27,6 +27,10 @@
 
 namespace gleaner::coordinator {
 
+// Priority of what a method prepares. Its stages wait for each other and paths for nothing: paths fill what they leave
+// free.
+inline constexpr int kFirst = 1;
+
 template <typename Struct>
 Bytes bytes_of(const Struct& value) {
   static_assert(std::is_trivially_copyable_v<Struct>);

@@ -23,8 +23,6 @@ namespace {
 using namespace kernels;
 using Artifact = Graph::Artifact;
 
-// Stages of links wait for each other, the paths for nothing: paths fill what the others leave free.
-constexpr int kFirst = 1;
 constexpr Extent kOwnItems = Extent::own_items;
 // What links follow from: neither lights, nor what glows, nor colours.
 constexpr unsigned kShapes = kGeometry | kMaterials;

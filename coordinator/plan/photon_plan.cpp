@@ -50,8 +50,6 @@ constexpr double kRecordNoise = 0.5;
 constexpr double kLobeNoise = 0.8;
 // Photons this near to what is seen or read are of use, over the diagonal of the scene's bounds.
 constexpr double kGuideNear = 0.01;
-// Maps wait for each other, paths that read none for nothing: these fill what the others leave free.
-constexpr int kFirst = 1;
 
 struct PhotonSettings : PhotonCounts {
   std::uint32_t samples;  // of a pixel and pass of caustics

@@ -40,8 +40,6 @@ constexpr std::uint32_t kBlockTiles = 2;
 // what the whole cache would take. Both together are usually so many times these.
 constexpr float kFirstAccuracy = 1.75f;
 constexpr std::uint64_t kRecordsAFirst = 2;
-// The cache's stages wait for each other, paths for nothing: these fill what the others leave free.
-constexpr int kFirst = 1;
 
 struct SplatSettings : SplatCounts {
   GivenSplatCounts given;

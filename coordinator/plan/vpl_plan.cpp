@@ -46,8 +46,6 @@ constexpr std::uint64_t kMostVisibilityBytes = std::uint64_t{128} << 20;
 constexpr std::array<double, Shape::bounds> kPilotBounds = {0.0125, 0.025, 0.05, 0.1};
 // Camera paths of the pilot: two chunks of samples in a part of the pixels.
 constexpr std::uint64_t kPilotPart = 256, kLeastPilotPixels = 256, kMostPilotPixels = 1024;
-// Stages of VPLs wait for each other, the paths for nothing: paths fill what the others leave free.
-constexpr int kFirst = 1;
 constexpr float kUnbounded = std::numeric_limits<float>::infinity();
 
 // Records of these stages stay with the workers; those of the pixels alone are collected.

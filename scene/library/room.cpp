@@ -11,8 +11,9 @@
 namespace gleaner::scene {
 namespace {
 
-// The room is [0, width] x [0, height] x [0, depth], m. The window is in the wall x = 0, the camera near z = depth.
-constexpr double width = 5, height = 2.7, depth = 4.6;
+// The room is [0, room_width] x [0, room_height] x [0, room_depth], m. The window is in the wall x = 0, the camera near
+// z = room_depth.
+constexpr double room_width = 5, room_height = 2.7, room_depth = 4.6;
 constexpr double window_from = 1.0, window_to = 3.0, sill = 0.75, lintel = 2.35;
 
 std::uint8_t byte(double value) {
@@ -100,23 +101,26 @@ void shell(SceneBuilder& b) {
   b.mesh("floor");
   // The texture twice: planks of 14 cm.
   for (int i = 0; i < 2; ++i) {
-    const double z0 = depth * i / 2, z1 = depth * (i + 1) / 2;
-    b.quad({0, 0, z1}, {width, 0, z1}, {width, 0, z0}, {0, 0, z0}, wood);
+    const double z0 = room_depth * i / 2, z1 = room_depth * (i + 1) / 2;
+    b.quad({0, 0, z1}, {room_width, 0, z1}, {room_width, 0, z0}, {0, 0, z0}, wood);
   }
   b.mesh("walls");
-  b.quad({0, 0, 0}, {width, 0, 0}, {width, height, 0}, {0, height, 0}, green);
-  b.quad({width, 0, 0}, {width, 0, depth}, {width, height, depth}, {width, height, 0}, white);
-  b.quad({width, 0, depth}, {0, 0, depth}, {0, height, depth}, {width, height, depth}, white);
-  b.quad({0, height, 0}, {width, height, 0}, {width, height, depth}, {0, height, depth}, white);
+  b.quad({0, 0, 0}, {room_width, 0, 0}, {room_width, room_height, 0}, {0, room_height, 0}, green);
+  b.quad({room_width, 0, 0}, {room_width, 0, room_depth}, {room_width, room_height, room_depth},
+         {room_width, room_height, 0}, white);
+  b.quad({room_width, 0, room_depth}, {0, 0, room_depth}, {0, room_height, room_depth},
+         {room_width, room_height, room_depth}, white);
+  b.quad({0, room_height, 0}, {room_width, room_height, 0}, {room_width, room_height, room_depth},
+         {0, room_height, room_depth}, white);
   constexpr double out = -0.22;
-  block(b, {out, 0, 0}, {0, height, window_from}, white);
-  block(b, {out, 0, window_to}, {0, height, depth}, white);
+  block(b, {out, 0, 0}, {0, room_height, window_from}, white);
+  block(b, {out, 0, window_to}, {0, room_height, room_depth}, white);
   block(b, {out, 0, window_from}, {0, sill, window_to}, white);
-  block(b, {out, lintel, window_from}, {0, height, window_to}, white);
+  block(b, {out, lintel, window_from}, {0, room_height, window_to}, white);
   b.mesh("skirting");
   const std::uint32_t paint = b.material("paint", dielectric(grey(0.8), 0.3));
-  block(b, {0, 0, 0}, {width, 0.1, 0.015}, paint);
-  block(b, {width - 0.015, 0, 0}, {width, 0.1, depth}, paint);
+  block(b, {0, 0, 0}, {room_width, 0.1, 0.015}, paint);
+  block(b, {room_width - 0.015, 0, 0}, {room_width, 0.1, room_depth}, paint);
   b.mesh("window");
   constexpr double bar = 0.045, inner = -0.16, outer = -0.1;
   for (int i = 0; i <= 3; ++i) {

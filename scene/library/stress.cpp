@@ -86,7 +86,7 @@ Scene far(const std::string& name, const Values& values) {
   b.mesh("light");
   b.quad(at(-0.25, 0.984375, -0.1875), at(0.25, 0.984375, -0.1875), at(0.25, 0.984375, 0.1875),
          at(-0.25, 0.984375, 0.1875), light);
-  const auto box = [&](double x, double z, double half, double height, double yaw) {
+  const auto box = [&](double x, double z, double half, double tall, double yaw) {
     const auto corner = [&](double i, double y, double j) {
       const Vec turned = rotate_y({i * half, 0, j * half}, yaw);
       return at(x + turned.x, y - 1, z + turned.z);
@@ -94,8 +94,8 @@ Scene far(const std::string& name, const Values& values) {
     const double ring[5][2] = {{-1, 1}, {1, 1}, {1, -1}, {-1, -1}, {-1, 1}};
     for (int i = 0; i < 4; ++i)
       b.quad(corner(ring[i][0], 0, ring[i][1]), corner(ring[i + 1][0], 0, ring[i + 1][1]),
-             corner(ring[i + 1][0], height, ring[i + 1][1]), corner(ring[i][0], height, ring[i][1]), white);
-    b.quad(corner(-1, height, 1), corner(1, height, 1), corner(1, height, -1), corner(-1, height, -1), white);
+             corner(ring[i + 1][0], tall, ring[i + 1][1]), corner(ring[i][0], tall, ring[i][1]), white);
+    b.quad(corner(-1, tall, 1), corner(1, tall, 1), corner(1, tall, -1), corner(-1, tall, -1), white);
     b.quad(corner(-1, 0, -1), corner(1, 0, -1), corner(1, 0, 1), corner(-1, 0, 1), white);
   };
   b.mesh("short box");

@@ -5,15 +5,10 @@
 #include "scene/model/error.h"
 #include "scene/model/instances.h"
 #include "scene/model/scene.h"
+#include "scene/model/transform.h"
 
 namespace gleaner::scene {
 namespace {
-
-using Vector = std::array<double, 3>;
-
-Vector cross(const Vector& a, const Vector& b) {
-  return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
-}
 
 double length(const Vector& a) { return std::hypot(a[0], a[1], a[2]); }
 

@@ -10,7 +10,7 @@
 namespace gleaner::scene {
 namespace {
 
-constexpr Placement kIdentity{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
+constexpr Placement kUnmoved{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
 // Positions and intensities that single precision still computes with.
 constexpr float kMost = 1e18f;
 
@@ -41,7 +41,7 @@ std::vector<std::uint32_t> all(std::size_t count) {
 }  // namespace
 
 EditedScene::EditedScene(std::shared_ptr<const Scene> base) : base_(std::move(base)) {
-  state_.matrices.assign(base_->rig.matrices, kIdentity);
+  state_.matrices.assign(base_->rig.matrices, kUnmoved);
   state_.morph_weights.assign(base_->rig.morph_weights, 0);
   state_.light_indices = all(base_->lights.size());
   state_.lights = base_->lights;

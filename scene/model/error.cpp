@@ -11,4 +11,8 @@ Error Error::bad_input(const std::string& file, const std::string& element, cons
   return {ErrorKind::bad_input, std::move(message)};
 }
 
+std::string item(const char* array, std::size_t index, const char* field) {
+  return std::string(array) + "[" + std::to_string(index) + "]" + (*field ? "." : "") + field;
+}
+
 }  // namespace gleaner

@@ -1,6 +1,7 @@
 #pragma once
 // The one error type of the project: made once where the fault is seen, shown once where a person reads it.
 
+#include <cstddef>
 #include <exception>
 #include <string>
 
@@ -27,5 +28,8 @@ class Error : public std::exception {
   ErrorKind kind_;
   std::string message_;
 };
+
+// "ARRAY[INDEX].FIELD": how an error names an element of an array; without the point where there is no field.
+std::string item(const char* array, std::size_t index, const char* field = "");
 
 }  // namespace gleaner

@@ -15,10 +15,6 @@
 namespace gleaner::scene {
 namespace {
 
-std::string item(const char* array, std::size_t index) {
-  return std::string(array) + "[" + std::to_string(index) + "]";
-}
-
 constexpr char kStateMagic[8] = {'G', 'L', 'F', 'R', 'A', 'M', 'E', 0};
 
 enum StateSection : std::uint32_t {

@@ -11,10 +11,6 @@
 namespace gleaner::scene {
 namespace {
 
-std::string item(const char* array, std::size_t index) {
-  return std::string(array) + "[" + std::to_string(index) + "]";
-}
-
 class RigChecker {
  public:
   RigChecker(const Scene& scene, const std::string& file) : scene_(scene), rig_(scene.rig), file_(file) {}

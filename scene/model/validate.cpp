@@ -16,10 +16,6 @@
 namespace gleaner::scene {
 namespace {
 
-std::string item(const char* array, std::size_t index, const char* field = "") {
-  return std::string(array) + "[" + std::to_string(index) + "]" + (*field ? "." : "") + field;
-}
-
 class Checker {
  public:
   Checker(const Scene& scene, const std::string& file) : scene_(scene), file_(file) {}

@@ -1,8 +1,4 @@
 find_package(nlohmann_json REQUIRED)
-gleaner_test(NAME farm_engine SOURCES engine_test.cpp LIBRARIES gleaner_jobs nlohmann_json::nlohmann_json)
-gleaner_test(NAME farm_jobs SOURCES jobs_test.cpp LIBRARIES gleaner_jobs nlohmann_json::nlohmann_json)
-gleaner_test(NAME farm_retained SOURCES retained_test.cpp LIBRARIES gleaner_jobs nlohmann_json::nlohmann_json)
-gleaner_test(NAME farm_recheck SOURCES recheck_test.cpp LIBRARIES gleaner_jobs nlohmann_json::nlohmann_json)
-gleaner_test(NAME farm_journal SOURCES journal_test.cpp LIBRARIES gleaner_jobs nlohmann_json::nlohmann_json)
-gleaner_test(NAME farm_overview SOURCES overview_test.cpp LIBRARIES gleaner_jobs nlohmann_json::nlohmann_json)
-gleaner_test(NAME farm_side_by_side SOURCES side_by_side_test.cpp LIBRARIES gleaner_jobs nlohmann_json::nlohmann_json)
+gleaner_test(NAME farm_jobs SOURCES engine_test.cpp jobs_test.cpp journal_test.cpp overview_test.cpp recheck_test.cpp retained_test.cpp
+                                    side_by_side_test.cpp
+             LIBRARIES gleaner_jobs nlohmann_json::nlohmann_json TOGETHER 4)

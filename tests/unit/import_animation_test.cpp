@@ -22,7 +22,7 @@ using testing::HasSubstr;
 
 using Floats = std::vector<float>;
 
-constexpr float kHalf = 0.70710678f;  // of a quarter turn's quaternion
+constexpr float kHalfFloat = static_cast<float>(kHalf);
 
 // A triangle (0 0 0, 1 0 0, 0 1 0) whose node is animated.
 class Animation : public testing::Test {
@@ -89,7 +89,7 @@ TEST_F(Animation, TurnsAlongTheShorterArc) {
   const float half = std::sqrt(0.5f);
   for (const float sign : {1.0f, -1.0f}) {
     file_ = triangle_file();
-    animate("rotation", {0, 1}, {0, 0, 0, 1, 0, 0, sign * kHalf, sign * kHalf}, "VEC4");
+    animate("rotation", {0, 1}, {0, 0, 0, 1, 0, 0, sign * kHalfFloat, sign * kHalfFloat}, "VEC4");
     EXPECT_THAT(corner(0.5), near({half, half, 0})) << sign;
     EXPECT_THAT(corner(1.0 / 3), near({std::cos(0.52359878f), std::sin(0.52359878f), 0})) << sign;
   }
@@ -127,7 +127,7 @@ TEST_F(Animation, FollowsPointers) {
 // The corner at ten times against the same computed here, in double precision, by other formulas: a turn about an axis
 // by its angle, then a parent's move. As an instance, and vertex by vertex.
 TEST_F(Animation, BaseAndStateStandWhereTheyShould) {
-  animate("rotation", {0, 1}, {0, 0, 0, 1, 0, 0, kHalf, kHalf}, "VEC4");
+  animate("rotation", {0, 1}, {0, 0, 0, 1, 0, 0, kHalfFloat, kHalfFloat}, "VEC4");
   animate("translation", {0, 2}, {1, 0, 0, 1, 8, 0}, "VEC3");
   for (const bool instances : {true, false}) {
     ImportOptions options;

@@ -23,8 +23,6 @@ using testing::Pointwise;
 using Floats = std::vector<float>;
 using Shorts = std::vector<std::uint16_t>;
 
-constexpr double kHalf = 0.70710678118654752;
-
 class Deform : public testing::Test {
  protected:
   Scene read(const GltfFile& file) { return import_text(folder_, "scene.glb", file.glb()); }

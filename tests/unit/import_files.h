@@ -13,6 +13,9 @@
 
 namespace gleaner::scene {
 
+// Of a quarter turn's quaternion.
+inline constexpr double kHalf = 0.70710678118654752;
+
 class Folder {
  public:
   Folder();

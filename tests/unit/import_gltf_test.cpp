@@ -22,8 +22,6 @@ using testing::Pointwise;
 
 using Floats = std::vector<float>;
 
-constexpr double kHalf = 0.70710678118654752;  // of a quarter turn's quaternion
-
 class Gltf : public testing::Test {
  protected:
   Scene read(const GltfFile& file) { return import_text(folder_, "scene.glb", file.glb()); }

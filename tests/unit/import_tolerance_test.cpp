@@ -266,7 +266,6 @@ class Far : public testing::Test {
     f.json["scenes"][0]["nodes"] = {4};
     return f;
   }
-  static constexpr double kHalf = 0.70710678118654752;
   Folder folder_;
 };
 

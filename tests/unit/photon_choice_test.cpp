@@ -7,11 +7,11 @@
 namespace gleaner::coordinator {
 namespace {
 
-constexpr std::uint64_t kPixels = 512 * 512;
+constexpr std::uint64_t kPicture = 512 * 512;
 
 TEST(PhotonChoice, WhatIsSetStays) {
   const GivenPhotonCounts given = {.count = 1, .caustics = 2, .passes = 3, .clusters = 4, .rays = 5, .cut = 6};
-  const PhotonCounts counts = choose_photon_counts(kPixels, 64, 0, true, given);
+  const PhotonCounts counts = choose_photon_counts(kPicture, 64, 0, true, given);
   EXPECT_EQ(counts.count, 1u);
   EXPECT_EQ(counts.caustics, 2u);
   EXPECT_EQ(counts.passes, 3u);
@@ -19,21 +19,21 @@ TEST(PhotonChoice, WhatIsSetStays) {
   EXPECT_EQ(counts.rays, 5u);
   EXPECT_EQ(counts.cut, 6u);
   const PhotonCounts off =
-      choose_photon_counts(kPixels, 64, 0, true, {.count = 0, .caustics = 0, .clusters = 0, .rays = 0, .cut = 0});
+      choose_photon_counts(kPicture, 64, 0, true, {.count = 0, .caustics = 0, .clusters = 0, .rays = 0, .cut = 0});
   EXPECT_EQ(off.count + off.caustics + off.clusters + off.rays + off.cut, 0u) << "0 switches off";
 }
 
 TEST(PhotonChoice, MoreSamplesTakeMoreOfAll) {
-  PhotonCounts last = choose_photon_counts(kPixels, 1, 0, true, {});
+  PhotonCounts last = choose_photon_counts(kPicture, 1, 0, true, {});
   for (const std::uint32_t spp : {4u, 16u, 64u, 256u}) {
-    const PhotonCounts next = choose_photon_counts(kPixels, spp, 0, true, {});
+    const PhotonCounts next = choose_photon_counts(kPicture, spp, 0, true, {});
     EXPECT_GE(next.count, last.count) << spp;
     EXPECT_GE(next.passes, last.passes) << spp;
     EXPECT_GE(next.clusters, last.clusters) << spp;
     EXPECT_GE(next.rays, last.rays) << spp;
     // What the clusters cost stays in proportion to the samples.
     const double rays = static_cast<double>(next.clusters) * next.rays;
-    EXPECT_LT(rays, 2.0 * kPixels * spp + 1e6) << spp;
+    EXPECT_LT(rays, 2.0 * kPicture * spp + 1e6) << spp;
     last = next;
   }
   EXPECT_GT(last.count, 500'000u);
@@ -42,9 +42,9 @@ TEST(PhotonChoice, MoreSamplesTakeMoreOfAll) {
 
 // A target error asks for what as many samples would: half the error for four times these.
 TEST(PhotonChoice, TargetsAskForWhatTheirSamplesWould) {
-  const PhotonCounts wide = choose_photon_counts(kPixels, 4096, 0.05, true, {}),
-                     samples = choose_photon_counts(kPixels, 4, 0, true, {}),
-                     fine = choose_photon_counts(kPixels, 1, 0.025, true, {});
+  const PhotonCounts wide = choose_photon_counts(kPicture, 4096, 0.05, true, {}),
+                     samples = choose_photon_counts(kPicture, 4, 0, true, {}),
+                     fine = choose_photon_counts(kPicture, 1, 0.025, true, {});
   EXPECT_EQ(wide.rays, samples.rays);
   EXPECT_EQ(wide.clusters, samples.clusters);
   EXPECT_GT(fine.rays, 2 * wide.rays);
@@ -54,11 +54,11 @@ TEST(PhotonChoice, TargetsAskForWhatTheirSamplesWould) {
 }
 
 TEST(PhotonChoice, LeavesOutWhatDoesNotPay) {
-  EXPECT_EQ(choose_photon_counts(kPixels, 16, 0, false, {}).clusters, 0u) << "the film is too large";
-  EXPECT_EQ(choose_photon_counts(kPixels, 16, 0, true, {}).cut, 4096u);
+  EXPECT_EQ(choose_photon_counts(kPicture, 16, 0, false, {}).clusters, 0u) << "the film is too large";
+  EXPECT_EQ(choose_photon_counts(kPicture, 16, 0, true, {}).cut, 4096u);
   EXPECT_EQ(choose_photon_counts(32 * 32, 1, 0, true, {}).cut, 0u) << "few rays";
-  EXPECT_EQ(choose_photon_counts(kPixels, 16, 0, true, {.count = 1000}).cut, 0u) << "few photons";
-  EXPECT_EQ(choose_photon_counts(kPixels, 16, 0, true, {.clusters = 0}).cut, 4096u) << "samples' rays read it";
+  EXPECT_EQ(choose_photon_counts(kPicture, 16, 0, true, {.count = 1000}).cut, 0u) << "few photons";
+  EXPECT_EQ(choose_photon_counts(kPicture, 16, 0, true, {.clusters = 0}).cut, 4096u) << "samples' rays read it";
 }
 
 }  // namespace

@@ -434,9 +434,9 @@ worker::BatchResult room(const PlannedStage& stage) {
 const DeviceStage kRoom = room;
 
 // `turn` says which of the waiting stages is done next.
-class VplFrame : public RunFrame {
+class PilotFrame : public RunFrame {
  public:
-  VplFrame(const FrameSettings& settings, std::uint64_t turn)
+  PilotFrame(const FrameSettings& settings, std::uint64_t turn)
       : RunFrame(make_plan(settings, {}), kRoom, [turn](std::size_t count) mutable {
           turn = mixed(turn);
           return static_cast<std::size_t>(turn % count);
@@ -454,14 +454,14 @@ FrameSettings frame_settings(const std::map<std::string, std::string>& set, doub
   return s;
 }
 
-nlohmann::json vpl_of(VplFrame& frame) { return nlohmann::json::parse(frame.plan().parameters_json())["vpl"]; }
+nlohmann::json vpl_of(PilotFrame& frame) { return nlohmann::json::parse(frame.plan().parameters_json())["vpl"]; }
 
 // Whichever stage ends first, the same is asked for and the same picture comes out.
 TEST(VplPlan, PilotDoesNotDependOnWhatEndsFirst) {
   std::map<std::string, PlannedStage> first;
   std::string parameters;
   for (const std::uint64_t turn : {1, 2, 3, 4, 5, 6, 7, 8}) {
-    VplFrame frame(frame_settings({{"vpl.passes", "2"}}), turn);
+    PilotFrame frame(frame_settings({{"vpl.passes", "2"}}), turn);
     frame.run();
     ASSERT_TRUE(frame.stages.contains("vpl.pilot"));
     if (first.empty()) {
@@ -482,7 +482,7 @@ TEST(VplPlan, PilotDoesNotDependOnWhatEndsFirst) {
 
 // Lights, points, clusters and visibility stay with the workers: the coordinator gets records of pixels, and counts.
 TEST(VplPlan, TheCoordinatorGetsPixelsAlone) {
-  VplFrame frame(frame_settings({}), 1);
+  PilotFrame frame(frame_settings({}), 1);
   frame.run();
   const std::set<std::string> collected = {"vpl_shade", "vpl_skipped"};
   for (const auto& [name, stage] : frame.stages) {
@@ -503,14 +503,14 @@ TEST(VplPlan, SetCountsAreKept) {
   };
   {
     // All three: a pilot has nothing to choose.
-    VplFrame frame(frame_settings({{"vpl.count", "900"}, {"vpl.clusters", "100"}, {"vpl.point_clusters", "50"}}), 1);
+    PilotFrame frame(frame_settings({{"vpl.count", "900"}, {"vpl.clusters", "100"}, {"vpl.point_clusters", "50"}}), 1);
     frame.run();
     for (const auto& [name, stage] : frame.stages) EXPECT_FALSE(name.starts_with("vpl.pilot")) << name;
     EXPECT_EQ(clusters_of(frame.stages.at("vpl.cluster.0")), 100u);
     EXPECT_EQ(clusters_of(frame.stages.at("vpl.point_cluster")), 50u);
     EXPECT_FALSE(vpl_of(frame).contains("pilot"));
   }
-  VplFrame frame(frame_settings({{"vpl.clusters", "123"}}), 1);
+  PilotFrame frame(frame_settings({{"vpl.clusters", "123"}}), 1);
   frame.run();
   EXPECT_TRUE(frame.stages.contains("vpl.pilot"));
   EXPECT_EQ(clusters_of(frame.stages.at("vpl.cluster.0")), 123u);
@@ -525,7 +525,7 @@ TEST(VplPlan, SetCountsAreKept) {
        {"error", "error_of_lights", "error_of_clusters", "error_of_point_clusters", "error_of_paths"})
     EXPECT_GE(vpl_of(frame)["pilot"][name].get<double>(), 0) << name;
 
-  VplFrame own(frame_settings({{"vpl.point_clusters", "0"}, {"vpl.count", "500"}, {"vpl.clamp", "0"}}), 1);
+  PilotFrame own(frame_settings({{"vpl.point_clusters", "0"}, {"vpl.count", "500"}, {"vpl.clamp", "0"}}), 1);
   own.run();
   EXPECT_FALSE(own.stages.contains("vpl.point_cluster"));
   EXPECT_FALSE(own.stages.contains("vpl.visibility.0"));
@@ -535,7 +535,7 @@ TEST(VplPlan, SetCountsAreKept) {
 
 // Frames of the same lights ask for the same light paths, whatever the pilot chose: those may be kept.
 TEST(VplPlan, LightPathsAreThoseOfAnyChoice) {
-  VplFrame loose(frame_settings({}, 0.3), 1), tight(frame_settings({}, 0.02), 1);
+  PilotFrame loose(frame_settings({}, 0.3), 1), tight(frame_settings({}, 0.02), 1);
   loose.run();
   tight.run();
   EXPECT_NE(vpl_of(loose)["clusters"], vpl_of(tight)["clusters"]);

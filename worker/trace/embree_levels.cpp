@@ -14,10 +14,6 @@ namespace {
 constexpr gl_float kUnmoved[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
 constexpr std::uint32_t kMeasuredLeaf = 4;  // triangles, as Embree's own leaves hold
 
-double seconds_since(std::chrono::steady_clock::time_point start) {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
-
 // Room behind the last element: Embree loads sixteen bytes at once.
 template <typename T>
 EmbreeHandle<RTCBuffer> copied(RTCDevice device, const std::vector<T>& values) {

@@ -15,10 +15,6 @@ namespace {
 
 constexpr std::uint32_t kRebuiltLeaf = 4;  // triangles, as in the trees of blobs
 
-double seconds_since(std::chrono::steady_clock::time_point start) {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
-
 scene::TreeBox box_of(const scene::BvhNode& root) {
   scene::TreeBox box;
   for (int c = 0; c < 3; ++c) {

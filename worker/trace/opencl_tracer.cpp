@@ -61,7 +61,7 @@ class OpenClTracer final : public Tracer {
         [&](std::size_t first, std::span<const std::uint32_t> slots) { write(queue, slots_, first, slots); });
     const auto start = std::chrono::steady_clock::now();
     load_top(queue);
-    report.top_level_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    report.top_level_seconds += seconds_since(start);
     return report;
   }
 

@@ -18,7 +18,7 @@ using kernels::PhotonCausticsParameters;
 
 std::uint32_t wave_capacity(const Device& device) { return device.info().cpu ? 1u << 12 : 1u << 17; }
 
-PhotonCausticsParameters read_parameters(const StageRun& run) {
+PhotonCausticsParameters caustics_parameters(const StageRun& run) {
   const auto p = run.parameters<PhotonCausticsParameters>();
   run.check_film(p.camera, p.width, p.height);
   if (!std::has_single_bit(p.samples) || p.samples > 64)
@@ -107,7 +107,7 @@ class CausticsThread : public HostThread {
 }  // namespace
 
 BatchResult run_photon_caustics_stage(const StageRun& run) {
-  const PhotonCausticsParameters p = read_parameters(run);
+  const PhotonCausticsParameters p = caustics_parameters(run);
   const double start = seconds_now();
   BatchResult result;
   result.records.resize(run.count * 12);

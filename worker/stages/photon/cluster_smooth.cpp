@@ -43,9 +43,9 @@ struct Offset {
   float distance, turn;
 };
 
-class Smoothing {
+class ClusterSmoothing {
  public:
-  explicit Smoothing(std::vector<CacheRecord> records) : records_(std::move(records)) {
+  explicit ClusterSmoothing(std::vector<CacheRecord> records) : records_(std::move(records)) {
     std::vector<float> reaches;
     for (const CacheRecord& record : records_) reaches.push_back(record.spare[0]);
     cell_ = kMostReach * median_of(std::move(reaches));
@@ -245,7 +245,7 @@ std::vector<CacheRecord> read_cluster_records(const StageTask& task) {
 }
 
 std::vector<CacheRecord> smoothed_records(std::vector<CacheRecord> records) {
-  Smoothing smoothing(std::move(records));
+  ClusterSmoothing smoothing(std::move(records));
   smoothing.clamp_radii();
   smoothing.bound_leaks();
   smoothing.smooth_gradients();

@@ -40,7 +40,7 @@ std::string gather_options() {
   return " -D PATH_FILTER=" + std::to_string(PATH_CLASS_DIFFUSE | PATH_CLASS_CAUSTIC | PATH_CLASS_MIXED);
 }
 
-PhotonCutParameters read_parameters(const StageRun& run) {
+PhotonCutParameters cut_parameters(const StageRun& run) {
   const auto p = run.parameters<PhotonCutParameters>();
   if (p.nodes == 0 || p.nodes > PHOTON_MOST_CUT)
     throw Error::bad_input(run.where(), "nodes", "1 to " + std::to_string(PHOTON_MOST_CUT), std::to_string(p.nodes));
@@ -192,7 +192,7 @@ std::vector<CutLight> light_nodes(const IlluminationCut& cut, const std::vector<
 }  // namespace
 
 BatchResult run_photon_cut_stage(const StageRun& run) {
-  const PhotonCutParameters p = read_parameters(run);
+  const PhotonCutParameters p = cut_parameters(run);
   const double start = seconds_now();
   const auto map = photon_map_table(run, "map");
   IlluminationCut cut(read_map(run));

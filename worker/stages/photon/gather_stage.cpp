@@ -13,7 +13,7 @@ namespace {
 
 using kernels::PhotonGatherParameters;
 
-PhotonGatherParameters read_parameters(const StageRun& run) {
+PhotonGatherParameters gather_parameters(const StageRun& run) {
   const auto p = run.parameters<PhotonGatherParameters>();
   check_sample_parameters(run, p.samples, PATH_CLASSES | PATH_CLASS_LAYER | PATH_CLASS_LOBE);
   if (p.samples.filter & PATH_CLASS_LOBE) check_splat_order(run, p.order);
@@ -34,7 +34,7 @@ void check_photon_gather(const StageRun& run, const kernels::PathParameters& p) 
 }
 
 BatchResult run_photon_gather_stage(const StageRun& run) {
-  const PhotonGatherParameters p = read_parameters(run);
+  const PhotonGatherParameters p = gather_parameters(run);
   const auto map = photon_map_table(run, "map");
   const PhotonCutTable cut = photon_cut_table(run, p.cut_depth);
   std::string options = " -D PATH_FILTER=" + std::to_string(p.samples.filter);

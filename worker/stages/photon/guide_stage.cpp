@@ -15,6 +15,7 @@
 #include "worker/stages/photon/reach_grid.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/splat/stages.h"
+#include "worker/stages/vectors.h"
 #include "worker/stages/vpl/rows.h"
 #include "worker/wavefront/counters.h"
 #include "worker/wavefront/input_rows.h"
@@ -30,8 +31,6 @@ using Vector = std::array<float, 3>;
 constexpr std::size_t kMostPoints = 1u << 16;
 // A normal is within an octant of directions where it is turned less than 73 degrees from the middle.
 constexpr float kInOctant = 0.3f;
-
-float dot(const Vector& a, const Vector& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 // Octants that a side of a surface faces, a bit each: opposite sides have none in common.
 std::uint8_t octants_of(const Vector& normal) {

@@ -9,17 +9,14 @@
 
 #include "kernels/photon_records.h"
 #include "kernels/rays.h"
+#include "worker/stages/vectors.h"
 
 namespace gleaner::worker {
 namespace {
 
-constexpr float kLeastRadius = 1e-6f;  // m
-constexpr float kFar = 1e18f;          // m: what lies farther away is no photon (kernels/photon_records.h)
-constexpr float kAlike = 0.7f;         // least cosine between normals of one surface: MAP_LEAST_COSINE of the kernels
-
-float dot(const std::array<float, 3>& a, const std::array<float, 3>& b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
+constexpr float kLeastRadius = 1e-6f;     // m
+constexpr float kFarthestPhoton = 1e18f;  // m: what lies farther away is no photon (kernels/photon_records.h)
+constexpr float kAlike = 0.7f;  // least cosine between normals of one surface: MAP_LEAST_COSINE of the kernels
 
 float component(std::uint32_t bits, unsigned width) {
   const float most = static_cast<float>((1u << width) - 1u);
@@ -156,7 +153,7 @@ void IlluminationCut::each_photon(std::size_t node, See see) const {
   for (std::size_t below = node; below < word(node, NODE_SKIP); ++below) {
     if (!leaf(below)) continue;
     for (unsigned lane = 0; lane < RAY_BLOCK; ++lane)
-      if (photon(word(below, NODE_BLOCK), lane, 0) < kFar) see(word(below, NODE_BLOCK), lane);
+      if (photon(word(below, NODE_BLOCK), lane, 0) < kFarthestPhoton) see(word(below, NODE_BLOCK), lane);
   }
 }
 

@@ -7,6 +7,7 @@
 #include "kernels/records.h"
 #include "worker/stages/photon/clusters.h"
 #include "worker/stages/splat/scalar.h"
+#include "worker/stages/vectors.h"
 #include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
@@ -26,9 +27,6 @@ std::array<double, 3> sum_of(const std::array<float, 9>& gradients) {
   std::array<double, 3> sum{};
   for (std::size_t k = 0; k < 9; ++k) sum[k % 3] += double{gradients[k]};
   return sum;
-}
-double dot(const std::array<double, 3>& a, const std::array<double, 3>& b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 void add(std::array<double, 3>& sum, const std::array<double, 3>& v, double weight) {
   for (std::size_t k = 0; k < 3; ++k) sum[k] += weight * v[k];

@@ -1,4 +1,5 @@
 #include "worker/stages/splat/hessian.h"
+#include "worker/stages/vectors.h"
 
 #include <algorithm>
 #include <cmath>
@@ -8,11 +9,8 @@ namespace gleaner::worker {
 namespace {
 
 using Vec = std::array<double, 3>;
-constexpr double kPi = std::numbers::pi;
 // What rays do not meet is so many times as far as the nearest thing that they do.
 constexpr double kFarthest = 1e4;
-
-double dot(const Vec& a, const Vec& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 // Adds `factor` times the second derivatives of what the edge from a to b adds to the irradiance of normal z at the
 // origin, as that moves by x and y. A polygon of unit radiance, whose edges turn about z as the azimuth does, brings
@@ -46,7 +44,7 @@ IrradianceHessian::IrradianceHessian(const HemisphereGrid& grid) : grid_(grid) {
   for (std::uint32_t j = 0; j <= grid.polar; ++j)
     for (std::uint32_t k = 0; k < grid.azimuthal; ++k) {
       const double squared = j / static_cast<double>(grid.polar), sine = std::sqrt(squared);
-      const double phi = 2 * kPi * k / grid.azimuthal;
+      const double phi = 2 * std::numbers::pi * k / grid.azimuthal;
       directions_.push_back({sine * std::cos(phi), sine * std::sin(phi), std::sqrt(1 - squared)});
     }
 }
@@ -79,7 +77,7 @@ TangentMatrix IrradianceHessian::relative(std::span<const HemisphereSample> samp
     light.push_back(double{sample.radiance[0]} + sample.radiance[1] + sample.radiance[2]);
     sum += light.back();
   }
-  const double irradiance = kPi * sum / static_cast<double>(samples.size());
+  const double irradiance = std::numbers::pi * sum / static_cast<double>(samples.size());
   if (!(irradiance > 0)) return {};
   TangentMatrix hessian{};
   for (std::uint32_t j = 0; j < grid_.polar; ++j)

@@ -11,10 +11,9 @@ namespace gleaner::worker {
 namespace {
 
 using Vec = std::array<double, 3>;
-constexpr double kPi = std::numbers::pi;
 // No gradient per metre exceeds this over R_k, times the irradiance: how fast it can change where all surfaces about
 // are as far away as in the mean (the split sphere of Ward, Rubinstein & Clear 1988).
-constexpr double kSplitSphere = 4 / kPi;
+constexpr double kSplitSphere = 4 / std::numbers::pi;
 
 // Radiance as a linear function of the direction, a + b.w, that fits the samples best. What it leaves is small where
 // light changes slowly, and so is the noise of what is summed over it.
@@ -48,7 +47,7 @@ class Gradients {
   Gradients(const HemisphereGrid& grid, std::span<const HemisphereSample> samples, const TangentFrame& frame)
       : grid_(grid), samples_(samples), frame_(frame), directions_(samples.size()), turns_(2 * grid.azimuthal) {
     for (std::uint32_t half = 0; half < turns_.size(); ++half) {
-      const double phi = 2 * kPi * (0.5 * half) / grid.azimuthal;
+      const double phi = 2 * std::numbers::pi * (0.5 * half) / grid.azimuthal;
       turns_[half] = {std::cos(phi), std::sin(phi)};
     }
     for (std::size_t i = 0; i < samples.size(); ++i) {
@@ -60,7 +59,7 @@ class Gradients {
   double irradiance(std::size_t color) const {
     double sum = 0;
     for (const HemisphereSample& sample : samples_) sum += double{sample.radiance[color]};
-    return kPi * sum / static_cast<double>(samples_.size());
+    return std::numbers::pi * sum / static_cast<double>(samples_.size());
   }
 
   // Half the difference between what even and odd strata say, over what they say together, of the mean of the colours.
@@ -81,8 +80,8 @@ class Gradients {
   // linear part it is known; the rest is summed over the strata, each with its part of the integral of (n x w).
   Vec rotation(std::size_t color) const {
     const LinearFit fit = fit_of(color);
-    double x = -2 * kPi / 3 * fit.b[1], y = 2 * kPi / 3 * fit.b[0];
-    const double across = 2 * std::sin(kPi / grid_.azimuthal);  // of one azimuthal stratum's unit tangents
+    double x = -2 * std::numbers::pi / 3 * fit.b[1], y = 2 * std::numbers::pi / 3 * fit.b[0];
+    const double across = 2 * std::sin(std::numbers::pi / grid_.azimuthal);  // of one azimuthal stratum's unit tangents
     for (std::uint32_t j = 0; j < grid_.polar; ++j) {
       const double theta0 = theta(j), theta1 = theta(j + 1);
       const double height = (theta1 - theta0) / 2 - (std::sin(2 * theta1) - std::sin(2 * theta0)) / 4;  // of sin^2
@@ -110,7 +109,7 @@ class Gradients {
         const std::size_t i = index(j, k);
         if (j > 0) {
           const Turn& middle = turns_[2 * k + 1];
-          const double change = 2 * kPi / grid_.azimuthal * sin0 * cos2 * step(color, i, index(j - 1, k));
+          const double change = 2 * std::numbers::pi / grid_.azimuthal * sin0 * cos2 * step(color, i, index(j - 1, k));
           x += middle.cosine * change;
           y += middle.sine * change;
         }

@@ -11,8 +11,6 @@
 namespace gleaner::worker {
 namespace {
 
-constexpr double kPi = std::numbers::pi;
-
 class Projection {
  public:
   Projection(const HemisphereGrid& grid, std::span<const HemisphereSample> samples, std::uint32_t order)
@@ -24,7 +22,7 @@ class Projection {
 
   // The integral of L H over the hemisphere: a stratum's sample stands for its solid angle.
   void project() {
-    const double solid_angle = 2 * kPi / grid_.strata();
+    const double solid_angle = 2 * std::numbers::pi / grid_.strata();
     for (const HemisphereSample& sample : samples_) {
       const double sine2 = double{sample.x} * sample.x + double{sample.y} * sample.y;
       const double sine = std::sqrt(sine2);
@@ -41,16 +39,16 @@ class Projection {
       const double upper = 1 - j / static_cast<double>(grid_.polar), lower = upper - 1.0 / grid_.polar;
       if (j > 0) {
         hemispherical_harmonics(order_, upper, polar_);
-        const double swept = 2 * kPi / grid_.azimuthal * std::sqrt(1 - upper * upper) * upper;
+        const double swept = 2 * std::numbers::pi / grid_.azimuthal * std::sqrt(1 - upper * upper) * upper;
         for (std::uint32_t k = 0; k < grid_.azimuthal; ++k) {
-          const double phi = 2 * kPi * (k + 0.5) / grid_.azimuthal, c = std::cos(phi), s = std::sin(phi);
+          const double phi = 2 * std::numbers::pi * (k + 0.5) / grid_.azimuthal, c = std::cos(phi), s = std::sin(phi);
           add_wall(c, s, index(j, k), index(j - 1, k), swept * c, swept * s);
         }
       }
       hemispherical_harmonics(order_, (upper + lower) / 2, polar_);
       const double swept = std::acos(lower) - std::acos(upper);
       for (std::uint32_t k = 0; k < grid_.azimuthal; ++k) {
-        const double phi = 2 * kPi * k / grid_.azimuthal, c = std::cos(phi), s = std::sin(phi);
+        const double phi = 2 * std::numbers::pi * k / grid_.azimuthal, c = std::cos(phi), s = std::sin(phi);
         add_wall(c, s, index(j, k), index(j, (k + grid_.azimuthal - 1) % grid_.azimuthal), -swept * s, swept * c);
       }
     }
@@ -64,7 +62,7 @@ class Projection {
         light += sums_[i] * sums_[i];
         change += sums_[i + 1] * sums_[i + 1] + sums_[i + 2] * sums_[i + 2];
       }
-      const double most = 4 / kPi / radius * std::sqrt(light), length = std::sqrt(change);
+      const double most = 4 / std::numbers::pi / radius * std::sqrt(light), length = std::sqrt(change);
       if (length <= most) continue;
       for (std::size_t i = color * 3; i < sums_.size(); i += 9) {
         sums_[i + 1] *= most / length;

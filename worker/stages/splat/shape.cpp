@@ -25,12 +25,12 @@ constexpr double kError = 0.5;
 constexpr double kMostGrowth = 2;
 // Neighbours whose Hessians count are as far as so many times the reach by mean distances: with 2, a tenth fewer
 // records err by a sixth more.
-constexpr float kStretch = 1;
+constexpr float kMeanStretch = 1;
 
 // The mean Hessian over records about one, relative to their mean light: one alone is noisy.
 class MeanHessians {
  public:
-  explicit MeanHessians(std::span<const CacheRecord> records) : records_(records), grid_(records, kStretch) {}
+  explicit MeanHessians(std::span<const CacheRecord> records) : records_(records), grid_(records, kMeanStretch) {}
 
   TangentMatrix at(std::uint32_t i) const {
     const CacheRecord& here = records_[i];
@@ -40,8 +40,8 @@ class MeanHessians {
       const CacheRecord& record = records_[k];
       if (record.level != here.level) continue;
       // 1 at its own place, 0 where its reach ends.
-      const double least = 1 / (kStretch * double{record.accuracy}),
-                   weight = splat::record_weight(record, here.position, here.normal, kStretch),
+      const double least = 1 / (kMeanStretch * double{record.accuracy}),
+                   weight = splat::record_weight(record, here.position, here.normal, kMeanStretch),
                    share = weight / (weight + least);
       if (!(share > 0)) continue;
       const double bright = share * (double{record.irradiance[0]} + record.irradiance[1] + record.irradiance[2]);

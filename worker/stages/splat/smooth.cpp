@@ -33,7 +33,7 @@ using splat::Color;
 
 // Records lie where no other one reaches: as neighbours they count farther. Measured: 2 leaves a seventh more noise,
 // and beside caustics 4 errs more.
-constexpr float kStretch = 3;
+constexpr float kNeighbourStretch = 3;
 constexpr std::size_t kLeastNeighbours = 3;
 // No record moves farther than so many times its noise: what many rays agree on is no noise.
 constexpr double kMostMove = 2;
@@ -50,11 +50,11 @@ struct Neighbour {
 
 double square_of(const Color& color) { return color[0] * color[0] + color[1] * color[1] + color[2] * color[2]; }
 
-class Smoothing {
+class RecordSmoothing {
  public:
-  explicit Smoothing(std::vector<CacheRecord> records)
+  explicit RecordSmoothing(std::vector<CacheRecord> records)
       : records_(std::move(records)), neighbours_(records_.size()), cut_off_(records_.size()), said_(records_.size()) {
-    const splat::RecordGrid grid(records_, kStretch);
+    const splat::RecordGrid grid(records_, kNeighbourStretch);
     for (std::uint32_t i = 0; i < records_.size(); ++i) {
       if (i % 1024 == 0) check_wanted();
       find_neighbours(grid, i);
@@ -89,8 +89,9 @@ class Smoothing {
     if (of == at || records_[of].level != records_[at].level) return 0;
     const CacheRecord &a = records_[of], &b = records_[at];
     const bool past_walls = cut_off_[at];
-    const double weight = splat::record_weight(a, b.position, b.normal, kStretch, past_walls);
-    return weight > 0 ? std::min(weight, splat::record_weight(b, a.position, a.normal, kStretch, past_walls)) : 0;
+    const double weight = splat::record_weight(a, b.position, b.normal, kNeighbourStretch, past_walls);
+    return weight > 0 ? std::min(weight, splat::record_weight(b, a.position, a.normal, kNeighbourStretch, past_walls))
+                      : 0;
   }
 
   void find_neighbours(const splat::RecordGrid& grid, std::uint32_t i) {
@@ -260,7 +261,7 @@ class Smoothing {
 }  // namespace
 
 std::vector<CacheRecord> smooth_cache(std::vector<CacheRecord> records) {
-  return Smoothing(std::move(records)).smoothed();
+  return RecordSmoothing(std::move(records)).smoothed();
 }
 
 BatchResult smooth_splat_records(const StageTask& task) {

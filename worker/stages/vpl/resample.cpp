@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <numbers>
 
 #include "kernels/vpl_host_records.h"
 #include "kernels/vpl_records.h"
@@ -18,7 +19,6 @@ namespace {
 using kernels::VplResampleFacts;
 using kernels::VplResampleParameters;
 
-constexpr double kPi = 3.14159265358979;
 // Lights whose nearest neighbour is looked for.
 constexpr std::size_t kDensityLights = 256;
 
@@ -127,7 +127,7 @@ double density_of(const std::vector<float>& rows) {
     if (const double d2 = places.nearest_to(i); std::isfinite(d2)) nearest.push_back(d2);
   if (nearest.empty()) return 0;
   std::ranges::nth_element(nearest, nearest.begin() + static_cast<std::ptrdiff_t>(nearest.size() / 2));
-  return std::log(2.0) / (kPi * nearest[nearest.size() / 2]);
+  return std::log(2.0) / (std::numbers::pi * nearest[nearest.size() / 2]);
 }
 
 }  // namespace
