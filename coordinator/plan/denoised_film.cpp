@@ -101,7 +101,10 @@ void show_denoised(Film& film, std::span<const kernels::DenoiseRecord> records, 
   check_denoised(records, "denoising");
   const bool before = film.find("noisy.R") != nullptr;
   for (std::size_t k = 0; k < 3; ++k) {
-    if (!before) film.channel(std::string("noisy.") + kColor[k]).values = *values_of(film, kColor[k]);
+    if (!before) {
+      std::vector<float> raw = *values_of(film, kColor[k]);  // a new channel may move those that are there
+      film.channel(std::string("noisy.") + kColor[k]).values = std::move(raw);
+    }
     std::vector<float>& values = film.channel(kColor[k]).values;
     for (std::size_t i = 0; i < pixels; ++i) values[i] = records[i].color[k];
   }
