@@ -22,7 +22,7 @@ using Artifact = Graph::Artifact;
 
 // Photons of a density estimate: of the map that paths gather from, and of caustics in the first pass. Measured on
 // the Cornell boxes.
-constexpr std::uint32_t kGatherNeighbours = 16, kCausticNeighbours = 64;
+constexpr std::uint32_t kGatherNeighbours = 24, kCausticNeighbours = 64;
 // The widest estimate, over the diagonal of the scene's bounds.
 constexpr double kMostRadius = 0.05;
 // Knaus & Zwicker 2011: of the variance of caustics' density, what a pass adds falls, and its bias shrinks, by this.
