@@ -73,7 +73,8 @@ typedef struct {
   gl_uint polar, azimuthal;  // strata of the hemisphere: azimuthal is a multiple of 16
   gl_uint first_place;       // row of the first item's place
   gl_uint hessian;           // not 0: records get CACHE_HESSIAN
-  gl_uint reserved[3];
+  gl_uint place_stride;      // above 0: items are some of the places, so many rows from one to the next
+  gl_uint reserved[2];
 } SplatGatherParameters;
 GLEANER_SIZE(SplatGatherParameters, 160);
 // Strata, at most.

@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <string>
 #include <utility>
 
@@ -212,6 +213,13 @@ double Accumulator::mean_radiance() const {
     if (const std::uint32_t count = samples(i))
       for (int k = 0; k < 3; ++k) sum += (direct_[k][i] + indirect_[k][i]) / count + seen_by_all(i, k);
   return sum / (3.0 * static_cast<double>(pixel_count()));
+}
+
+double Accumulator::mean_albedo() const {
+  if (!feature_samples_) return 0;
+  double sum = 0;
+  for (const std::vector<float>& channel : albedo_) sum = std::accumulate(channel.begin(), channel.end(), sum);
+  return sum / (3.0 * static_cast<double>(feature_samples_));
 }
 
 void Accumulator::add_pass(std::span<const float> rgb) {

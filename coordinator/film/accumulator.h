@@ -65,6 +65,7 @@ class Accumulator {
   // estimate from the pixels' variances and two standard deviations more. Of the samples, without the passes.
   double squared_error_bound() const;
   double mean_radiance() const;
+  double mean_albedo() const;  // of what the samples with features saw so far; 0: there are none
 
   // For the preview alone: a pixel's radiance in the pass that is being rendered.
   void draw_pass(std::uint64_t first_pixel, std::span<const float> rgb);

@@ -57,6 +57,13 @@ std::vector<float> neighbours_variance(const PixelNoise& noise, int radius) {
   return result;
 }
 
+double sample_error(const PixelNoise& noise, int radius) {
+  if (noise.chunks.empty() || *std::ranges::min_element(noise.chunks) < 2) return 0;
+  double sum = 0;
+  for (const float variance : neighbours_variance(noise, radius)) sum += std::sqrt(double{variance});
+  return sum / static_cast<double>(noise.chunks.size()) * std::sqrt(double{noise.chunk_samples});
+}
+
 std::vector<float> edge_variance(const PixelNoise& noise) {
   const std::size_t w = noise.width, h = noise.height;
   std::vector<float> result(w * h, 0.0f);

@@ -12,6 +12,11 @@ namespace gleaner::coordinator {
 // colour of a chessboard; 1 where it has none (a picture of one pixel).
 std::vector<float> neighbours_variance(const PixelNoise& noise, int radius);
 
+// What samples a pixel, given out by their noise, are off by, were there one of each: the mean of the roots of what
+// neighbours_variance() tells, whose square over their number is the least mean variance. 0: not known, for a pixel has
+// fewer than two chunks.
+double sample_error(const PixelNoise& noise, int radius);
+
 // For each pixel the variance that a chunk would have if an edge ran through it: that of its four neighbours' means,
 // all of the other colour. A lamp's edge seen by a few samples looks quiet or, in one pixel of many, glares; its
 // neighbours know better. Nothing where means are not known.

@@ -231,14 +231,21 @@ void PathSampler::absorb_seen(std::uint64_t first, std::uint64_t count, const By
   }
 }
 
+PixelNoise PathSampler::noise_so_far() const {
+  PixelNoise noise = film_.noise();
+  noise.chunk_samples = static_cast<float>(chunk_samples_);
+  return noise;
+}
+
+double PathSampler::sample_error() const { return gleaner::coordinator::sample_error(noise_so_far(), kNoiseRadius); }
+
 // A stage of so many samples, given out by the noise seen so far.
 void PathSampler::spend(std::uint64_t samples) {
   samples = std::min(samples, kMostItems * chunk_samples_);
   const std::uint64_t whole = samples / chunk_samples_;
   const auto rest = static_cast<std::uint32_t>(samples % chunk_samples_);
   const std::uint64_t items = whole + (rest ? 1 : 0);
-  PixelNoise noise = film_.noise();
-  noise.chunk_samples = static_cast<float>(chunk_samples_);
+  PixelNoise noise = noise_so_far();
   if (!denoised_error_.empty()) {
     // What is left of a pixel's error once it is denoised, as if it fell with one over the chunks.
     for (std::size_t i = 0; i < noise.chunks.size(); ++i)

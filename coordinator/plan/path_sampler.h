@@ -50,6 +50,8 @@ class PathSampler {
   bool begun() const { return !stages_.empty(); }
   // The first samples of all pixels.
   const Graph::Artifact& first_samples() const { return stages_.front().artifact; }
+  // What a sample of a pixel is off by (sample_error() of allocation.h), by those so far; 0: not known.
+  double sample_error() const;
   // What the complement could not say. Before its event.
   void tell(double mean, double squared_error) {
     complement_.mean = mean;
@@ -90,6 +92,7 @@ class PathSampler {
   kernels::PathParameters parameters_of(const Asked& asked) const;
   // Asks for the stage; returns its output, which asked.artifact then is.
   Graph::Artifact add_stage(const Asked& asked, const std::string& name, double work);
+  PixelNoise noise_so_far() const;
   void ask(Asked asked);
   // Where the first samples saw edges of emission: camera rays that look for nothing else.
   void ask_seen();

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <span>
 
 #include "kernels/splat_records.h"
 
@@ -36,6 +37,16 @@ double usual_splat_records(double pixels, double accuracy);
 // Rays of a record where there are so many of them: fewer where they are more than usual, since those near each other
 // share their noise, and all of them together take as long as everything else of the picture.
 std::uint32_t splat_rays_of_many(double records, double pixels, const SplatCounts& counts);
+
+// What both kinds of rays are off by, as radiance that the picture shows. 0: not known.
+struct SplatNoise {
+  double sample = 0;  // of paths: a sample of a pixel (PathSampler::sample_error())
+  double ray = 0;     // of the cache: a ray of a record, before records are smoothed (splat_ray_noise())
+};
+// Of records with so many rays each, on surfaces of this albedo.
+double splat_ray_noise(std::span<const float> cache, std::uint32_t rays, double albedo);
+// Rays of a record, given that noise: fewer than `counts` has where paths are noisier beside the cache than there.
+std::uint32_t splat_rays_beside(const SplatNoise& noise, const SplatCounts& counts);
 
 // Counts of fewer samples: as many as have a cache of no more than `work` rays in all, or
 // the coarsest one. `points` stay.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -40,6 +41,9 @@ constexpr std::uint32_t kBlockTiles = 2;
 // what the whole cache would take. Both together are usually so many times these.
 constexpr float kFirstAccuracy = 1.75f;
 constexpr std::uint64_t kRecordsAFirst = 2;
+// So many records, of so many rays, tell how noisy all are; not where they would be more than a part of all rays.
+constexpr std::uint32_t kLookedAtRecords = 256, kLookedAtRays = 64;
+constexpr double kMostOfRays = 1.0 / 16;
 
 struct SplatSettings : SplatCounts {
   GivenSplatCounts given;
@@ -137,12 +141,18 @@ class SplatPlan final : public GraphPlan {
   // limit of new ones says how many are chosen.
   bool shapes() const { return splat_.hessian && splat_.accuracy > 0 && cameras_.empty() && !splat_.records; }
   void add_own_records();
+  void look_at_records(std::function<void()> then);
+  void gather_own_records();
   // Whether the cache follows a time limit: what other frames begin with stays as it is.
   bool limited() const { return allowed_work_ && cameras_.empty(); }
   std::optional<double> limited_work() const;  // rays of each cache; none: no limit, or nothing is known
   void fit_limit();
   void fit_rays(std::uint64_t records);
   void tell_fewer_rays(std::uint32_t than);
+  // Whether the rays of records follow what is seen of both kinds' noise. A denoiser takes that of paths out.
+  bool looks_at_noise() const {
+    return !splat_.given.rays && settings_.target_error == 0 && settings_.denoise == Denoise::off && cameras_.empty();
+  }
   void judge(const Artifact& cache);
   void take_judgement(const Artifact& cache, const Artifact& judgement);
   double wanted_squared_error() const;  // by the samples so far
@@ -156,7 +166,7 @@ class SplatPlan final : public GraphPlan {
   SplatGatherParameters gather_parameters(std::uint64_t records) const;
   Artifact ask_places(float coarser, const std::string& name);
   void take_facts(Records& records, std::uint64_t given);
-  void take_places(Records& records, std::uint64_t given, const std::string& gather_stage);
+  void gather_new(Records& records, const std::string& stage);
   void gather(Records& records, const std::string& stage);
   static StageSpec of_records(const std::string& name, const char* kind, std::uint64_t records);
   Artifact ask_merge();
@@ -184,7 +194,9 @@ class SplatPlan final : public GraphPlan {
   std::optional<double> planned_work_;     // limited_work() before places were chosen
   Artifact errors_known_;                  // an event, where a target error is given: paths may go on
   double wanted_squared_error_ = 0;        // of the whole picture, where one is given
-  bool chosen_ = false;                    // the facts of all are known
+  SplatNoise noise_;
+  double albedo_ = 0;    // of what the first samples saw, in the mean
+  bool chosen_ = false;  // the facts of all are known
 };
 
 void SplatPlan::begin() {
@@ -197,6 +209,12 @@ void SplatPlan::begin() {
   paths_.begin({.classes = caches_lobes() ? PATH_CLASS_RADIANCE : PATH_CLASS_IRRADIANCE,
                 .limit = std::numeric_limits<float>::infinity(),
                 .known = errors_known_});
+  // At once: samples that come later, while places are chosen, are more or fewer from run to run.
+  if (looks_at_noise())
+    graph_.when({paths_.first_samples()}, [this] {
+      noise_.sample = paths_.sample_error();
+      albedo_ = film_.mean_albedo();
+    });
   light_.expect(caches_lobes() ? 2 : 1);
   points_ = cache_.ask_points(graph_, "splat.points", kFirst, free_scatterings());
   before_.resize(cameras_.size());
@@ -237,6 +255,7 @@ void SplatPlan::fit_rays(std::uint64_t records) {
   if (splat_.given.rays) return;
   if (settings_.target_error == 0 && cameras_.empty()) {
     splat_.rays = splat_rays_of_many(static_cast<double>(records), cached_pixels(), splat_);
+    splat_.rays = splat_rays_beside(noise_, splat_);
     strata_ = strata_of(splat_.rays);
   }
   std::optional<double> work = limited_work();
@@ -265,7 +284,9 @@ void SplatPlan::make_cache() {
 // Few records, which reach as far as their Hessians say.
 void SplatPlan::make_first_records(std::function<void()> then) {
   const Artifact places = ask_places(kFirstAccuracy, of_this_cache("splat.first_select"));
-  graph_.when({places}, [this, places, then = std::move(then)] {
+  std::vector<Artifact> known = {places};
+  if (looks_at_noise()) known.push_back(paths_.first_samples());
+  graph_.when(std::move(known), [this, places, then = std::move(then)] {
     Records first;
     first.places = places;
     take_facts(first, 0);
@@ -288,18 +309,47 @@ void SplatPlan::add_own_records() {
   own_.places = ask_places(1, of_this_cache("splat.select"));
   std::vector<Artifact> all = {own_.places};
   for (const Records& records : before_) all.push_back(records.places);
+  if (looks_at_noise()) all.push_back(paths_.first_samples());
   graph_.when(std::move(all), [this] {
-    take_places(own_, before_.empty() ? 0 : before_.back().facts.records, of_this_cache("splat.gather"));
-    chosen_ = true;
-    if (own_.facts.records == 0) {
-      if (errors_known_) graph_.announce(errors_known_);
-      add_light({});
-      own_stages_asked_ = true;
-    } else {
-      const Artifact cache = ask_smoothing(ask_merge());
-      judges() ? judge(cache) : shade(cache);
-    }
+    take_facts(own_, before_.empty() ? 0 : before_.back().facts.records);
+    look_at_records([this] { gather_own_records(); });
   });
+}
+
+// Some of the places, with few rays, before all of them.
+void SplatPlan::look_at_records(std::function<void()> then) {
+  const std::uint64_t added = own_.facts.records - own_.facts.given;
+  const double share = double{kLookedAtRecords} * kLookedAtRays / (static_cast<double>(added) * splat_.rays);
+  if (!looks_at_noise() || shapes() || !(share < kMostOfRays)) return then();
+  const Strata strata = strata_of(kLookedAtRays);
+  SplatGatherParameters p = gather_parameters(kLookedAtRecords);
+  p.polar = strata.polar;
+  p.azimuthal = strata.azimuthal;
+  p.first_place = low(own_.facts.given);
+  p.place_stride = low(added / kLookedAtRecords);
+  StageSpec spec = PixelCache::gathering("splat.look", "splat_gather", kFirst, kLookedAtRecords, strata);
+  spec.output.placement = Placement::collect;
+  const Artifact looked = graph_.add(std::move(spec), p, {{"places", own_.places}});
+  graph_.when({looked}, [this, looked, strata, then = std::move(then)] {
+    std::vector<float> rows(looked.records().size() / sizeof(float));
+    std::memcpy(rows.data(), looked.records().data(), rows.size() * sizeof(float));
+    noise_.ray = splat_ray_noise(rows, strata.count(), albedo_);
+    looked.check_facts(noise_.ray >= 0 && std::isfinite(noise_.ray), "a noise of " + std::to_string(noise_.ray));
+    then();
+  });
+}
+
+void SplatPlan::gather_own_records() {
+  gather_new(own_, of_this_cache("splat.gather"));
+  chosen_ = true;
+  if (own_.facts.records == 0) {
+    if (errors_known_) graph_.announce(errors_known_);
+    add_light({});
+    own_stages_asked_ = true;
+  } else {
+    const Artifact cache = ask_smoothing(ask_merge());
+    judges() ? judge(cache) : shade(cache);
+  }
 }
 
 void SplatPlan::judge(const Artifact& cache) {
@@ -434,7 +484,8 @@ void SplatPlan::extend(std::size_t camera) {
   std::vector<Artifact> until;
   for (std::size_t k = 0; k <= camera; ++k) until.push_back(before_[k].places);
   graph_.when(std::move(until), [this, camera] {
-    take_places(before_[camera], camera > 0 ? before_[camera - 1].facts.records : 0, numbered("splat.gather", camera));
+    take_facts(before_[camera], camera > 0 ? before_[camera - 1].facts.records : 0);
+    gather_new(before_[camera], numbered("splat.gather", camera));
   });
 }
 
@@ -471,12 +522,11 @@ void SplatPlan::take_facts(Records& records, std::uint64_t given) {
                                  std::to_string(records.places.record_count()) + " places");
 }
 
-void SplatPlan::take_places(Records& records, std::uint64_t given, const std::string& gather_stage) {
-  take_facts(records, given);
+void SplatPlan::gather_new(Records& records, const std::string& stage) {
   const std::uint64_t added = records.facts.records - records.facts.given;
   if (added == 0) return;
   if (&records == &own_ && !shapes()) fit_rays(added);
-  gather(records, gather_stage);
+  gather(records, stage);
 }
 
 // Light is gathered at the places that are new.
@@ -560,6 +610,8 @@ std::string SplatPlan::parameters_json() const {
     if (shapes()) splat["first_records"] = own_.facts.given;
     if (caches_lobes()) splat["order"] = splat_.order, splat["lobe_records"] = lobes_.records();
     if (splat_.accuracy > 0) splat["accuracy"] = own_.facts.accuracy;
+    if (noise_.sample > 0) splat["sample_error"] = noise_.sample;
+    if (noise_.ray > 0) splat["ray_error"] = noise_.ray;
     if (judged_ && judged_->mean > 0) {
       splat["caches"] = caches_made_;
       splat["mean"] = judged_->mean;
@@ -584,6 +636,9 @@ std::vector<std::string> SplatPlan::outline() const {
     if (shapes())
       lines.push_back("splat.first_select, first_gather, shape: few records, whose Hessians say how far they reach");
     lines.push_back("splat.select: where records are needed, solo");
+    if (looks_at_noise() && !shapes())
+      lines.push_back(
+          "splat.look: some records with few rays, which tell with the first samples how many all get, split");
     lines.push_back("splat.gather: light from " + std::to_string(strata_.count()) +
                     " directions at each record, split");
     if (splat_.smooth && splat_.accuracy > 0)

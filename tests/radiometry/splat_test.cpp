@@ -264,6 +264,35 @@ TEST(Splat, ARecordAtEveryPointIsHemisphereSampling) {
   EXPECT_GT(record, 900u);
 }
 
+// A look at some of the records tells their noise, the first samples that of paths. In a small picture the lamp's edges
+// are more of it, so that paths are noisier and records have fewer rays.
+TEST(Splat, RaysFollowWhatIsNoisy) {
+  unsigned rays[2];
+  for (const bool small : {false, true}) {
+    const Rendered made =
+        render(square_frame("splat", scene::make_scene("cornell-box", {}), {}, small ? 48 : 160, 64, {}));
+    const auto& splat = made.parameters["splat"];
+    const std::vector<float> places = made.floats("splat.select"), looked = made.floats("splat.look");
+    const std::size_t count = looked.size() / CACHE_WORDS, all = places.size() / SPLAT_PLACE_WORDS;
+    rays[small] = splat["gather_rays"];
+    std::printf("  a sample is off by %.4f, a ray by %.4f; %zu of %zu records, of %u rays\n",
+                splat["sample_error"].get<double>(), splat["ray_error"].get<double>(), count, all, rays[small]);
+    ASSERT_EQ(count, 256u);
+    ASSERT_GE(all, 2 * count) << "nothing is left out";
+    const std::size_t stride = all / count;
+    for (std::size_t i = 0; i < count; ++i)
+      for (std::size_t k = 0; k < 3; ++k)
+        ASSERT_EQ(looked[i * CACHE_WORDS + CACHE_POSITION + k], places[i * stride * SPLAT_PLACE_WORDS + k]) << i;
+    EXPECT_EQ(made.results.at("splat.gather").records.size(), all * CACHE_WORDS * 4);
+    EXPECT_EQ(made.specs.at("splat.gather").work, static_cast<double>(all) * rays[small]);
+  }
+  EXPECT_LT(rays[true], 0.75 * rays[false]);
+  EXPECT_LT(rays[false], 1152u) << "of as many samples";
+  const Frame set =
+      square_frame("splat", scene::make_scene("cornell-box", {}), {}, 48, 64, {{"splat.gather_rays", "64"}});
+  EXPECT_FALSE(render(set).results.contains("splat.look")) << "what is set stays";
+}
+
 // Each of these stages again, in batches of five, by two threads.
 void expect_same_in_batches(const Frame& frame, std::initializer_list<const char*> names) {
   const Rendered made = render(frame);

@@ -100,16 +100,18 @@ TEST(PlanFacts, OfMergedPoints) {
 }
 
 TEST(PlanFacts, OfCacheRecords) {
+  // Where rays are set they do not wait for paths, which have no records here.
+  const std::map<std::string, std::string> rays = {{"splat.gather_rays", "64"}};
   kernels::SplatSelectFacts facts{.points = 900, .records = 20, .rounds = 3, .probes = 0, .accuracy = 0.15};
-  EXPECT_EQ(answer(frame("splat"), {{"splat_select", said(20, facts)}}), "accepted");
-  EXPECT_THAT(answer(frame("splat"), {{"splat_select", said(19, facts)}}), HasSubstr("20 records"));
+  EXPECT_EQ(answer(frame("splat", rays), {{"splat_select", said(20, facts)}}), "accepted");
+  EXPECT_THAT(answer(frame("splat", rays), {{"splat_select", said(19, facts)}}), HasSubstr("20 records"));
   for (const double accuracy : {kNan, -1.0, std::numeric_limits<double>::infinity()}) {
     facts.accuracy = accuracy;
-    EXPECT_THAT(answer(frame("splat"), {{"splat_select", said(20, facts)}}), HasSubstr("facts that cannot be"))
+    EXPECT_THAT(answer(frame("splat", rays), {{"splat_select", said(20, facts)}}), HasSubstr("facts that cannot be"))
         << accuracy;
   }
   // Each camera begins with the places of those before it.
-  FrameSettings settings = frame("splat");
+  FrameSettings settings = frame("splat", rays);
   settings.trajectory.resize(2);
   const Said first = said(20, kernels::SplatSelectFacts{.points = 900, .records = 20, .accuracy = 0.15});
   EXPECT_THAT(answer(settings, {{"splat_extend", first}}), HasSubstr("20 records, 0 of them given"));

@@ -509,6 +509,20 @@ TEST(Allocation, RefusesWhatIsNoVariance) {
   EXPECT_EQ(more, (std::vector<std::uint32_t>{0, 10, 0}));
 }
 
+TEST(Allocation, ErrorOfASampleIsThatOfItsBestUse) {
+  constexpr std::size_t kPixels = 5000;
+  PixelNoise noise{std::vector<float>(kPixels, 4.0f), std::vector<std::uint32_t>(kPixels, 2), 100, 50};
+  noise.chunk_samples = 9;
+  EXPECT_NEAR(sample_error(noise, 3), 6, 1e-3);
+  // Half of the picture is quiet, and gets no samples.
+  std::fill_n(noise.chunk_variance.begin(), kPixels / 2, 0.0f);
+  EXPECT_NEAR(sample_error(noise, 3), 3, 0.2);
+  noise.chunk_variance[4000] = 1e5f;
+  EXPECT_LT(sample_error(noise, 3), 5) << "one pixel does not decide";
+  noise.chunks[5] = 1;
+  EXPECT_EQ(sample_error(noise, 3), 0) << "one chunk has no variance";
+}
+
 TEST(Allocation, NothingNoisyIsServedEvenly) {
   const auto more = allocate_chunks(std::vector<float>(7, 0.0f), std::vector<std::uint32_t>(7, 2), 23);
   std::uint64_t sum = 0;

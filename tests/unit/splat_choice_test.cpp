@@ -8,7 +8,9 @@
 #include <cstring>
 #include <deque>
 #include <limits>
+#include <numbers>
 #include <optional>
+#include <vector>
 
 #include "coordinator/plan/graph.h"
 #include "scene/library/library.h"
@@ -57,6 +59,31 @@ TEST(SplatChoice, ManyRecordsHaveFewerRays) {
   EXPECT_NEAR(splat_rays_of_many(4 * usual, pixels, counts), counts.rays / 2.0, 1);
   EXPECT_EQ(splat_rays_of_many(1e9, pixels, counts), 64u) << "as few as make a picture";
   EXPECT_EQ(splat_rays_of_many(1e9, pixels, {.accuracy = 0.3, .rays = 16, .points = 1}), 16u);
+}
+
+// Error of records and of paths: where paths are noisier, the last rays of a record are worth less than their time.
+TEST(SplatChoice, NoisyPathsTakeFewerRays) {
+  const SplatCounts counts = choose_splat_counts({64}, {});
+  const auto rays = [&](double sample, double ray) { return splat_rays_beside({sample, ray}, counts); };
+  for (const double unknown : {rays(0, 1), rays(1, 0)}) EXPECT_EQ(unknown, counts.rays);
+  EXPECT_EQ(rays(0.1, 1), counts.rays) << "quiet paths";
+  EXPECT_LT(rays(0.5, 1), counts.rays);
+  EXPECT_NEAR(rays(0.4, 1), 2 * rays(0.8, 1), 1);
+  EXPECT_EQ(rays(0.4, 1), rays(0.8, 2)) << "the one beside the other";
+  EXPECT_EQ(rays(1e9, 1), rays(1e6, 1)) << "no fewer than a part";
+  EXPECT_GE(rays(1e9, 1), 64u);
+  EXPECT_EQ(splat_rays_beside({1, 0.1}, {.accuracy = 0.3, .rays = 16, .points = 1}), 16u);
+}
+
+// Records tell by how much the halves of their rays differ.
+TEST(SplatChoice, RecordsTellTheNoiseOfARay) {
+  std::vector<float> cache(2 * CACHE_WORDS);
+  for (const std::size_t at : {0u, CACHE_WORDS})
+    for (std::size_t c = 0; c < 3; ++c) cache[at + CACHE_IRRADIANCE + c] = 3;
+  cache[CACHE_NOISE] = 0.1f;
+  cache[CACHE_WORDS + CACHE_NOISE] = -0.3f;
+  EXPECT_NEAR(splat_ray_noise(cache, 16, 0.5), 0.5 / std::numbers::pi * 3 * 0.2 * 4, 1e-6);
+  EXPECT_EQ(splat_ray_noise({}, 16, 0.5), 0);
 }
 
 // Half the error: four times the rays, and an interpolation that is off by half.
@@ -153,6 +180,9 @@ AskedCache asked_cache(const FrameSettings& settings, std::optional<double> allo
       asked.accuracy = p.accuracy;
       finished.record_count = 2000;
       finished.facts = bytes_of(kernels::SplatSelectFacts{.points = 9000, .records = 2000, .accuracy = p.accuracy});
+    } else if (stage.name == "splat.look") {
+      finished.records =
+          std::make_shared<const Bytes>(stage.items * stage.output.record_bytes);  // dark: nothing is told
     } else if (stage.kind == "splat_gather") {
       kernels::SplatGatherParameters p;
       std::memcpy(&p, stage.parameters.data(), sizeof p);

@@ -23,14 +23,19 @@ struct Places {
 
 Places read_places(const StageRun& run, const SplatGatherParameters& p, std::size_t row_bytes) {
   const InputRows input(run.task, "places", row_bytes);
-  input.expect_rows(std::uint64_t{p.first_place} + p.records);
+  const std::uint64_t stride = std::max(1u, p.place_stride);
+  const std::uint64_t needed = p.records ? p.first_place + (p.records - 1) * stride + 1 : p.first_place;
+  if (!p.place_stride || input.rows() < needed) input.expect_rows(needed);
   Places places{.points = std::vector<SplatPoint>(run.count), .clearances = {}};
   if (row_bytes == sizeof(SplatPlace)) places.clearances.resize(run.count);
   std::vector<SplatPoint>& rows = places.points;
-  const std::uint64_t first_row = p.first_place + run.first;
-  input.visit(first_row, run.count, [&](std::uint64_t first, std::span<const std::byte> piece) {
+  const std::uint64_t first_row = p.first_place + run.first * stride;
+  const std::uint64_t span = run.count ? (run.count - 1) * stride + 1 : 0;
+  input.visit(first_row, span, [&](std::uint64_t first, std::span<const std::byte> piece) {
     for (std::size_t at = 0; at < piece.size(); at += row_bytes) {
-      const std::size_t i = first - first_row + at / row_bytes;
+      const std::uint64_t row = first - first_row + at / row_bytes;
+      if (row % stride) continue;
+      const std::size_t i = row / stride;
       std::memcpy(&rows[i], piece.data() + at, sizeof(SplatPoint));
       if (!places.clearances.empty())
         std::memcpy(&places.clearances[i], piece.data() + at + SPLAT_CLEARANCE * 4, sizeof(Clearance));
@@ -38,7 +43,7 @@ Places read_places(const StageRun& run, const SplatGatherParameters& p, std::siz
   });
   for (std::size_t i = 0; i < rows.size(); ++i) {
     const SplatPoint& place = rows[i];
-    const std::uint64_t row = first_row + i;
+    const std::uint64_t row = first_row + i * stride;
     for (std::size_t k = 0; k < 3; ++k)
       if (!std::isfinite(place.position[k]) || !(std::abs(place.normal[k]) <= 1.001f))
         input.fail(row, "position", "a place and a unit vector", "others");
@@ -55,7 +60,7 @@ Places read_places(const StageRun& run, const SplatGatherParameters& p, std::siz
   for (std::size_t i = 0; i < places.clearances.size(); ++i)
     for (const float one_over : places.clearances[i])
       if (!(one_over >= 0) || !std::isfinite(one_over))
-        input.fail(first_row + i, "clearance", "1/m, not negative", std::to_string(one_over));
+        input.fail(first_row + i * stride, "clearance", "1/m, not negative", std::to_string(one_over));
   return places;
 }
 
