@@ -320,7 +320,7 @@ void SplatPlan::add_own_records() {
 void SplatPlan::look_at_records(std::function<void()> then) {
   const std::uint64_t added = own_.facts.records - own_.facts.given;
   const double share = double{kLookedAtRecords} * kLookedAtRays / (static_cast<double>(added) * splat_.rays);
-  if (!looks_at_noise() || shapes() || !(share < kMostOfRays)) return then();
+  if (!looks_at_noise() || shapes() || added < kLookedAtRecords || !(share < kMostOfRays)) return then();
   const Strata strata = strata_of(kLookedAtRays);
   SplatGatherParameters p = gather_parameters(kLookedAtRecords);
   p.polar = strata.polar;
