@@ -291,7 +291,7 @@ TEST(Splat, RaysFollowWhatIsNoisy) {
   const Frame set =
       square_frame("splat", scene::make_scene("cornell-box", {}), {}, 48, 64, {{"splat.gather_rays", "64"}});
   EXPECT_FALSE(render(set).results.contains("splat.look")) << "what is set stays";
-  const Rendered few = render(square_frame("splat", scene::make_scene("cornell-box", {}), {}, 8, 2048, {}));
+  const Rendered few = render(square_frame("splat", scene::make_scene("cornell-box", {}), {}, 8, 256, {}));
   EXPECT_LT(few.parameters["splat"]["records"], 256);
   EXPECT_FALSE(few.results.contains("splat.look"));
 }
