@@ -22,6 +22,9 @@ namespace gleaner::kernels {
 #define PHOTON_CLASS_SHIFT 24u
 #define PHOTON_CLASS_MASK 7u
 #define PHOTON_DEPTH_SHIFT 27u
+// Of a map's photons, whose classes are below PHOTON_CLASSES: the surface goes on all about the photon's block.
+#define PHOTON_INNER 0x04000000u
+#define MAP_CLASS_MASK 3u
 #define PHOTON_MOST_DEPTH 31u
 
 // How a photon came to its surface, by what scattered it last. Broad and sharp parts: kernels/transport/parts.h.
@@ -84,11 +87,19 @@ GLEANER_SIZE(PhotonTraceParameters, 48);
 #define MAP_BLOCKS 1u    // uint
 #define MAP_PHOTONS 2u   // uint: those of the last block that are none lie far away and have no power
 #define MAP_CAUSTICS 3u  // uint: how many of them are caustic
+#define MAP_REACH 4u     // m^2: the largest squared distance that a photon may shine
 // A node: the box about its photons; its left child follows it, its right child is where the left one's skip leads.
 #define NODE_LOWER 0u
 #define NODE_UPPER 3u
-#define NODE_BLOCK 6u  // uint: of a leaf; GLEANER_NONE: an inner node
-#define NODE_SKIP 7u   // uint: the first node behind all below this one
+#define NODE_BLOCK \
+  6u                  // uint: of a leaf, NODE_NO_BLOCK: an inner node; from bit 24 on how far its photons shine: n says
+                      // MAP_REACH times the float whose bits are those of 1 less n << NODE_REACH_STEP, quarters of
+                      // octaves; of an inner node the farthest
+#define NODE_SKIP 7u  // uint: the first node behind all below this one
+#define NODE_BLOCK_MASK 0xffffffu
+#define NODE_NO_BLOCK 0xffffffu
+#define NODE_REACH_SHIFT 24u
+#define NODE_REACH_STEP 21u
 
 // An illumination cut: rows of PHOTON_WORDS words. Row 0 is a header as a map's, row 1 is empty; then the boxes of a
 // tree of 16 children a node, in groups of 16 that lie word by word; then blocks of up to 16 of the cut's nodes, of
@@ -114,7 +125,8 @@ GLEANER_SIZE(PhotonTraceParameters, 48);
 
 // How a map's density is estimated at a place.
 typedef struct {
-  gl_uint neighbours;    // the radius is the distance to the photon of this rank; 0: it is `most_radius`
+  gl_uint neighbours;    // of caustic photons the radius is the distance to the one of this rank, other photons shine
+                         // as far as the map says; 0: the radius is `most_radius`
   gl_float most_radius;  // m
 } PhotonEstimate;
 GLEANER_SIZE(PhotonEstimate, 8);
@@ -178,7 +190,8 @@ GLEANER_SIZE(PhotonCausticsParameters, 128);
 struct PhotonMapParameters {
   std::uint32_t classes = 0;  // PHOTON_CLASS_BIT each
   std::uint32_t neighbours = 0;
-  std::uint32_t reserved[2] = {};
+  std::uint32_t inner = 0;  // 1: rays tell PHOTON_INNER
+  float most_radius = 0;    // m: no photon shines farther; 0: the map's extent
 };
 static_assert(sizeof(PhotonMapParameters) == 16);
 

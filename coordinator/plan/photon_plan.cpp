@@ -401,7 +401,11 @@ Artifact PhotonPlan::ask_map(const std::string& suffix, std::uint32_t pass, std:
                                 .most_records = low(std::min<std::uint64_t>(most, 0xffffffffu)),
                                 .placement = Placement::retain,
                                 .reusable = true}},
-                    PhotonMapParameters{.classes = classes, .neighbours = kGatherNeighbours}, {{"photons", traced}});
+                    PhotonMapParameters{.classes = classes,
+                                        .neighbours = kGatherNeighbours,
+                                        .inner = caustics ? 0u : 1u,
+                                        .most_radius = static_cast<float>(most_radius_)},
+                    {{"photons", traced}});
 }
 
 // Nearer than an estimate is wide, its photons are those of the surface that the path comes from, and their mean over

@@ -107,8 +107,9 @@ kernel void photon_caustics_read(global const float* restrict reads, global cons
     photons = photon_map(map, map_nodes);
     v3 layer = splat3(zero_f()), glossy = layer;
     uint at = 0u;
+    float reach2;
     for (;;) {
-      uint block = next_leaf(&photons, &place, radius2, &at);
+      uint block = next_leaf(&photons, &place, radius2, false, &at, &reach2);
       if (block == GLEANER_NONE) break;
       for (uint part = 0; part < MAP_PARTS; ++part) {
         vf distance2;

@@ -1,7 +1,8 @@
 // Reading a photon map (kernels/photon_records.h): the photons near a place, and how near they are.
 //
 //   nearest_radius   the distance to the k-th nearest photon: nodes nearest first, a heap of the k best so far
-//   next_leaf        leaves that a radius reaches, in the tree's order: the stackless walk by skips
+//   next_leaf        leaves that a radius reaches, or whose photons reach the place, in the tree's order: the stackless
+//                    walk by skips
 //   photons_near     of a leaf's photons, those within the radius, a lane each
 //
 // Distances are measured in a flattened ball: what is off the surface's plane counts for more, so that photons on other
@@ -25,7 +26,8 @@
 typedef struct {
   global const float* nodes;
   global const float* photons;
-  uint count;  // of nodes
+  uint count;   // of nodes
+  float reach;  // MAP_REACH
 } PhotonMap;
 
 FN PhotonMap photon_map(global const float* rows, uint nodes) {
@@ -33,6 +35,7 @@ FN PhotonMap photon_map(global const float* rows, uint nodes) {
   map.nodes = rows + PHOTON_WORDS;
   map.photons = rows + PHOTON_WORDS * (1u + nodes);
   map.count = nodes;
+  map.reach = rows[MAP_REACH];
   return map;
 }
 
@@ -77,17 +80,25 @@ FN float box_distance2(const PhotonMap* map, uint node, const MapPlace* p) {
   return x * x + y * y + z * z;
 }
 
-// The next leaf's block from node *at on, and *at behind it; GLEANER_NONE: there is none.
-FN uint next_leaf(const PhotonMap* map, const MapPlace* p, float radius2, uint* at) {
+// Squared distance within which a node's photons shine.
+FN float node_reach2(const PhotonMap* map, uint node) {
+  return map->reach *
+         as_float(0x3f800000u - ((node_word(map, node, NODE_BLOCK) >> NODE_REACH_SHIFT) << NODE_REACH_STEP));
+}
+
+// The next leaf's block from node *at on, and *at behind it; GLEANER_NONE: there is none. Leaves that the radius
+// reaches, or, with `own`, whose photons shine as far as the place: *reach2 is how far, at most as far as the radius.
+FN uint next_leaf(const PhotonMap* map, const MapPlace* p, float radius2, bool own, uint* at, float* reach2) {
   while (*at < map->count) {
     uint node = *at;
-    if (box_distance2(map, node, p) >= radius2) {
+    *reach2 = own ? fmin(radius2, node_reach2(map, node)) : radius2;
+    if (box_distance2(map, node, p) >= *reach2) {
       *at = node_word(map, node, NODE_SKIP);
       continue;
     }
     *at = node + 1u;
-    uint block = node_word(map, node, NODE_BLOCK);
-    if (block != GLEANER_NONE) return block;
+    uint block = node_word(map, node, NODE_BLOCK) & NODE_BLOCK_MASK;
+    if (block != NODE_NO_BLOCK) return block;
   }
   return GLEANER_NONE;
 }
@@ -132,7 +143,7 @@ FN vi photons_near(const PhotonMap* map, uint block, uint part, const MapPlace* 
   vi below = near & far_below(height, d2);
   if (any_lane(below)) near = near & none(below & covered(p, photon_u(map, block, part, PHOTON_ARRIVAL), height, d2));
   if (p->most_depth < PHOTON_MOST_DEPTH) near = near & ((surface >> PHOTON_DEPTH_SHIFT) <= p->most_depth);
-  if (p->caustics) near = near & (((surface >> PHOTON_CLASS_SHIFT) & PHOTON_CLASS_MASK) == PHOTON_CAUSTIC);
+  if (p->caustics) near = near & (((surface >> PHOTON_CLASS_SHIFT) & MAP_CLASS_MASK) == PHOTON_CAUSTIC);
   return near;
 }
 
@@ -199,8 +210,8 @@ FN float nearest_radius2(const PhotonMap* map, const MapPlace* p, uint wanted, f
         node = stack[--top];
       } while (apart2[top] >= bound2);
     }
-    uint block = node_word(map, node, NODE_BLOCK);
-    if (block != GLEANER_NONE) {
+    uint block = node_word(map, node, NODE_BLOCK) & NODE_BLOCK_MASK;
+    if (block != NODE_NO_BLOCK) {
       heap_leaf(map, block, p, wanted, heap, &count, &bound2);
       node = GLEANER_NONE;
       continue;

@@ -6,6 +6,32 @@
 #include "kernels/photon/cut.h"
 #include "kernels/photon/layer.h"
 
+typedef struct {
+  v3 light;  // irradiance that the diffuse layer takes, without what is no surface
+  PhotonSpread spread;
+} MapSum;
+
+FN MapSum sum_photons(const Scene* scene, const PhotonMap* map, const MapPlace* place, global const float* read,
+                      float radius2, bool own) {
+  MapSum sum;
+  sum.light = splat3(zero_f());
+  sum.spread = photon_spread(place);
+  uint at = 0u;
+  float reach2;
+  for (;;) {
+    uint block = next_leaf(map, place, radius2, own, &at, &reach2);
+    if (block == GLEANER_NONE) break;
+    for (uint part = 0; part < MAP_PARTS; ++part) {
+      vf distance2;
+      vi near = photons_near(map, block, part, place, reach2, &distance2);
+      if (!any_lane(near)) continue;
+      sum.light = mad3(layer_takes(scene, map, block, part, read, near), (vf)(INV_PI / reach2), sum.light);
+      spread_add(&sum.spread, map, block, part, place, reach2, near & (distance2 > zero_f()));
+    }
+  }
+  return sum;
+}
+
 kernel void photon_read(global const float* restrict reads, uint count, SCENE_PARAMETERS,
                         global const float* restrict map, uint map_nodes, global const float* restrict cut,
                         uint cut_blocks, uint cut_depth, uint neighbours, float most_radius,
@@ -29,26 +55,16 @@ kernel void photon_read(global const float* restrict reads, uint count, SCENE_PA
     }
   }
   PhotonMap photons = photon_map(map, map_nodes);
-  float radius2 = estimate_radius2(&photons, &place, neighbours, most_radius);
-  v3 sum = splat3(zero_f());
-  PhotonSpread spread = photon_spread(&place);
-  uint at = 0u;
-  for (;;) {
-    uint block = next_leaf(&photons, &place, radius2, &at);
-    if (block == GLEANER_NONE) break;
-    for (uint part = 0; part < MAP_PARTS; ++part) {
-      vf distance2;
-      vi near = photons_near(&photons, block, part, &place, radius2, &distance2);
-      if (!any_lane(near)) continue;
-      sum = add3(sum, layer_takes(&scene_value, &photons, block, part, read, near));
-      spread_add(&spread, &photons, block, part, &place, near & (distance2 > zero_f()));
-    }
-  }
-  float scale = 1.0f / spread_area(&spread, radius2);
+  // Photons shine as far as the map says. Of caustic ones alone it tells nothing: the nearest are taken, as with a
+  // radius that was asked for.
+  bool own = neighbours != 0u && place.caustics == 0u;
+  float radius2 = own ? INFINITY : estimate_radius2(&photons, &place, neighbours, most_radius);
+  MapSum sum = sum_photons(&scene_value, &photons, &place, read, radius2, own);
+  float scale = disc_over_surface(&sum.spread);
   global float* to = slots + SLOT_WORDS * slot + SLOT_INDIRECT;
-  to[0] += read[READ_FACTOR] * scale * sum_lanes(sum.x);
-  to[1] += read[READ_FACTOR + 1u] * scale * sum_lanes(sum.y);
-  to[2] += read[READ_FACTOR + 2u] * scale * sum_lanes(sum.z);
+  to[0] += read[READ_FACTOR] * scale * sum_lanes(sum.light.x);
+  to[1] += read[READ_FACTOR + 1u] * scale * sum_lanes(sum.light.y);
+  to[2] += read[READ_FACTOR + 2u] * scale * sum_lanes(sum.light.z);
 }
 
 #endif

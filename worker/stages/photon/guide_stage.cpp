@@ -12,6 +12,7 @@
 #include "scene/model/order.h"
 #include "worker/stages/photon/guide.h"
 #include "worker/stages/photon/nearness.h"
+#include "worker/stages/photon/packed.h"
 #include "worker/stages/photon/reach_grid.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/splat/stages.h"
@@ -117,17 +118,6 @@ UsefulPlaces useful_places(const StageRun& run, const PhotonGuideParameters& p, 
   return places;
 }
 
-// As kernels/photon/pack.h, of 12 + 12 bits.
-Vector unpacked(std::uint32_t bits) {
-  const auto coordinate = [](std::uint32_t b) { return static_cast<float>(b & 4095u) * (2.0f / 4095) - 1; };
-  float x = coordinate(bits), y = coordinate(bits >> 12);
-  const float z = 1 - std::abs(x) - std::abs(y), fold = std::max(-z, 0.0f);
-  x -= x >= 0 ? fold : -fold;
-  y -= y >= 0 ? fold : -fold;
-  const float length = std::sqrt(x * x + y * y + z * z);
-  return {x / length, y / length, z / length};
-}
-
 // The paths of which a photon lies at such a place, once each.
 std::vector<PathNumbers> useful_paths(const StageTask& task, std::uint32_t classes, const UsefulPlaces& places) {
   std::vector<PathNumbers> paths;
@@ -143,7 +133,7 @@ std::vector<PathNumbers> useful_paths(const StageTask& task, std::uint32_t class
         if (!(std::abs(place[k]) <= 2 * scene::kMaxCoordinate))
           input.fail(row, "position", "a finite number of a scene's size", std::to_string(place[k]));
       }
-      if (!places.hold(place, unpacked(surface))) continue;
+      if (!places.hold(place, unpack_unit(surface, 12))) continue;
       const auto light = row_word<std::uint32_t>(photon, PILOT_LIGHT),
                  point = row_word<std::uint32_t>(photon, PILOT_POINT);
       const auto low = [](std::uint32_t word) { return static_cast<std::uint16_t>(word & 0xffffu); };

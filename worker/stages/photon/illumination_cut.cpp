@@ -9,34 +9,13 @@
 
 #include "kernels/photon_records.h"
 #include "kernels/rays.h"
+#include "worker/stages/photon/packed.h"
 #include "worker/stages/vectors.h"
 
 namespace gleaner::worker {
 namespace {
 
-constexpr float kLeastRadius = 1e-6f;     // m
-constexpr float kFarthestPhoton = 1e18f;  // m: what lies farther away is no photon (kernels/photon_records.h)
-constexpr float kAlike = 0.7f;  // least cosine between normals of one surface: MAP_LEAST_COSINE of the kernels
-
-float component(std::uint32_t bits, unsigned width) {
-  const float most = static_cast<float>((1u << width) - 1u);
-  return static_cast<float>(bits & ((1u << width) - 1u)) / most * 2 - 1;
-}
-
-// As unpack_unit() of kernels/photon/pack.h.
-std::array<float, 3> unpack_unit(std::uint32_t packed, unsigned width) {
-  float x = component(packed, width), y = component(packed >> width, width);
-  const float z = 1 - std::abs(x) - std::abs(y), fold = std::max(-z, 0.0f);
-  x += x >= 0 ? -fold : fold;
-  y += y >= 0 ? -fold : fold;
-  const float length = std::sqrt(x * x + y * y + z * z);
-  return {x / length, y / length, z / length};
-}
-
-// As unpack_length() of kernels/photon/pack.h.
-float unpack_length(std::uint32_t code) {
-  return std::bit_cast<float>(((code + ((127u - 16u) << 3)) << 20) | 1u << 19);
-}
+constexpr float kLeastRadius = 1e-6f;  // m
 
 // Whether the surface at a place covers a photon: as far_below() and covered() of kernels/photon/map.h.
 bool covers(const CutPlace& place, const CutPlace& photon) {
@@ -90,7 +69,8 @@ std::uint32_t IlluminationCut::word(std::size_t node, unsigned word) const {
 float IlluminationCut::real(std::size_t node, unsigned word) const {
   return std::bit_cast<float>(this->word(node, word));
 }
-bool IlluminationCut::leaf(std::size_t node) const { return word(node, NODE_BLOCK) != GLEANER_NONE; }
+std::uint32_t IlluminationCut::block(std::size_t node) const { return word(node, NODE_BLOCK) & NODE_BLOCK_MASK; }
+bool IlluminationCut::leaf(std::size_t node) const { return block(node) != NODE_NO_BLOCK; }
 std::size_t IlluminationCut::right(std::size_t node) const { return word(node + 1, NODE_SKIP); }
 float IlluminationCut::photon(std::uint32_t block, unsigned lane, unsigned word) const {
   const std::size_t first = (1 + std::size_t{nodes_}) * PHOTON_WORDS;
@@ -106,7 +86,7 @@ IlluminationCut::IlluminationCut(std::vector<std::uint32_t> map)
       continue;
     }
     for (unsigned lane = 0; lane < RAY_BLOCK; ++lane)
-      for (unsigned k = 0; k < 3; ++k) power_[node] += double{photon(word(node, NODE_BLOCK), lane, PHOTON_POWER + k)};
+      for (unsigned k = 0; k < 3; ++k) power_[node] += double{photon(block(node), lane, PHOTON_POWER + k)};
   }
   cut_ = {0};
   closed_ = {false};
@@ -153,7 +133,7 @@ void IlluminationCut::each_photon(std::size_t node, See see) const {
   for (std::size_t below = node; below < word(node, NODE_SKIP); ++below) {
     if (!leaf(below)) continue;
     for (unsigned lane = 0; lane < RAY_BLOCK; ++lane)
-      if (photon(word(below, NODE_BLOCK), lane, 0) < kFarthestPhoton) see(word(below, NODE_BLOCK), lane);
+      if (photon(block(below), lane, 0) < kFarthestPhoton) see(block(below), lane);
   }
 }
 

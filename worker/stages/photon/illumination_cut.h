@@ -49,6 +49,7 @@ class IlluminationCut {
  private:
   std::uint32_t word(std::size_t node, unsigned word) const;
   float real(std::size_t node, unsigned word) const;
+  std::uint32_t block(std::size_t node) const;  // of a leaf
   bool leaf(std::size_t node) const;
   std::size_t right(std::size_t node) const;
   float photon(std::uint32_t block, unsigned lane, unsigned word) const;

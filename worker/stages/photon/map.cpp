@@ -11,6 +11,8 @@
 #include "kernels/rays.h"
 #include "scene/model/error.h"
 #include "scene/model/limits.h"
+#include "worker/stages/photon/inner_blocks.h"
+#include "worker/stages/photon/map_blocks.h"
 #include "worker/stages/photon/select_place.h"
 #include "worker/stages/photon/stages.h"
 #include "worker/stages/vpl/rows.h"
@@ -24,7 +26,7 @@ namespace {
 using kernels::PhotonMapFacts;
 using kernels::PhotonMapParameters;
 
-constexpr std::uint64_t kMostPhotons = std::uint64_t{1} << 28;
+constexpr std::uint64_t kMostPhotons = std::uint64_t{NODE_NO_BLOCK} * RAY_BLOCK;
 constexpr float kFar = 3e18f;  // its square is still a float
 
 struct Photon {
@@ -85,7 +87,7 @@ class MapBuilder {
  private:
   struct Node {
     std::array<float, 3> lower{kFar, kFar, kFar}, upper{-kFar, -kFar, -kFar};
-    std::uint32_t block = GLEANER_NONE, skip = 0;
+    std::uint32_t block = NODE_NO_BLOCK, skip = 0;
     double disc = -1;  // m: the radius of a disc of so many neighbours, where this node tells it
   };
 
@@ -224,9 +226,15 @@ std::vector<Photon> read_photons(const StageTask& task, std::uint32_t classes) {
 BatchResult run_photon_map_stage(const StageRun& run) {
   const double start = seconds_now();
   const auto p = host_parameters<PhotonMapParameters>(run.task);
+  if (!(p.most_radius >= 0) || !std::isfinite(p.most_radius))
+    throw Error::bad_input("stage " + run.task.kind, "most_radius", "a finite number, not negative",
+                           std::to_string(p.most_radius));
   MapBuilder builder(read_photons(run.task, p.classes), p.neighbours, host_threads(run.device));
   BatchResult result;
   result.records = builder.take_rows();
+  const std::span words(reinterpret_cast<std::uint32_t*>(result.records.data()), result.records.size() / 4);
+  set_reaches(words, std::max(p.neighbours, 1u), p.most_radius);
+  if (p.inner) mark_inner_blocks(run, words, result);
   result.counts = {static_cast<std::uint32_t>(result.records.size() / sizeof(Photon))};
   set_facts(result, builder.facts());
   result.counters.seconds = seconds_now() - start;

@@ -36,9 +36,9 @@ void check_nodes(const InputRows& rows, const Shape& shape) {
   rows.visit(1, shape.nodes, [&](std::uint64_t row, std::span<const std::byte> piece) {
     for (std::size_t at = 0; at < piece.size(); at += kRowBytes, ++row) {
       const std::uint64_t node = row - 1;
-      const auto block = row_word<std::uint32_t>(&piece[at], NODE_BLOCK);
+      const auto block = row_word<std::uint32_t>(&piece[at], NODE_BLOCK) & NODE_BLOCK_MASK;
       const auto skip = row_word<std::uint32_t>(&piece[at], NODE_SKIP);
-      const bool leaf = block != GLEANER_NONE;
+      const bool leaf = block != NODE_NO_BLOCK;
       if (skip < node + (leaf ? 1 : 3) || skip > shape.nodes)
         rows.fail(row, "skip", "a node behind this one and its children, at most " + std::to_string(shape.nodes),
                   std::to_string(skip));
@@ -80,6 +80,10 @@ void check_blocks(const InputRows& rows, const Shape& shape, unsigned words, uns
 PhotonMapTable make_table(const StageRun& run, const InputRows& rows) {
   const Shape shape = read_header(rows, PHOTON_WORDS);
   check_nodes(rows, shape);
+  rows.visit(0, 1, [&](std::uint64_t, std::span<const std::byte> row) {
+    const auto reach = row_word<float>(row.data(), MAP_REACH);
+    if (!(reach > 0) || !std::isfinite(reach)) rows.fail(0, "reach", "a finite number above 0", std::to_string(reach));
+  });
   check_blocks(rows, shape, PHOTON_WORDS, PHOTON_POWER, 3, "power");
   cl::CommandQueue queue = run.device.make_queue();
   return {.rows = rows.to_device(run.device, queue, {}),

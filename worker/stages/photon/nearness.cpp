@@ -1,6 +1,5 @@
 #include "worker/stages/photon/nearness.h"
 
-#include <array>
 #include <bit>
 #include <limits>
 #include <memory>
@@ -13,13 +12,13 @@ namespace {
 
 constexpr float kNothing = std::numeric_limits<float>::infinity();
 
-// Rays are few, one of a place: they are made and read on the host.
-class AheadThread : public HostThread {
+// Rays are few: they are written and read on the host.
+class DistanceThread : public HostThread {
  public:
-  AheadThread(const StageRun& run, std::span<const SplatPoint> places, std::span<float> distances, WorkQueue& work,
-              unsigned index)
+  DistanceThread(const StageRun& run, std::span<const HostRay> rays, std::span<float> distances, WorkQueue& work,
+                 unsigned index)
       : HostThread(run.device, run.workspace, run.scene.tracer(), work, index),
-        places_(places),
+        asked_(rays),
         distances_(distances),
         capacity_(run.device.info().cpu ? 1u << 12 : 1u << 16),
         rows_(std::size_t{capacity_} * RAY_HIT_ROWS),
@@ -28,7 +27,7 @@ class AheadThread : public HostThread {
   void run(BatchResult&) {
     while (const WorkQueue::Block block = work_.claim(capacity_)) {
       const auto count = static_cast<std::uint32_t>(block.count);
-      for (std::uint32_t i = 0; i < count; ++i) put_ray(i, places_[block.first + i]);
+      for (std::uint32_t i = 0; i < count; ++i) put_ray(i, asked_[block.first + i]);
       const std::size_t bytes = std::size_t{(count + RAY_BLOCK - 1) / RAY_BLOCK} * RAY_BLOCK * RAY_HIT_ROWS * 4;
       queue_.enqueueWriteBuffer(hits_, CL_TRUE, 0, bytes, rows_.data());
       rays_.closest(hits_, single_rays(RAY_HIT_ROWS, count));
@@ -45,11 +44,11 @@ class AheadThread : public HostThread {
   }
   float real(std::uint32_t ray, unsigned row) { return std::bit_cast<float>(word(ray, row)); }
 
-  void put_ray(std::uint32_t ray, const SplatPoint& place) {
+  void put_ray(std::uint32_t ray, const HostRay& asked) {
     const auto put = [&](unsigned row, float value) { word(ray, row) = std::bit_cast<std::uint32_t>(value); };
     for (unsigned k = 0; k < 3; ++k) {
-      put(ROW_ORIGIN + k, place.position[k]);
-      put(ROW_DIRECTION + k, place.geometric[k]);
+      put(ROW_ORIGIN + k, asked.origin[k]);
+      put(ROW_DIRECTION + k, asked.direction[k]);
     }
     put(ROW_NEAR, 0);
     put(ROW_TIME, 0);
@@ -61,7 +60,7 @@ class AheadThread : public HostThread {
     word(ray, ROW_INSTANCE) = GLEANER_NONE;
   }
 
-  std::span<const SplatPoint> places_;
+  std::span<const HostRay> asked_;
   std::span<float> distances_;
   std::uint32_t capacity_;
   std::vector<std::uint32_t> rows_;
@@ -70,14 +69,21 @@ class AheadThread : public HostThread {
 
 }  // namespace
 
-std::vector<float> distances_ahead(const StageRun& run, std::span<const SplatPoint> places, BatchResult& result) {
-  std::vector<float> distances(places.size(), kNothing);
-  WorkQueue work(places.size(), host_threads(run.device));
-  if (!places.empty())
+std::vector<float> distances_along(const StageRun& run, std::span<const HostRay> rays, BatchResult& result) {
+  std::vector<float> distances(rays.size(), kNothing);
+  WorkQueue work(rays.size(), host_threads(run.device));
+  if (!rays.empty())
     run_host_threads(work, result, [&](unsigned index) {
-      return std::make_unique<AheadThread>(run, places, distances, work, index);
+      return std::make_unique<DistanceThread>(run, rays, distances, work, index);
     });
   return distances;
+}
+
+std::vector<float> distances_ahead(const StageRun& run, std::span<const SplatPoint> places, BatchResult& result) {
+  std::vector<HostRay> rays;
+  rays.reserve(places.size());
+  for (const SplatPoint& place : places) rays.push_back({place.position, place.geometric});
+  return distances_along(run, rays, result);
 }
 
 }  // namespace gleaner::worker

@@ -17,8 +17,8 @@ namespace {
 
 using kernels::PhotonTraceParameters;
 
-constexpr std::size_t kRowBytes = PHOTON_WORDS * 4;
-constexpr std::size_t kPathBytes = PHOTON_PATH_SLOTS * kRowBytes;
+constexpr std::size_t kPhotonBytes = PHOTON_WORDS * 4;
+constexpr std::size_t kPathBytes = PHOTON_PATH_SLOTS * kPhotonBytes;
 constexpr std::size_t kBalanceWords = 6;
 
 std::uint32_t wave_capacity(const Device& device) { return device.info().cpu ? 1u << 12 : 1u << 17; }
@@ -90,7 +90,7 @@ class PhotonThread : public HostThread {
       const std::uint32_t kept = std::min(arrived_[item], PHOTON_PATH_SLOTS);
       const std::byte* from = slots + item * kPathBytes;
       const std::size_t at = packed_.size();
-      packed_.insert(packed_.end(), from, from + kept * kRowBytes);
+      packed_.insert(packed_.end(), from, from + kept * kPhotonBytes);
       if (arrived_[item] > kept && powers_)
         scale_power(&packed_[at], kept, static_cast<float>(arrived_[item]) / static_cast<float>(kept));
       if (balance_wanted_) {
@@ -103,7 +103,7 @@ class PhotonThread : public HostThread {
   }
 
   static void scale_power(std::byte* rows, std::uint32_t count, float factor) {
-    for (std::uint32_t k = 0; k < count; ++k, rows += kRowBytes) {
+    for (std::uint32_t k = 0; k < count; ++k, rows += kPhotonBytes) {
       float power[3];
       std::memcpy(power, rows + PHOTON_POWER * 4, sizeof power);
       for (float& channel : power) channel *= factor;
@@ -112,11 +112,11 @@ class PhotonThread : public HostThread {
   }
 
   static void add_balance(scene::Bytes& records, const float* power, std::uint32_t what) {
-    std::byte row[kRowBytes] = {};
+    std::byte row[kPhotonBytes] = {};
     const std::uint32_t surface = what << PHOTON_CLASS_SHIFT;
     std::memcpy(row + PHOTON_POWER * 4, power, 12);
     std::memcpy(row + PHOTON_SURFACE * 4, &surface, 4);
-    records.insert(records.end(), row, row + kRowBytes);
+    records.insert(records.end(), row, row + kPhotonBytes);
   }
 
   JoinedRecords& joined_;

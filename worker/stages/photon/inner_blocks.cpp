@@ -1,0 +1,90 @@
+#include "worker/stages/photon/inner_blocks.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <optional>
+#include <vector>
+
+#include "worker/stages/photon/map_blocks.h"
+#include "worker/stages/photon/nearness.h"
+#include "worker/stages/vectors.h"
+
+namespace gleaner::worker {
+namespace {
+
+using Vector = std::array<float, 3>;
+
+// Rays of a block meet a ring about its middle. An edge that is nearer than 0.92 of the ring's radius is met by one of
+// them, and where it is farther from the middle than kBeyond of the reach, the block's photons hardly shine beyond it.
+constexpr unsigned kProbes = 8;
+constexpr float kBeyond = 1.3f;
+// They begin so far above the surface, of the ring's radius: what stands on the surface ends them, what hangs above it
+// mostly does not.
+constexpr float kRise = 0.25f;
+// What they meet is the surface where it is not farther off the plane, of the ring's radius: photons below it still
+// count (MAP_FLATNESS of kernels/photon/map.h), and what is above it may as well stand on it.
+constexpr float kMostAbove = 0.04f, kMostBelow = 0.2f;
+
+struct Ring {
+  std::size_t block;
+  BlockMiddle about;
+  float radius;  // m
+};
+
+Vector along(const Vector& from, float length, const Vector& direction) {
+  Vector to = from;
+  for (unsigned k = 0; k < 3; ++k) to[k] += length * direction[k];
+  return to;
+}
+
+// From above the middle to the ring's points, evenly, the first turned by the block's number.
+void add_probes(const Ring& ring, std::vector<HostRay>& rays) {
+  const Vector& n = ring.about.normal;
+  const Vector axis = std::abs(n[0]) < 0.6f ? Vector{1, 0, 0} : Vector{0, 1, 0};
+  const float rest = dot(axis, n), scale = 1 / std::sqrt(1 - rest * rest);
+  Vector x, y;
+  for (unsigned k = 0; k < 3; ++k) x[k] = scale * (axis[k] - rest * n[k]);
+  for (unsigned k = 0; k < 3; ++k) y[k] = n[(k + 1) % 3] * x[(k + 2) % 3] - n[(k + 2) % 3] * x[(k + 1) % 3];
+  const Vector from = along(ring.about.position, kRise * ring.radius, n);
+  const double first = std::fmod(static_cast<double>(ring.block) * std::numbers::phi, 1.0);
+  const float length = std::sqrt(1 + kRise * kRise);
+  for (unsigned probe = 0; probe < kProbes; ++probe) {
+    const double turn = 2 * std::numbers::pi * (probe + first) / kProbes;
+    const float c = static_cast<float>(std::cos(turn)), s = static_cast<float>(std::sin(turn));
+    Vector direction;
+    for (unsigned k = 0; k < 3; ++k) direction[k] = (c * x[k] + s * y[k] - kRise * n[k]) / length;
+    rays.push_back({from, direction});
+  }
+}
+
+// Whether a probe has met the ring's surface at about the ring.
+bool meets(const Ring& ring, float distance) {
+  const float whole = ring.radius * std::sqrt(1 + kRise * kRise);
+  const float height = kRise * ring.radius * (1 - distance / whole);
+  return height <= kMostAbove * ring.radius && height >= -kMostBelow * ring.radius;
+}
+
+}  // namespace
+
+void mark_inner_blocks(const StageRun& run, std::span<std::uint32_t> map, BatchResult& result) {
+  MapBlocks blocks(map);
+  std::vector<Ring> rings;
+  std::vector<HostRay> rays;
+  for (std::size_t node = 0; node < map[MAP_NODES]; ++node) {
+    const std::uint32_t block = map[(1 + node) * PHOTON_WORDS + NODE_BLOCK] & NODE_BLOCK_MASK;
+    if (block == NODE_NO_BLOCK) continue;
+    const std::optional<BlockMiddle> middle = blocks.middle(block);
+    if (!middle) continue;
+    rings.push_back({block, *middle, kBeyond * std::sqrt(node_reach2(map, node))});
+    add_probes(rings.back(), rays);
+  }
+  const std::vector<float> distances = distances_along(run, rays, result);
+  for (std::size_t i = 0; i < rings.size(); ++i) {
+    const auto met = std::span(distances).subspan(i * kProbes, kProbes);
+    if (std::ranges::all_of(met, [&](float distance) { return meets(rings[i], distance); }))
+      blocks.mark(rings[i].block);
+  }
+}
+
+}  // namespace gleaner::worker

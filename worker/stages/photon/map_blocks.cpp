@@ -1,0 +1,127 @@
+#include "worker/stages/photon/map_blocks.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <vector>
+
+#include "worker/stages/photon/packed.h"
+#include "worker/stages/vectors.h"
+
+namespace gleaner::worker {
+namespace {
+
+using Vector = std::array<float, 3>;
+
+// Photons of a block that tell its density, those nearest to its middle: more of them reach beyond the block, whose
+// other photons may lie in another patch of light.
+constexpr std::size_t kTelling = 8;
+// Where fewer lie on the middle's surface, those of others tell as well.
+constexpr std::size_t kLeastTelling = 4;
+constexpr float kFlatness = 15;              // MAP_FLATNESS of kernels/photon/map.h
+constexpr float kLeastReach2 = 1e-8f;        // of the largest, where photons lie at one place
+constexpr std::uint32_t kOne = 0x3f800000u;  // 1.0f
+
+Vector operator-(const Vector& a, const Vector& b) { return {a[0] - b[0], a[1] - b[1], a[2] - b[2]}; }
+
+std::uint32_t* node_words(std::span<std::uint32_t> map, std::size_t node) { return &map[(1 + node) * PHOTON_WORDS]; }
+
+// The nearest.
+std::uint32_t reach_code(float reach2, float unit) {
+  const std::uint32_t bits = std::bit_cast<std::uint32_t>(std::clamp(reach2 / unit, 0.0f, 1.0f));
+  return std::min((kOne - bits + (1u << (NODE_REACH_STEP - 1))) >> NODE_REACH_STEP, 255u);
+}
+
+}  // namespace
+
+Vector MapBlocks::position(std::size_t block, unsigned lane) const {
+  Vector p;
+  for (unsigned k = 0; k < 3; ++k) p[k] = std::bit_cast<float>(words_[at(block, PHOTON_POSITION + k, lane)]);
+  return p;
+}
+
+Vector MapBlocks::normal(std::size_t block, unsigned lane) const {
+  return unpack_unit(words_[at(block, PHOTON_SURFACE, lane)], 12);
+}
+
+unsigned MapBlocks::count(std::size_t block) const {
+  unsigned photons = 0;
+  while (photons < RAY_BLOCK && position(block, photons)[0] < kFarthestPhoton) ++photons;
+  return photons;
+}
+
+std::optional<BlockMiddle> MapBlocks::middle(std::size_t block) const {
+  const unsigned photons = count(block);
+  if (photons == 0) return std::nullopt;
+  Vector lower = position(block, 0), upper = lower, middle;
+  for (unsigned lane = 1; lane < photons; ++lane)
+    for (unsigned k = 0; k < 3; ++k) {
+      lower[k] = std::min(lower[k], position(block, lane)[k]);
+      upper[k] = std::max(upper[k], position(block, lane)[k]);
+    }
+  for (unsigned k = 0; k < 3; ++k) middle[k] = 0.5f * (lower[k] + upper[k]);
+  const auto off = [&](unsigned lane) {
+    const Vector d = position(block, lane) - middle;
+    return dot(d, d);
+  };
+  unsigned nearest = 0;
+  for (unsigned lane = 1; lane < photons; ++lane)
+    if (off(lane) < off(nearest)) nearest = lane;
+  return BlockMiddle{position(block, nearest), normal(block, nearest)};
+}
+
+float MapBlocks::reach2(std::size_t block, const BlockMiddle& middle, std::uint32_t neighbours, float most2) const {
+  std::vector<float> distances, of_all;
+  for (unsigned lane = 0; lane < count(block); ++lane) {
+    const Vector off = position(block, lane) - middle.position;
+    const float height = dot(off, middle.normal);
+    of_all.push_back(dot(off, off));
+    if (dot(normal(block, lane), middle.normal) >= kAlike)
+      distances.push_back(dot(off, off) + kFlatness * height * height);
+  }
+  if (distances.size() <= kLeastTelling) distances = of_all;
+  std::ranges::sort(distances);
+  // The first is the middle itself.
+  const std::size_t telling = std::min(kTelling, distances.size() - 1);
+  if (telling == 0) return most2;
+  const float reach2 = distances[telling] * static_cast<float>(neighbours) / static_cast<float>(telling);
+  return std::clamp(reach2, kLeastReach2 * most2, most2);
+}
+
+void MapBlocks::mark(std::size_t block) {
+  for (unsigned lane = 0; lane < RAY_BLOCK; ++lane) words_[at(block, PHOTON_SURFACE, lane)] |= PHOTON_INNER;
+}
+
+void set_reaches(std::span<std::uint32_t> map, std::uint32_t neighbours, float most_radius) {
+  const std::uint32_t nodes = map[MAP_NODES];
+  float extent2 = 0;
+  for (unsigned k = 0; k < 3; ++k) {
+    const float side = std::bit_cast<float>(node_words(map, 0)[NODE_UPPER + k]) -
+                       std::bit_cast<float>(node_words(map, 0)[NODE_LOWER + k]);
+    extent2 += side * side;
+  }
+  const float most2 = most_radius > 0 ? most_radius * most_radius : std::max(extent2, 1e-30f);
+  map[MAP_REACH] = std::bit_cast<std::uint32_t>(most2);
+  const MapBlocks blocks(map);
+  // Children stand behind their node, which reaches as far as either.
+  for (std::size_t node = nodes; node-- > 0;) {
+    std::uint32_t* words = node_words(map, node);
+    const std::uint32_t block = words[NODE_BLOCK] & NODE_BLOCK_MASK;
+    std::uint32_t code = 255;
+    if (block == NODE_NO_BLOCK) {
+      const std::uint32_t* left = node_words(map, node + 1);
+      const std::uint32_t* right = node_words(map, left[NODE_SKIP]);
+      code = std::min(left[NODE_BLOCK] >> NODE_REACH_SHIFT, right[NODE_BLOCK] >> NODE_REACH_SHIFT);
+    } else if (const std::optional<BlockMiddle> middle = blocks.middle(block)) {
+      code = reach_code(blocks.reach2(block, *middle, neighbours, most2), most2);
+    }
+    words[NODE_BLOCK] = block | code << NODE_REACH_SHIFT;
+  }
+}
+
+float node_reach2(std::span<const std::uint32_t> map, std::size_t node) {
+  const std::uint32_t code = map[(1 + node) * PHOTON_WORDS + NODE_BLOCK] >> NODE_REACH_SHIFT;
+  return std::bit_cast<float>(map[MAP_REACH]) * std::bit_cast<float>(kOne - (code << NODE_REACH_STEP));
+}
+
+}  // namespace gleaner::worker
