@@ -122,7 +122,7 @@ FN vf pow5(vf x) {
   return x2 * x2 * x;
 }
 
-FN vf table_lookup(const Scene* scene, vu first, vf row, vf mu) {
+OUTLINED vf table_lookup(const Scene* scene, vu first, vf row, vf mu) {
   vf x = clamp_f(mu * (vf)(float)GLEANER_ALBEDO_NODES - 0.5f, zero_f(), (vf)(float)(GLEANER_ALBEDO_NODES - 1));
   vu i = min(to_u(x), (vu)(GLEANER_ALBEDO_NODES - 2u));
   vf t = x - to_f(i);
@@ -335,7 +335,7 @@ FN v3 sample_lobe_normal(const Surface* m, v3 v, vf u0, vf u1) {
 
 // BSDF times n.l and the solid-angle density of sample_bsdf() for local directions on the same side (v.z, l.z > 0).
 // A perfect mirror lobe and glass count as zero here.
-FN v3 eval_bsdf(const Scene* scene, const Surface* m, v3 v, v3 l, vf* pdf) {
+OUTLINED v3 eval_bsdf(const Scene* scene, const Surface* m, v3 v, v3 l, vf* pdf) {
   vf nl = l.z;
   vf diffuse_pdf = nl * INV_PI;
 #ifdef NEED_DIFFUSE_TRANSMISSION
@@ -514,7 +514,7 @@ FN v3 eval_above_shining(const Scene* scene, const Surface* m, v3 v, v3 l, vf* p
 
 #ifdef NEED_ROUGH_TRANSMISSIVE
 // Rough glass and the layer that light shines through, in the proportion in which they are there; else as eval_glass().
-FN v3 eval_transmissive(const Scene* scene, const Surface* m, v3 v, v3 l, vf* pdf) {
+OUTLINED v3 eval_transmissive(const Scene* scene, const Surface* m, v3 v, v3 l, vf* pdf) {
   v3 f = eval_glass(m, v, l, pdf);
 #ifdef NEED_DIFFUSE_TRANSMISSION
   if (any_lane(m->shining > zero_f())) {
@@ -552,8 +552,8 @@ FN void sample_shining(const Scene* scene, const Surface* m, v3 v, vi shining, v
 
 // A sample of the opaque surface. *by_lobe: lanes that the lobe sends, or a layer above it; *mirrored: of these, lanes
 // that a perfect mirror sends.
-FN BsdfSample sample_opaque(const Scene* scene, const Surface* m, v3 v, vf u_lobe, vf u0, vf u1, vi* by_lobe,
-                            vi* mirrored_lanes) {
+OUTLINED BsdfSample sample_opaque(const Scene* scene, const Surface* m, v3 v, vf u_lobe, vf u0, vf u1, vi* by_lobe,
+                                  vi* mirrored_lanes) {
   BsdfSample b;
   b.eta = one_f();
   b.straight = no_lanes();
@@ -616,7 +616,7 @@ FN BsdfSample sample_opaque(const Scene* scene, const Surface* m, v3 v, vf u_lob
 
 #ifdef NEED_TRANSMISSIVE
 // Makes of the sample, in `glass` lanes, one of glass.
-FN void sample_glass(const Surface* m, v3 v, vf u_lobe, vf u0, vf u1, vi glass, BsdfSample* b) {
+OUTLINED void sample_glass(const Surface* m, v3 v, vf u_lobe, vf u0, vf u1, vi glass, BsdfSample* b) {
   v3 h = uniform3(0.0f, 0.0f, 1.0f);
 #ifdef NEED_ROUGH_TRANSMISSIVE
   vf glass_alpha = pick(one_f(), m->alpha, m->blurs);
@@ -670,7 +670,7 @@ FN void sample_glass(const Surface* m, v3 v, vf u_lobe, vf u0, vf u1, vi glass, 
 #endif
 
 // Draws a direction: u_lobe chooses, (u0, u1) aim. Weight 0: the path ends. `v` is local, v.z > 0.
-FN BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vf u_lobe, vf u_glass, vf u0, vf u1) {
+OUTLINED BsdfSample sample_bsdf(const Scene* scene, const Surface* m, v3 v, vf u_lobe, vf u_glass, vf u0, vf u1) {
   vi by_lobe, mirrored;
   BsdfSample b = sample_opaque(scene, m, v, u_lobe, u0, u1, &by_lobe, &mirrored);
 #ifdef NEED_TRANSMISSIVE

@@ -9,6 +9,17 @@
 
 #define FN static inline __attribute__((always_inline))
 
+// Large functions, some of which are called from several places. LLVM takes twice as long for kernels that hold a copy
+// of each at every call, which run no faster on CPUs; kernels of scenes without textures, lobes and environments are
+// small.
+#if LANES == 16 &&                                                                                         \
+    (defined(NEED_TEXTURES) || defined(NEED_SPECULAR) || defined(NEED_GLOSSY) || defined(NEED_METALLIC) || \
+     defined(NEED_CLEARCOAT) || defined(NEED_SHEEN) || defined(NEED_ENVIRONMENT))
+#define OUTLINED static __attribute__((noinline))
+#else
+#define OUTLINED FN
+#endif
+
 #if LANES == 16
 
 typedef float16 vf;

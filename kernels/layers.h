@@ -109,7 +109,7 @@ typedef struct {
   vf left_bent;  // what a bent coat takes from the diffuse layer beyond its table
 } Layers;
 
-FN Layers eval_layers(const Scene* scene, const Surface* m, v3 v, v3 l) {
+OUTLINED Layers eval_layers(const Scene* scene, const Surface* m, v3 v, v3 l) {
   Layers r;
   r.value = splat3(zero_f());
   r.pdf = zero_f();

@@ -139,7 +139,7 @@ FN v3 emitter_radiance(const Scene* scene, const vf* e, vf b1, vf b2, vi active)
 }
 #endif
 
-FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1) {
+OUTLINED LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1) {
   LightSample light;
   light.infinite = no_lanes();
   light.delta = no_lanes();
@@ -284,7 +284,7 @@ FN LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1)
 #ifdef NEED_EMISSIVE_TRIANGLES
 // Density, per steradian, with which sample_light() at `p` would have come upon the point of an emitter, the row `e` of
 // the emitters, at `distance` along unit `w`; `total` is LightSample::total at p.
-FN vf light_pdf(const Scene* scene, const vf* e, v3 p, v3 w, vf distance, vf total) {
+OUTLINED vf light_pdf(const Scene* scene, const vf* e, v3 p, v3 w, vf distance, vf total) {
   v3 n = cross3(words3(e, EMITTER_E1), words3(e, EMITTER_E2));
   vf projected = -dot3(n, w);
   projected = pick(projected, fabs(projected), is_two_sided(e));

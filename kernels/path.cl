@@ -169,8 +169,8 @@ FN v3 light_reflectance(const Scene* scene, const Vertex* v, const PathFilter* f
 #endif
 
 // `spent`: lanes of paths that may not scatter again.
-FN Connection sample_direct_light(const Scene* scene, const Path* path, const PathFilter* filter, const Vertex* v,
-                                  vi spent, float clamp_to, vu pair_key, vf u_choice) {
+OUTLINED Connection sample_direct_light(const Scene* scene, const Path* path, const PathFilter* filter, const Vertex* v,
+                                        vi spent, float clamp_to, vu pair_key, vf u_choice) {
   Connection c;
   c.origin = v->hit.p;
   c.direction = path->direction;
@@ -222,9 +222,9 @@ typedef struct {
 } Carried;
 
 // One scattered ray. `eta`: ROW_ETA of the path. `total`: LightSample::total here.
-FN NextRay scatter_path(const Scene* scene, const Path* path, const PathFilter* filter, Vertex* v, vi spent,
-                        global const PathParameters* parameters, vu pair_key, vf u_lobe, vf u_glass, vf u_roulette,
-                        vf eta, vf total, Carried* carried) {
+OUTLINED NextRay scatter_path(const Scene* scene, const Path* path, const PathFilter* filter, Vertex* v, vi spent,
+                              global const PathParameters* parameters, vu pair_key, vf u_lobe, vf u_glass,
+                              vf u_roulette, vf eta, vf total, Carried* carried) {
   vf d0, d1;
   sample_pair(pair_key, path->sample, GLEANER_PATH_SEQUENCE, 3u, &d0, &d1);
   BsdfSample scattered = sample_bsdf(scene, &v->surface, v->frame.view, u_lobe, u_glass, d0, d1);

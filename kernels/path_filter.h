@@ -273,8 +273,8 @@ FN vf layered_state(const PathFilter* f, const Vertex* v, vi leaves, vi by_layer
 
 // A scattered ray, `direction` in the local frame: weighs its throughput and gives the path's next state. `glass`:
 // lanes in which glass sends it on.
-FN vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v, float clamp_to, v3 direction,
-                        vi specular, vi glass, vu pair_key, vu sample, v3* throughput) {
+OUTLINED vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v, float clamp_to, v3 direction,
+                              vi specular, vi glass, vu pair_key, vu sample, v3* throughput) {
   vi by_broad = none(specular | glass), through = glass;
   vf gain = one_f(), share = f->broad_share;
 #ifdef PHOTON_GATHER
@@ -365,8 +365,8 @@ FN v3 filter_reflectance(const PathFilter* f, const Scene* scene, const Surface*
   return reflectance;
 }
 FN v3 filter_sharp(const PathFilter* f, v3 glass) { return glass; }
-FN vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v, float clamp_to, v3 direction,
-                        vi specular, vi glass, vu pair_key, vu sample, v3* throughput) {
+OUTLINED vf filter_scattering(const PathFilter* f, const Scene* scene, const Vertex* v, float clamp_to, v3 direction,
+                              vi specular, vi glass, vu pair_key, vu sample, v3* throughput) {
   return zero_f();
 }
 FN vf filter_passing(const PathFilter* f, const Vertex* v, vf state) { return state; }

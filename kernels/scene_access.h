@@ -82,7 +82,7 @@ FN void turn_uv(const vf* words, vf* u, vf* v) {
 #endif
 
 // Bilinear lookup: bytes are decoded first, then filtered. Lanes outside `active` read texture 0. Gives RGB and alpha.
-FN v3 texture_lookup(const Scene* scene, vu texture, vf u, vf v, vi active, vf* alpha) {
+OUTLINED v3 texture_lookup(const Scene* scene, vu texture, vf u, vf v, vi active, vf* alpha) {
   vf words[16];
   load_texture(scene, texture, active, words);
 #ifdef NEED_TEXTURE_TRANSFORMS
@@ -148,7 +148,7 @@ FN void environment_uv(v3 d, vf* u, vf* v) {
 }
 
 // Bilinear radiance at (u, v): wrapped in u, clamped at the poles.
-FN v3 environment_radiance(const Scene* scene, vf u, vf v) {
+OUTLINED v3 environment_radiance(const Scene* scene, vf u, vf v) {
   global const uint* header = (global const uint*)scene->environment;
   uint width = header[0], height = header[1];
   vf x = u * (vf)(float)width - 0.5f, y = v * (vf)(float)height - 0.5f;
@@ -188,7 +188,7 @@ FN global const float* environment_row_cdf(const Scene* scene) {
 }
 
 // Density, per steradian, of environment_sample() at (u, v) of polar sine `sine`.
-FN vf environment_pdf(const Scene* scene, vf u, vf v, vf sine) {
+OUTLINED vf environment_pdf(const Scene* scene, vf u, vf v, vf sine) {
   global const uint* header = (global const uint*)scene->environment;
   uint width = header[0], height = header[1];
   vu x = min(to_u(u * (vf)(float)width), (vu)(width - 1u));
@@ -203,7 +203,7 @@ FN vf environment_pdf(const Scene* scene, vf u, vf v, vf sine) {
 }
 
 // A direction by luminance times solid angle; u0 finds the column, u1 the row.
-FN v3 environment_sample(const Scene* scene, vf u0, vf u1, vf* pdf, v3* radiance) {
+OUTLINED v3 environment_sample(const Scene* scene, vf u0, vf u1, vf* pdf, v3* radiance) {
   global const uint* header = (global const uint*)scene->environment;
   uint width = header[0], height = header[1];
   global const float* columns = environment_column_cdf(scene);

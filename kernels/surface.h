@@ -70,8 +70,8 @@ FN void add_corner_color(Hit* h, vu rg, vu ba, vf weight) {
 // The tangent along which u grows, perpendicular to the hit's normal, and the bitangent, by the coordinates that
 // `texture` reads (GLEANER_NONE: the first ones as they are); the triangle's lines t2 and t3. Gives the lanes whose
 // coordinates span the triangle.
-FN vi tangent_frame(const Scene* scene, const Hit* h, const vf* t2, const vf* t3, vu texture, vi active,
-                    v3* tangent_out, v3* bitangent_out) {
+OUTLINED vi tangent_frame(const Scene* scene, const Hit* h, const vf* t2, const vf* t3, vu texture, vi active,
+                          v3* tangent_out, v3* bitangent_out) {
   vf du1 = t2[TRIANGLE_UV1 - TRIANGLE_SECOND] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND];
   vf dv1 = t2[TRIANGLE_UV1 - TRIANGLE_SECOND + 1] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND + 1];
   vf du2 = t2[TRIANGLE_UV2 - TRIANGLE_SECOND] - t2[TRIANGLE_UV0 - TRIANGLE_SECOND];
@@ -115,7 +115,8 @@ FN vi tangent_frame(const Scene* scene, const Hit* h, const vf* t2, const vf* t3
 
 #ifdef NEED_NORMAL_MAPS
 // The hit's normal as a normal texture bends it.
-FN v3 mapped_normal(const Scene* scene, const Hit* h, const vf* t2, const vf* t3, vu texture, vf strength, vi active) {
+OUTLINED v3 mapped_normal(const Scene* scene, const Hit* h, const vf* t2, const vf* t3, vu texture, vf strength,
+                          vi active) {
   v3 normal = h->normal;
   vi mapped = active & (texture != GLEANER_NONE);
   if (any_lane(mapped)) {
@@ -175,7 +176,7 @@ FN v3 interpolated_normal(const Scene* scene, const Hit* h, const vf* t2, vf b0)
 
 // Triangles in `active` lanes; the others read triangle 0. The point is computed from the corners, not along the ray,
 // so that its error is the corners' and not the distance's.
-FN Hit load_hit(const Scene* scene, vu primitive, vu instance, vf b1, vf b2, vi active) {
+OUTLINED Hit load_hit(const Scene* scene, vu primitive, vu instance, vf b1, vf b2, vi active) {
   Hit h;
   h.triangle = primitive * TRIANGLE_WORDS;
   h.b1 = b1;
@@ -445,7 +446,7 @@ FN void load_shining(const Scene* scene, const Hit* h, Surface* m, vi active) {
 #endif
 
 // What scattering needs beyond load_color().
-FN void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active) {
+OUTLINED void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active) {
 #if defined(NEED_LOBE) || defined(NEED_TRANSMISSIVE)
   m->alpha = h->words[MATERIAL_ROUGHNESS];
 #ifdef NEED_LOBE

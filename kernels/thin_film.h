@@ -55,7 +55,7 @@ FN FilmColor film_color(vf f0, vf film_ior, vf r12, vf cosine2) {
 
 // Reflectance, RGB in [0, 1], of a film `thickness` nm thick at `cosine` to the normal, above a base of reflectance f0
 // in air.
-FN v3 thin_film(vf cosine, vf film_ior, vf thickness, v3 f0) {
+OUTLINED v3 thin_film(vf cosine, vf film_ior, vf thickness, v3 f0) {
   // A film of no thickness is none.
   vf t = clamp_f(thickness * (vf)(1.0f / 0.03f), zero_f(), one_f());
   film_ior = mix(one_f(), film_ior, t * t * (3.0f - 2.0f * t));

@@ -30,7 +30,7 @@ typedef struct {
 } Vertex;
 
 // The hits of a block of paths or shadow rays of `rows` rows, in `active` lanes.
-FN Vertex meet_surface(const Scene* scene, global const float* rays, uint rows, uint block, vi active) {
+OUTLINED Vertex meet_surface(const Scene* scene, global const float* rays, uint rows, uint block, vi active) {
   Vertex v;
   v.active = active;
   v.passes = no_lanes();
@@ -64,7 +64,7 @@ FN void choose_alpha(Vertex* v, vf* u_glass) {
 }
 
 // `direction`: of the ray that came here.
-FN void prepare_scattering(const Scene* scene, Vertex* v, v3 direction) {
+OUTLINED void prepare_scattering(const Scene* scene, Vertex* v, v3 direction) {
   load_lobes(scene, &v->hit, &v->surface, v->active);
   v->frame = shading_frame(&v->hit, direction);
   v->active = v->active & ((v->frame.view.z > (vf)1e-6f) | v->passes);
