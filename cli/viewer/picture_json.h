@@ -7,10 +7,11 @@
 
 namespace gleaner::cli {
 
-// `behind`: changes that had come by then and are not in it.
+// `behind`: changes that had come by then and are not in it. `links_behind`: changes since those that its links know.
 inline nlohmann::json picture_json(const v1::SessionPicture& picture) {
   return {{"shows", picture.shows()},
           {"behind", picture.received() - picture.shows()},
+          {"links_behind", picture.shows() - picture.links_of()},
           {"samples", picture.samples_per_pixel()},
           {"seconds", picture.seconds()},
           {"latency_seconds", picture.latency_seconds()},

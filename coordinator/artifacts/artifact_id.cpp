@@ -19,7 +19,7 @@ ArtifactId artifact_id(const SceneLineage& scene, const StageSpec& stage) {
 
   add(std::string("gleaner artifact ") + version);
   add(kernels_build());
-  add((stage.at_rest ? scene.at_rest() : scene).of(stage.scene_parts));
+  add(scene.in(stage.pose).of(stage.scene_parts));
   add(stage.kind);
   add_number(stage.items);
   add_number(stage.tile);

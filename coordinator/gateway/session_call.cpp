@@ -144,6 +144,7 @@ void SessionCall::run(grpc::ServerContext& context, Stream& stream) {
 }
 
 void SessionCall::end() {
+  stop_making_.request_stop();
   std::lock_guard lock(mutex_);
   ended_ = true;
   ends_.notify_all();
@@ -219,7 +220,10 @@ void SessionCall::take(const pb::SessionChange& change) {
 std::optional<SessionCall::Wanted> SessionCall::next(Stream& stream) {
   std::unique_lock lock(mutex_);
   for (;;) {
-    wakes_.wait(lock, [&] { return over_ || changed_ || may_refine() || !refused_.empty(); });
+    // The last picture is of the scene as it is, its links too.
+    wakes_.wait(lock, [&] {
+      return changed_ || may_refine() || links_made_ || !refused_.empty() || (over_ && (gone_ || !lags_));
+    });
     if (refused_.empty()) break;
     pb::SessionPicture no;
     no.set_received(refused_.front().number);
@@ -232,32 +236,80 @@ std::optional<SessionCall::Wanted> SessionCall::next(Stream& stream) {
     }
     lock.lock();
   }
-  if (over_ && (gone_ || !changed_)) return std::nullopt;
+  if (over_ && (gone_ || (!changed_ && !lags_))) return std::nullopt;
+  if (links_made_) take_links();
   refining_ = !changed_;
+  const bool refines = !changed_ && !lags_;
   stop_ = std::stop_source();
   return Wanted{.change = received_,
                 .state = scene_.state(),
                 .camera = camera_,
-                .spp = refining_ ? std::min(shown_spp_ * refines_by, refine_to_) : first_spp_,
+                .spp = refines ? std::min(shown_spp_ * refines_by, refine_to_) : first_spp_,
+                .refines = refines,
                 .changed = std::exchange(changed_, std::nullopt)};
+}
+
+// Pictures that are refined anyway need not wait for links. Those of rough metal are also between lobes, which a plan
+// does not look for in an earlier scene.
+bool SessionCall::may_lag() const {
+  return request_.settings.method == "links" && refine_to_ > first_spp_ &&
+         !flag_setting(request_.settings, "links.metal").value_or(false);
+}
+
+SessionCall::Links SessionCall::current_links(std::uint64_t change) const {
+  return {change, shown_.lineage.geometry, request_.scenes.front().state_blob, state_};
+}
+
+// By a picture of the state that is shown, which nobody sees, behind those that come meanwhile.
+void SessionCall::make_links(std::uint64_t change) {
+  if (making_.valid()) return;
+  const auto make = [this, request = request_, shown = shown_,
+                     links = current_links(change)]() -> std::optional<Links> {
+    const std::unique_ptr<SessionCall, void (*)(SessionCall*)> tells(this, [](SessionCall* self) {
+      std::lock_guard lock(self->mutex_);
+      self->links_made_ = true;
+      self->wakes_.notify_all();
+    });
+    if (!farm_.show(request, shown, stop_making_.get_token(), /*behind=*/true)) return std::nullopt;
+    return links;
+  };
+  making_ = std::async(std::launch::async, make);
+}
+
+// Rethrows what making them has thrown. The lock is held.
+void SessionCall::take_links() {
+  links_made_ = false;
+  if (std::optional<Links> made = making_.get()) links_ = std::move(made);
 }
 
 std::optional<SessionCall::Rendered> SessionCall::render(const Wanted& wanted) {
   describe(wanted.state);
   request_.settings.camera = wanted.camera;
-  request_.settings.denoise = farm_.can_denoise() ? (wanted.changed ? denoise_first_ : denoise_refined_) : Denoise::off;
+  request_.settings.denoise = farm_.can_denoise() ? (wanted.refines ? denoise_refined_ : denoise_first_) : Denoise::off;
   request_.settings.spp = wanted.spp;
   request_.settings.looks = looks_with(wanted.camera);
   for (const QuickSetting& setting : quick_settings)
     if (!given_.contains(std::string(setting.name)))
-      request_.settings.set[std::string(setting.name)] = wanted.changed ? setting.first : setting.refined;
-  std::optional<Farm::Picture> picture = farm_.show(request_, shown_, stop_.get_token());
+      request_.settings.set[std::string(setting.name)] = wanted.refines ? setting.refined : setting.first;
+  const bool lags = may_lag() && links_ && links_->geometry != shown_.lineage.geometry;
+  JobRequest request = request_;
+  SceneSummary shown = shown_;
+  if (lags) {
+    request.scenes.front().earlier_blob = links_->blob;
+    shown.lineage.earlier_geometry = links_->geometry;
+  }
+  std::optional<Farm::Picture> picture = farm_.show(request, shown, stop_.get_token());
+  // Not before the picture is there: nothing of theirs comes before it.
+  if (lags) make_links(wanted.change);
   std::lock_guard lock(mutex_);
   refining_ = false;
   if (!picture) return std::nullopt;
-  looks_ = request_.settings.looks;
+  if (!lags) links_ = current_links(wanted.change);
+  lags_ = lags;
+  looks_ = request.settings.looks;
   if (!changed_) shown_spp_ = wanted.spp;
-  return Rendered{std::move(*picture), wanted.change, wanted.spp, wanted.changed, !changed_ && !may_refine()};
+  return Rendered{std::move(*picture), wanted.change,  wanted.spp,
+                  wanted.changed,      links_->change, !changed_ && !lags && !may_refine()};
 }
 
 pb::SessionPicture SessionCall::picture_of(const Rendered& rendered) {
@@ -269,6 +321,7 @@ pb::SessionPicture SessionCall::picture_of(const Rendered& rendered) {
   out.set_picture(bytes.data(), bytes.size());
   out.set_format(format_);
   out.set_shows(rendered.change);
+  out.set_links_of(rendered.links);
   out.set_width(picture.film.width);
   out.set_height(picture.film.height);
   out.set_samples_per_pixel(rendered.spp);

@@ -5,6 +5,7 @@
 
 #include <condition_variable>
 #include <deque>
+#include <future>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -38,14 +39,23 @@ class SessionCall {
     scene::FrameState state;
     scene::Camera camera{};
     std::uint32_t spp = 1;
-    std::optional<Seconds> changed;  // when the first change came that no picture has shown; none: it refines
+    bool refines = false;            // what a picture has shown, links and all
+    std::optional<Seconds> changed;  // when the first change came that no picture has shown
   };
   struct Rendered {
     coordinator::Farm::Picture picture;
     std::uint64_t change = 0;  // as in Wanted
     std::uint32_t spp = 1;
     std::optional<Seconds> changed;
-    bool last = false;  // nothing had changed by then, and it is not refined
+    std::uint64_t links = 0;  // number of the change whose geometry its links are of
+    bool last = false;        // nothing had changed by then, and it is not refined
+  };
+  // Radiance links that the farm holds, by the state that they were made for.
+  struct Links {
+    std::uint64_t change = 0;
+    std::string geometry;  // SceneLineage::geometry
+    std::string blob;      // id of the state; empty: the base
+    coordinator::Blob state;
   };
   struct Refused {
     std::uint64_t number;
@@ -56,7 +66,12 @@ class SessionCall {
   void end();                                                     // nothing more is rendered
   void take(const gleaner::v1::SessionChange& change);
   std::optional<Wanted> next(Stream& stream);  // waits; none: the caller says no more
-  bool may_refine() const { return shown_spp_ > 0 && shown_spp_ < refine_to_; }
+  // Not before the links are those of what is shown.
+  bool may_refine() const { return shown_spp_ > 0 && shown_spp_ < refine_to_ && !lags_; }
+  bool may_lag() const;
+  Links current_links(std::uint64_t change) const;
+  void make_links(std::uint64_t change);
+  void take_links();
   std::optional<Rendered> render(const Wanted& wanted);  // none: it was given up
   gleaner::v1::SessionPicture picture_of(const Rendered& rendered);
   void describe(const scene::FrameState& state);
@@ -78,6 +93,7 @@ class SessionCall {
   coordinator::Blob state_;
   coordinator::SceneSummary shown_;
   std::vector<scene::Camera> looks_;  // of the pictures of this state, as FrameSettings has them
+  std::optional<Links> links_;        // the newest
   std::deque<Seconds> pictures_;      // when first pictures went out, of the last seconds
   std::mutex write_mutex_;            // for messages to the caller
 
@@ -94,8 +110,14 @@ class SessionCall {
   bool gone_ = false;   // and is not there any more
   bool ended_ = false;  // run() returns
   std::condition_variable ends_;
-  std::stop_source stop_;  // of the frame that is being rendered
-  bool refining_ = false;  // it may be given up for a change
+  std::stop_source stop_;    // of the frame that is being rendered
+  bool refining_ = false;    // it shows no change, and may be given up for one
+  bool lags_ = false;        // the last picture's links are those of an earlier geometry
+  bool links_made_ = false;  // making_ is over
+
+  // New links, of a state that was shown with older ones.
+  std::stop_source stop_making_;
+  std::future<std::optional<Links>> making_;
 };
 
 }  // namespace gleaner::gateway

@@ -100,8 +100,10 @@ class Farm {
   };
   // Renders one frame for someone who waits for it. It goes before all jobs, is in no list, and leaves neither files
   // nor a word in the journal. `shown`: of the scene as the request's state shows it, with its lineage. None: `stop`
-  // was requested. Throws as submit(), and Error::failed where the frame failed.
-  std::optional<Picture> show(const JobRequest& request, const SceneSummary& shown, const std::stop_token& stop);
+  // was requested. `behind`: after all other frames that are shown. Throws as submit(), and Error::failed where the
+  // frame failed.
+  std::optional<Picture> show(const JobRequest& request, const SceneSummary& shown, const std::stop_token& stop,
+                              bool behind = false);
   // Whether a worker that takes batches has the denoiser's library.
   bool can_denoise() const;
   // A picture of a job that runs (R G B, and guides where it has them), denoised as show() renders: for someone who

@@ -12,10 +12,11 @@
 namespace gleaner::coordinator {
 
 struct FrameScene {
-  std::string scene_blob;  // id; the store holds it
-  std::string bvh_blob;    // id; empty: the embedded farm, none of whose workers needs one
-  SceneSummary summary;    // of the scene; of a base at rest where there is a state
-  std::string state_blob;  // id of the state that shows the scene as a base; empty: the scene as it is
+  std::string scene_blob;      // id; the store holds it
+  std::string bvh_blob;        // id; empty: the embedded farm, none of whose workers needs one
+  SceneSummary summary;        // of the scene; of a base at rest where there is a state
+  std::string state_blob;      // id of the state that shows the scene as a base; empty: the scene as it is
+  std::string earlier_blob{};  // as state_blob, of Pose::earlier
 };
 // Equal for frames of one scene.
 inline std::string blobs_of(const FrameScene& scene) {

@@ -54,6 +54,7 @@ struct Job : std::enable_shared_from_this<Job> {
   // Of Farm::show() and denoise(): somebody waits for the frame's picture. Null: its files are written.
   struct Showing {
     SceneSummary shown;
+    bool behind = false;          // after others that are shown
     std::optional<Film> given{};  // it is rendered, and only denoised
     std::optional<Film> film{};   // what is waited for, once it is there
     FrameReport report{};

@@ -10,8 +10,8 @@
 namespace gleaner::coordinator {
 
 std::optional<Farm::Picture> Farm::show(const JobRequest& request, const SceneSummary& shown,
-                                        const std::stop_token& stop) {
-  return impl_->show(*this, request, {.shown = shown}, stop);
+                                        const std::stop_token& stop, bool behind) {
+  return impl_->show(*this, request, {.shown = shown, .behind = behind}, stop);
 }
 
 bool Farm::can_denoise() const {
@@ -51,7 +51,7 @@ std::optional<Farm::Picture> Farm::denoise(const std::string& id, Film film, con
 
 std::optional<Farm::Picture> Farm::Impl::show(Farm& farm, JobRequest request, Job::Showing showing,
                                               const std::stop_token& stop) {
-  request.priority = most_priority;
+  request.priority = most_priority - (showing.behind ? 1 : 0);
   const std::shared_ptr<Job> job = accept(request);
   job->showing = std::make_unique<Job::Showing>(std::move(showing));
   join_ended_threads();

@@ -144,8 +144,9 @@ std::shared_ptr<RunningStage> Farm::Impl::schedule(const std::shared_ptr<Frame>&
   work->output = spec.output;
   work->scene_blob = frame->scene.scene_blob;
   work->bvh_blob = frame->scene.bvh_blob;
-  work->at_rest = spec.at_rest && !frame->scene.state_blob.empty();
-  if (!work->at_rest) work->state_blob = frame->scene.state_blob;
+  const std::string& state = spec.pose == Pose::earlier ? frame->scene.earlier_blob : frame->scene.state_blob;
+  work->at_rest = (spec.pose == Pose::rest || state.empty()) && !frame->scene.state_blob.empty();
+  if (!work->at_rest) work->state_blob = state;
   auto stage = std::make_shared<RunningStage>();
   stage->frame = frame;
   stage->spec = spec;

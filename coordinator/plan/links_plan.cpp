@@ -125,6 +125,9 @@ class LinksPlan final : public GraphPlan {
     skips_ = path_skips(scene.needs);
     links_.metal = links_.metal && scene.needs.metallic && scene.needs.glossy;
     posed_ = !scene.lineage.geometry.empty();
+    // Lobes are no part of what links of an earlier scene name.
+    if (!links_.metal && scene.lineage.earlier_geometry != scene.lineage.geometry)
+      earlier_geometry_ = scene.lineage.earlier_geometry;
     triangles_ = static_cast<double>(scene.triangles);
     double diagonal = 0;
     for (std::size_t k = 0; k < 3; ++k)
@@ -157,8 +160,6 @@ class LinksPlan final : public GraphPlan {
 
   void begin() override;
   void make_links();
-  // Which scene a mesh's triangles are of: the frame's, or its base at rest.
-  enum class Pose { shown, rest };
   Artifact ask_mesh(const std::string& name, Pose pose, std::uint32_t vertices, std::vector<Graph::Input> inputs);
   void probe(const Artifact& coarse);
   std::string divided_mesh() const { return of_these_links(posed_ ? "rest_mesh" : "mesh"); }
@@ -166,6 +167,7 @@ class LinksPlan final : public GraphPlan {
   Artifact ask_probe(const std::string& name, Pose pose, const Artifact& mesh, std::uint32_t directions);
   void link(const LinksMeshFacts& facts);
   void link_elements();
+  void make(const LinksParameters& p);
   std::vector<Graph::Input> with_lobes(std::vector<Graph::Input> inputs) const;
   void gather(std::uint32_t bounce);
   void exchange();
@@ -195,10 +197,12 @@ class LinksPlan final : public GraphPlan {
   std::uint64_t link_words_ = 0;
   double triangles_ = 0;  // of the scene
   bool posed_ = false;    // other triangles are shown than the base at rest has
-  bool linked_ = false;   // the mesh is known
-  float wave_ = 0;        // 1/m
+  // Digest of the geometry whose links are used, while those of the geometry that is shown are made elsewhere.
+  std::optional<std::string> earlier_geometry_;
+  bool linked_ = false;  // the mesh is known
+  float wave_ = 0;       // 1/m
   LinksMeshFacts mesh_facts_{};
-  Artifact mesh_, probe_, lobes_, albedo_, made_, light_, sent_;
+  Artifact divided_, mesh_, probe_, lobes_, albedo_, made_, light_, sent_;
   Artifact before_;  // what the last bounce read
   unsigned links_made_ = 0;
   std::optional<LinksError> found_;  // of the last links
@@ -240,6 +244,7 @@ void LinksPlan::make_links() {
 // Triangles are divided as they are at rest, so that a vertex of what moves or deforms stays the same from frame to
 // frame, and no frame but the first looks for where irradiance bends. `divided`: the mesh at rest.
 void LinksPlan::pose(const Artifact& divided) {
+  divided_ = divided;
   mesh_ = posed_ ? ask_mesh(of_these_links("mesh"), Pose::shown, 0, {{"divided", divided}}) : divided;
   graph_.when({mesh_}, [this] { link(checked_facts(mesh_)); });
 }
@@ -262,7 +267,7 @@ Artifact LinksPlan::ask_mesh(const std::string& name, Pose pose, std::uint32_t v
                  .items = 1,
                  .solo = true,
                  .scene_parts = kGeometry,
-                 .at_rest = pose == Pose::rest,
+                 .pose = pose,
                  .priority = kFirst,
                  .output = reusable(retained_words(0xffffffffu))};
   return graph_.add(std::move(mesh), LinksMeshParameters{vertices, links_.beside_own ? 1u : 0u, {}}, std::move(inputs));
@@ -287,7 +292,7 @@ Graph::Artifact LinksPlan::ask_probe(const std::string& name, Pose pose, const A
   p.wave = wave_;
   p.divided = pose == Pose::rest ? 1u : 0u;  // where levels are looked for: of what is not divided nothing is measured
   StageSpec probe = elements(name, "links_probe", kShapes, reusable(retained(PROBE_WORDS * 4)), directions);
-  probe.at_rest = pose == Pose::rest;
+  probe.pose = pose;
   return graph_.add(std::move(probe), p, {{"mesh", mesh}});
 }
 
@@ -362,10 +367,7 @@ void LinksPlan::link_elements() {
   p.compress = links_.compress;
   p.exact = links_.exact;
   p.hidden_directions = hidden_directions(links_.directions);
-  made_ = graph_.add(
-      elements(of_these_links("make"), "links_make", kShapes,
-               reusable(retained_words(std::uint64_t{lobes_ ? 12u : 6u} * links_.directions)), links_.directions),
-      p, with_lobes({{"mesh", mesh_}, {"probe", probe_}}));
+  make(p);
   p = element_parameters();
   p.samples = links_.light_samples;
   light_ = graph_.add(elements(of_these_links("light"), "links_light", kWholeScene,
@@ -377,6 +379,25 @@ void LinksPlan::link_elements() {
     exchange();
   else
     gather(1);
+}
+
+// Vertices are those of the base at rest, so that links of an earlier scene are between the same elements.
+void LinksPlan::make(const LinksParameters& p) {
+  Artifact mesh = mesh_, probe = probe_;
+  std::string name = "make";
+  if (earlier_geometry_) {
+    name = "earlier_make";
+    if (!earlier_geometry_->empty())
+      mesh = ask_mesh(of_these_links("earlier_mesh"), Pose::earlier, 0, {{"divided", divided_}});
+    else
+      mesh = divided_;
+    probe = ask_probe(of_these_links("earlier_probe"), Pose::earlier, mesh, kInsideDirections);
+  }
+  StageSpec links =
+      elements(of_these_links(name), "links_make", kShapes,
+               reusable(retained_words(std::uint64_t{lobes_ ? 12u : 6u} * links_.directions)), links_.directions);
+  if (earlier_geometry_) links.pose = Pose::earlier;
+  made_ = graph_.add(std::move(links), p, with_lobes({{"mesh", mesh}, {"probe", probe}}));
 }
 
 // All bounces on one worker, which fetches the links that others made.
@@ -561,7 +582,7 @@ void LinksPlan::shade(const Artifact& irradiance) {
                  .priority = kFirst,
                  .output = {.record_bytes = 12, .floats = true}};
   const Artifact shaded = graph_.add(std::move(spec), p, {{"mesh", mesh_}, {"irradiance", irradiance}});
-  mesh_ = probe_ = lobes_ = albedo_ = made_ = light_ = sent_ = {};
+  divided_ = mesh_ = probe_ = lobes_ = albedo_ = made_ = light_ = sent_ = {};
   preview_pass(shaded);
   add_pass(shaded);
   own_stages_asked_ = true;
@@ -577,6 +598,7 @@ std::string LinksPlan::parameters_json() const {
                    {"left_after_bounces", bounces_.left},
                    {"lobe_elements", elements_ - plain_},
                    {"hidden_directions", hidden_directions(links_.directions)},
+                   {"of_earlier_geometry", earlier_geometry_.has_value()},
                    {"bytes", link_words_ * 4}};
   if (found_) {
     nlohmann::json& links = json["links"];

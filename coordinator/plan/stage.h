@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -57,6 +58,13 @@ enum SceneParts : std::uint8_t {
 // (worker: StageKind::reads_light)
 constexpr bool reads_light(unsigned parts) { return (parts & (kLights | kEmission)) != 0; }
 
+// Which scene a stage reads, where a frame shows a base in a state.
+enum class Pose : std::uint8_t {
+  shown,    // the frame's
+  rest,     // the base at rest: frames share what is made of it
+  earlier,  // the base as it was shown before: what was made of it serves until it is made anew
+};
+
 // Names a scene, part by part, for the names of what is made of it (artifact_id). Of a scene that is a base in a state:
 // its blob, and what the state says otherwise.
 struct SceneLineage {
@@ -65,14 +73,20 @@ struct SceneLineage {
   std::string geometry, materials, lights, colors, emission;
   // How many of its lights and which of its materials shine: programs that read light differ in that.
   std::string shining;
+  // Of Pose::earlier, as `geometry`, in which alone it differs; none: nothing of an earlier scene may be used.
+  std::optional<std::string> earlier_geometry;
 
   SceneLineage() = default;
   SceneLineage(std::string blob) : base(std::move(blob)) {}
   SceneLineage(const char* blob) : base(blob) {}
   bool operator==(const SceneLineage&) const = default;
 
-  // Of the base at rest.
-  SceneLineage at_rest() const { return base; }
+  SceneLineage in(Pose pose) const {
+    if (pose == Pose::rest) return base;
+    SceneLineage scene = *this;
+    if (pose == Pose::earlier) scene.geometry = earlier_geometry.value();
+    return scene;
+  }
 
   // Equal for two scenes whose parts are.
   std::string of(unsigned parts) const {
@@ -110,7 +124,7 @@ struct StageSpec {
   std::uint32_t tile = 1;              // batches begin and end at multiples of it (or at `items`)
   bool solo = false;                   // runs whole on one worker
   unsigned scene_parts = kWholeScene;  // that it reads
-  bool at_rest = false;   // reads the scene as the base of its state is at rest: frames share what it makes
+  Pose pose = Pose::shown;
   bool denoises = false;  // workers that have a denoiser get it, while there are any
   int priority = 0;       // of the frame's stages that wait, the highest goes first; equal: the oldest
   Bytes parameters{};     // little-endian struct of the kind's header in kernels/

@@ -122,6 +122,14 @@ pb::SessionRequest box_at(std::uint64_t number, double x) {
   return request;
 }
 
+bool denoises() {
+  try {
+    return !worker::denoiser_version().empty();
+  } catch (const Error&) {
+    return false;
+  }
+}
+
 std::vector<std::string> made(const pb::SessionPicture& picture) {
   return {picture.made().begin(), picture.made().end()};
 }
@@ -185,6 +193,76 @@ TEST_F(Session, PicturesAreThoseOfTheirScenes) {
   edited.apply(scene::ObjectChange{0, {1, 0, 0, 0.1, 0, 1, 0, 0, 0, 0, 1, 0}});
   scene::Scene own = posed(scene, edited.state(), "own");
   EXPECT_EQ(pictures({evenly_divided(own)}).at(0).picture() == all[3].picture(), true);
+}
+
+// An object moves: its picture comes at once, with light over the links that there are, and says so. Once there are new
+// ones, a picture follows that is the scene's.
+TEST_F(Session, PicturesDoNotWaitForLinks) {
+  const scene::Scene scene = lit_box();
+  const auto until_last = [](auto& stream) {
+    std::vector<pb::SessionPicture> all(1);
+    while (stream.Read(&all.back()) && !all.back().last()) all.emplace_back();
+    return all;
+  };
+  // Where light bends is looked for in the base at rest, which is another scene's base elsewhere.
+  const auto evenly_divided = [&](const scene::Scene& base) {
+    pb::SessionRequest request = opening(base, 4);
+    (*request.mutable_open()->mutable_settings()->mutable_set())["links.refine"] = "0";
+    // Where there is a denoiser, pictures that are refined are denoised: none of one sample may be.
+    request.mutable_open()->mutable_settings()->set_denoise("");
+    return request;
+  };
+  if (denoises())
+    while (!farm_.farm().can_denoise()) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  grpc::ClientContext context;
+  const auto stream = stub_->Session(&context);
+  stream->Write(evenly_divided(scene));
+  for (const pb::SessionPicture& picture : until_last(*stream)) EXPECT_EQ(picture.links_of(), 0u);
+  stream->Write(box_at(1, 0.1));
+  const std::vector<pb::SessionPicture> moved = until_last(*stream);
+  ASSERT_GE(moved.size(), 3u);
+  EXPECT_EQ(moved[0].shows(), 1u);
+  EXPECT_EQ(moved[0].links_of(), 0u);
+  EXPECT_THAT(reused(moved[0]), Contains("links.earlier_make"));
+  EXPECT_THAT(made(moved[0]), testing::AllOf(Not(Contains("links.make")), Contains("links.light")));
+  EXPECT_EQ(moved[1].links_of(), 1u);
+  EXPECT_EQ(moved[1].samples_per_pixel(), 1u);
+  EXPECT_THAT(reused(moved[1]), Contains("links.make"));
+  EXPECT_NE(moved[1].picture() == moved[0].picture(), true) << "the links are the same";
+  EXPECT_EQ(moved.back().samples_per_pixel(), 4u);
+  stream->WritesDone();
+  EXPECT_TRUE(stream->Finish().ok());
+
+  scene::EditedScene edited(std::make_shared<const scene::Scene>(scene));
+  edited.apply(scene::ObjectChange{0, {1, 0, 0, 0.1, 0, 1, 0, 0, 0, 0, 1, 0}});
+  grpc::ClientContext own_context;
+  const auto own = stub_->Session(&own_context);
+  own->Write(evenly_divided(posed(scene, edited.state(), "own")));
+  EXPECT_EQ(until_last(*own).back().picture() == moved.back().picture(), true);
+  own->WritesDone();
+  EXPECT_TRUE(own->Finish().ok());
+}
+
+// Whoever says all at once gets the scene as it is in the end, links too.
+TEST_F(Session, LinksCatchUpWithWhatIsDragged) {
+  grpc::ClientContext context;
+  const auto stream = stub_->Session(&context);
+  stream->Write(opening(lit_box(), 4));
+  pb::SessionPicture picture;
+  ASSERT_TRUE(stream->Read(&picture));
+  for (std::uint64_t k = 1; k <= 6; ++k) stream->Write(box_at(k, 0.02 * static_cast<double>(k)));
+  stream->WritesDone();
+  std::uint64_t shown = 0, known = 0;
+  while (stream->Read(&picture)) {
+    EXPECT_GE(picture.shows(), shown);
+    EXPECT_GE(picture.links_of(), known);
+    EXPECT_LE(picture.links_of(), picture.shows());
+    shown = picture.shows();
+    known = picture.links_of();
+  }
+  EXPECT_TRUE(stream->Finish().ok());
+  EXPECT_EQ(shown, 6u);
+  EXPECT_EQ(known, 6u);
 }
 
 TEST_F(Session, RefinesWhileNothingChanges) {

@@ -107,9 +107,19 @@ TEST(ArtifactName, NamesThePartsOfTheSceneThatAStageReads) {
   EXPECT_EQ(named(same, kWholeScene), named(none, kWholeScene));
   // What is made of the base at rest serves every state.
   StageSpec resting = sample();
-  resting.at_rest = true;
+  resting.pose = Pose::rest;
   for (const scene::FrameState& state : {none, moved, lit, painted, glowing})
     EXPECT_EQ(artifact_id(lineage_of(scene_a, base, state), resting), artifact_id(scene_a, sample()));
+  // What was made of an earlier state is what a frame of that state makes.
+  StageSpec earlier = sample();
+  earlier.pose = Pose::earlier;
+  SceneLineage after_moving = lineage_of(scene_a, base, lit);
+  after_moving.earlier_geometry = lineage_of(scene_a, base, moved).geometry;
+  earlier.scene_parts = kGeometry | kMaterials;
+  StageSpec at_once = earlier;
+  at_once.pose = Pose::shown;
+  EXPECT_EQ(artifact_id(after_moving, earlier), artifact_id(lineage_of(scene_a, base, moved), at_once));
+  EXPECT_NE(artifact_id(after_moving, earlier), artifact_id(after_moving, at_once));
   // Which of the parts it is makes a difference.
   scene::FrameState weighed;
   weighed.morph_weights = {1, 0, 0, 2, 0, 1, 0, 0, 0, 0, 1, 0};
