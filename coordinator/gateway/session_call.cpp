@@ -306,7 +306,7 @@ std::optional<SessionCall::Rendered> SessionCall::render(const Wanted& wanted) {
   if (!picture) return std::nullopt;
   if (!lags) links_ = current_links(wanted.change);
   lags_ = lags;
-  looks_ = request.settings.looks;
+  looks_ = request_.settings.looks;
   if (!changed_) shown_spp_ = wanted.spp;
   return Rendered{std::move(*picture), wanted.change,  wanted.spp,
                   wanted.changed,      links_->change, !changed_ && !lags && !may_refine()};

@@ -3,10 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
-#include <optional>
 #include <vector>
 
-#include "worker/stages/photon/map_blocks.h"
 #include "worker/stages/photon/nearness.h"
 #include "worker/stages/vectors.h"
 
@@ -67,18 +65,17 @@ bool meets(const Ring& ring, float distance) {
 
 }  // namespace
 
-void mark_inner_blocks(const StageRun& run, std::span<std::uint32_t> map, BatchResult& result) {
-  MapBlocks blocks(map);
+void mark_inner_blocks(const StageRun& run, std::span<std::uint32_t> map, std::span<const MapLeaf> leaves,
+                       BatchResult& result) {
   std::vector<Ring> rings;
   std::vector<HostRay> rays;
-  for (std::size_t node = 0; node < map[MAP_NODES]; ++node) {
-    const std::uint32_t block = map[(1 + node) * PHOTON_WORDS + NODE_BLOCK] & NODE_BLOCK_MASK;
-    if (block == NODE_NO_BLOCK) continue;
-    const std::optional<BlockMiddle> middle = blocks.middle(block);
-    if (!middle) continue;
-    rings.push_back({block, *middle, kBeyond * std::sqrt(node_reach2(map, node))});
+  rings.reserve(leaves.size());
+  rays.reserve(leaves.size() * kProbes);
+  for (const MapLeaf& leaf : leaves) {
+    rings.push_back({leaf.block, leaf.middle, kBeyond * std::sqrt(node_reach2(map, leaf.node))});
     add_probes(rings.back(), rays);
   }
+  MapBlocks blocks(map);
   const std::vector<float> distances = distances_along(run, rays, result);
   for (std::size_t i = 0; i < rings.size(); ++i) {
     const auto met = std::span(distances).subspan(i * kProbes, kProbes);

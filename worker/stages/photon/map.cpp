@@ -233,8 +233,9 @@ BatchResult run_photon_map_stage(const StageRun& run) {
   BatchResult result;
   result.records = builder.take_rows();
   const std::span words(reinterpret_cast<std::uint32_t*>(result.records.data()), result.records.size() / 4);
-  set_reaches(words, std::max(p.neighbours, 1u), p.most_radius);
-  if (p.inner) mark_inner_blocks(run, words, result);
+  const std::vector<MapLeaf> leaves =
+      set_reaches(words, std::max(p.neighbours, 1u), p.most_radius, host_threads(run.device));
+  if (p.inner) mark_inner_blocks(run, words, leaves, result);
   result.counts = {static_cast<std::uint32_t>(result.records.size() / sizeof(Photon))};
   set_facts(result, builder.facts());
   result.counters.seconds = seconds_now() - start;

@@ -7,6 +7,7 @@
 
 #include "worker/stages/photon/packed.h"
 #include "worker/stages/vectors.h"
+#include "worker/wavefront/run_threads.h"
 
 namespace gleaner::worker {
 namespace {
@@ -71,18 +72,23 @@ std::optional<BlockMiddle> MapBlocks::middle(std::size_t block) const {
 }
 
 float MapBlocks::reach2(std::size_t block, const BlockMiddle& middle, std::uint32_t neighbours, float most2) const {
-  std::vector<float> distances, of_all;
-  for (unsigned lane = 0; lane < count(block); ++lane) {
+  std::array<float, RAY_BLOCK> distances, of_all;
+  const unsigned photons = count(block);
+  unsigned alike = 0;
+  for (unsigned lane = 0; lane < photons; ++lane) {
     const Vector off = position(block, lane) - middle.position;
     const float height = dot(off, middle.normal);
-    of_all.push_back(dot(off, off));
+    of_all[lane] = dot(off, off);
     if (dot(normal(block, lane), middle.normal) >= kAlike)
-      distances.push_back(dot(off, off) + kFlatness * height * height);
+      distances[alike++] = of_all[lane] + kFlatness * height * height;
   }
-  if (distances.size() <= kLeastTelling) distances = of_all;
-  std::ranges::sort(distances);
+  if (alike <= kLeastTelling) {
+    distances = of_all;
+    alike = photons;
+  }
+  std::sort(distances.begin(), distances.begin() + alike);
   // The first is the middle itself.
-  const std::size_t telling = std::min(kTelling, distances.size() - 1);
+  const std::size_t telling = std::min<std::size_t>(kTelling, alike - 1);
   if (telling == 0) return most2;
   const float reach2 = distances[telling] * static_cast<float>(neighbours) / static_cast<float>(telling);
   return std::clamp(reach2, kLeastReach2 * most2, most2);
@@ -92,7 +98,8 @@ void MapBlocks::mark(std::size_t block) {
   for (unsigned lane = 0; lane < RAY_BLOCK; ++lane) words_[at(block, PHOTON_SURFACE, lane)] |= PHOTON_INNER;
 }
 
-void set_reaches(std::span<std::uint32_t> map, std::uint32_t neighbours, float most_radius) {
+std::vector<MapLeaf> set_reaches(std::span<std::uint32_t> map, std::uint32_t neighbours, float most_radius,
+                                 unsigned threads) {
   const std::uint32_t nodes = map[MAP_NODES];
   float extent2 = 0;
   for (unsigned k = 0; k < 3; ++k) {
@@ -103,20 +110,31 @@ void set_reaches(std::span<std::uint32_t> map, std::uint32_t neighbours, float m
   const float most2 = most_radius > 0 ? most_radius * most_radius : std::max(extent2, 1e-30f);
   map[MAP_REACH] = std::bit_cast<std::uint32_t>(most2);
   const MapBlocks blocks(map);
+  std::vector<std::vector<MapLeaf>> parts(threads);
+  run_threads(threads, [&](unsigned k) {
+    for (std::uint64_t node = std::uint64_t{nodes} * k / threads; node < std::uint64_t{nodes} * (k + 1) / threads;
+         ++node) {
+      std::uint32_t& word = node_words(map, node)[NODE_BLOCK];
+      const std::uint32_t block = word & NODE_BLOCK_MASK;
+      if (block == NODE_NO_BLOCK) continue;
+      const std::optional<BlockMiddle> middle = blocks.middle(block);
+      const std::uint32_t code = middle ? reach_code(blocks.reach2(block, *middle, neighbours, most2), most2) : 255;
+      word = block | code << NODE_REACH_SHIFT;
+      if (middle) parts[k].push_back({static_cast<std::uint32_t>(node), block, *middle});
+    }
+  });
   // Children stand behind their node, which reaches as far as either.
   for (std::size_t node = nodes; node-- > 0;) {
-    std::uint32_t* words = node_words(map, node);
-    const std::uint32_t block = words[NODE_BLOCK] & NODE_BLOCK_MASK;
-    std::uint32_t code = 255;
-    if (block == NODE_NO_BLOCK) {
-      const std::uint32_t* left = node_words(map, node + 1);
-      const std::uint32_t* right = node_words(map, left[NODE_SKIP]);
-      code = std::min(left[NODE_BLOCK] >> NODE_REACH_SHIFT, right[NODE_BLOCK] >> NODE_REACH_SHIFT);
-    } else if (const std::optional<BlockMiddle> middle = blocks.middle(block)) {
-      code = reach_code(blocks.reach2(block, *middle, neighbours, most2), most2);
-    }
-    words[NODE_BLOCK] = block | code << NODE_REACH_SHIFT;
+    std::uint32_t& word = node_words(map, node)[NODE_BLOCK];
+    if ((word & NODE_BLOCK_MASK) != NODE_NO_BLOCK) continue;
+    const std::uint32_t* left = node_words(map, node + 1);
+    const std::uint32_t* right = node_words(map, left[NODE_SKIP]);
+    const std::uint32_t code = std::min(left[NODE_BLOCK] >> NODE_REACH_SHIFT, right[NODE_BLOCK] >> NODE_REACH_SHIFT);
+    word = NODE_NO_BLOCK | code << NODE_REACH_SHIFT;
   }
+  std::vector<MapLeaf> leaves;
+  for (const std::vector<MapLeaf>& part : parts) leaves.insert(leaves.end(), part.begin(), part.end());
+  return leaves;
 }
 
 float node_reach2(std::span<const std::uint32_t> map, std::size_t node) {

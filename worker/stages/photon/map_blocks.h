@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <optional>
 #include <span>
+#include <vector>
 
 #include "kernels/photon_records.h"
 #include "kernels/rays.h"
@@ -23,7 +24,6 @@ class MapBlocks {
   explicit MapBlocks(std::span<std::uint32_t> map)
       : words_(map.subspan((std::size_t{1} + map[MAP_NODES]) * PHOTON_WORDS)) {}
 
-  std::size_t size() const { return words_.size() / (std::size_t{PHOTON_WORDS} * RAY_BLOCK); }
   // None: the block has no photons.
   std::optional<BlockMiddle> middle(std::size_t block) const;
   // Photons to the surface of the middle, within the density at which the block's lie about it: the squared radius of a
@@ -43,8 +43,16 @@ class MapBlocks {
   std::span<std::uint32_t> words_;
 };
 
-// Sets MAP_REACH and the reaches of all nodes. `most_radius`: m; 0: the map's own extent.
-void set_reaches(std::span<std::uint32_t> map, std::uint32_t neighbours, float most_radius);
+// A leaf with photons.
+struct MapLeaf {
+  std::uint32_t node, block;
+  BlockMiddle middle;
+};
+
+// Sets MAP_REACH and the reaches of all nodes. `most_radius`: m; 0: the map's own extent. Returns the leaves, in the
+// tree's order.
+std::vector<MapLeaf> set_reaches(std::span<std::uint32_t> map, std::uint32_t neighbours, float most_radius,
+                                 unsigned threads);
 
 // m^2; `node` counts from 0.
 float node_reach2(std::span<const std::uint32_t> map, std::size_t node);

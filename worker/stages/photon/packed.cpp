@@ -1,5 +1,6 @@
 #include "worker/stages/photon/packed.h"
 
+#include <algorithm>
 #include <bit>
 #include <cmath>
 
