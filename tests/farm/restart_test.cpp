@@ -109,28 +109,28 @@ TEST_P(RestartOf, SameBitsWhereverTheCoordinatorIsKilled) {
 }
 
 TEST_P(RestartOf, WhatWasAcceptedIsNotComputedAgain) {
-  std::vector<std::string> words;
-  json whole;
-  // Long enough to be killed half-way, on any machine.
-  for (unsigned samples = GetParam().samples; words.empty() || whole["seconds"] < 3; samples *= 2) {
-    words = frame(GetParam().method, samples);
-    whole = farm_->finish(farm_->submit(words));
+  // How long a frame takes says little on a busy machine, so one that has nearly ended before the kill is made longer.
+  for (unsigned samples = GetParam().samples; samples <= 256 * GetParam().samples; samples *= 2) {
+    const std::vector<std::string> words = frame(GetParam().method, samples);
+    const json whole = farm_->finish(farm_->submit(words));
+    std::uint64_t all = 0, done = 0;
+    for (const json& stage : whole["stages"]) all += stage["items"].get<std::uint64_t>();
+    const std::string job = farm_->submit(words);
+    const auto quarter_is_done = [&] {
+      done = farm_->items_done(job);
+      return done > all / 4 || farm_->ended(job);
+    };
+    ASSERT_TRUE(eventually(quarter_is_done, 120));
+    std::this_thread::sleep_for(std::chrono::milliseconds(400));  // until the journal knows
+    if (farm_->ended(job) || farm_->items_done(job) > 3 * all / 4) continue;
+    farm_->restart();
+    const json report = farm_->finish(job);
+    EXPECT_EQ(report["pixels_sha256"], whole["pixels_sha256"]);
+    // On a busy machine the journal may not know of the last ones.
+    EXPECT_GT(items_taken_over(report), done / 4);
+    return;
   }
-  std::uint64_t all = 0, done = 0;
-  for (const json& stage : whole["stages"]) all += stage["items"].get<std::uint64_t>();
-  const std::string job = farm_->submit(words);
-  const auto quarter_is_done = [&] {
-    done = farm_->items_done(job);
-    return done > all / 4 || farm_->ended(job);
-  };
-  ASSERT_TRUE(eventually(quarter_is_done, 120));
-  std::this_thread::sleep_for(std::chrono::milliseconds(400));  // until the journal knows
-  ASSERT_FALSE(farm_->ended(job)) << "too late to kill";
-  farm_->restart();
-  const json report = farm_->finish(job);
-  EXPECT_EQ(report["pixels_sha256"], whole["pixels_sha256"]);
-  // On a busy machine the journal may not know of the last ones.
-  EXPECT_GT(items_taken_over(report), done / 4);
+  FAIL() << "every frame ended before the coordinator was killed";
 }
 
 TEST_F(Restart, WhatWasSubmittedIsRenderedOnce) {
@@ -239,7 +239,7 @@ class RestartOfMoving : public RestartOf {
     const std::string whole = farm_->submit(words);
     farm_->finish(whole);
     const std::string job = farm_->submit(words);
-    ASSERT_TRUE(eventually([&] { return farm_->job(job).frames_done() == 1; }, 120));
+    ASSERT_TRUE(eventually([&] { return farm_->job(job).frames_done() >= 1; }, 120));
     happens();
     farm_->finish(job);
     EXPECT_EQ(farm_->show(job)["frames_done"], 3);
