@@ -24,7 +24,6 @@ namespace gleaner::kernels {
 #define PHOTON_DEPTH_SHIFT 27u
 // Of a map's photons, whose classes are below PHOTON_CLASSES: the surface goes on all about the photon's block.
 #define PHOTON_INNER 0x04000000u
-#define MAP_CLASS_MASK 3u
 #define PHOTON_MOST_DEPTH 31u
 
 // How a photon came to its surface, by what scattered it last. Broad and sharp parts: kernels/transport/parts.h.
@@ -82,12 +81,17 @@ GLEANER_SIZE(PhotonTraceParameters, 48);
 #define GUIDE_MOST_ROWS 8191u
 
 // A photon map: rows of PHOTON_WORDS words. Row 0 is the header; then the nodes of a kd-tree in depth-first order, an
-// odd number of them; then its leaves, blocks of 16 photons that lie word by word (as rays do: kernels/rays.h).
+// odd number of them; then its leaves, blocks of 16 photons that lie word by word (as rays do: kernels/rays.h). Where
+// there are caustic photons and others, these are the root's two children: trees of their own, the caustic one behind.
 #define MAP_NODES 0u     // uint
 #define MAP_BLOCKS 1u    // uint
-#define MAP_PHOTONS 2u   // uint: those of the last block that are none lie far away and have no power
-#define MAP_CAUSTICS 3u  // uint: how many of them are caustic
+#define MAP_PHOTONS 2u   // uint: those of a tree's last block that are none lie far away and have no power
+#define MAP_CAUSTICS 3u  // uint: the first node of the caustic photons' tree; the number of nodes: there are none
 #define MAP_REACH 4u     // m^2: the largest squared distance that a photon may shine
+// How much farther a photon is from a place for being off its plane: squared distance + this * squared height.
+#define MAP_FLATNESS 15.0f
+// Least cosine between the normals of a place and of a photon's surface.
+#define MAP_LEAST_COSINE 0.7f
 // A node: the box about its photons; its left child follows it, its right child is where the left one's skip leads.
 #define NODE_LOWER 0u
 #define NODE_UPPER 3u
@@ -125,8 +129,8 @@ GLEANER_SIZE(PhotonTraceParameters, 48);
 
 // How a map's density is estimated at a place.
 typedef struct {
-  gl_uint neighbours;    // of caustic photons the radius is the distance to the one of this rank, other photons shine
-                         // as far as the map says; 0: the radius is `most_radius`
+  gl_uint neighbours;    // photons that count at a place: what is gathered takes those that shine as far, as the map
+                         // says; stage kind "photon_caustics" the nearest ones; 0: the radius is `most_radius`
   gl_float most_radius;  // m
 } PhotonEstimate;
 GLEANER_SIZE(PhotonEstimate, 8);
@@ -190,7 +194,8 @@ GLEANER_SIZE(PhotonCausticsParameters, 128);
 struct PhotonMapParameters {
   std::uint32_t classes = 0;  // PHOTON_CLASS_BIT each
   std::uint32_t neighbours = 0;
-  std::uint32_t inner = 0;  // 1: rays tell PHOTON_INNER
+  std::uint32_t shine = 0;  // 1: nodes say how far their photons shine, and rays tell PHOTON_INNER; 0: the map is read
+                            // by the photons that are nearest alone
   float most_radius = 0;    // m: no photon shines farther; 0: the map's extent
 };
 static_assert(sizeof(PhotonMapParameters) == 16);

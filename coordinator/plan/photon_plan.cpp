@@ -403,7 +403,7 @@ Artifact PhotonPlan::ask_map(const std::string& suffix, std::uint32_t pass, std:
                                 .reusable = true}},
                     PhotonMapParameters{.classes = classes,
                                         .neighbours = kGatherNeighbours,
-                                        .inner = caustics ? 0u : 1u,
+                                        .shine = caustics ? 0u : 1u,
                                         .most_radius = static_cast<float>(most_radius_)},
                     {{"photons", traced}});
 }

@@ -17,17 +17,14 @@
 #include "kernels/photon_records.h"
 #include "kernels/rays.h"
 
-// How much farther a photon is for being off the plane: squared distance + this * squared height.
-#define MAP_FLATNESS 15.0f
-// Least cosine between the normals of a place and of a photon's surface.
-#define MAP_LEAST_COSINE 0.7f
 #define MAP_STACK 40u
 
 typedef struct {
   global const float* nodes;
   global const float* photons;
-  uint count;   // of nodes
-  float reach;  // MAP_REACH
+  uint count;     // of nodes
+  uint caustics;  // the first of the caustic photons' tree
+  float reach;    // MAP_REACH
 } PhotonMap;
 
 FN PhotonMap photon_map(global const float* rows, uint nodes) {
@@ -35,6 +32,7 @@ FN PhotonMap photon_map(global const float* rows, uint nodes) {
   map.nodes = rows + PHOTON_WORDS;
   map.photons = rows + PHOTON_WORDS * (1u + nodes);
   map.count = nodes;
+  map.caustics = ((global const uint*)rows)[MAP_CAUSTICS];
   map.reach = rows[MAP_REACH];
   return map;
 }
@@ -85,6 +83,9 @@ FN float node_reach2(const PhotonMap* map, uint node) {
   return map->reach *
          as_float(0x3f800000u - ((node_word(map, node, NODE_BLOCK) >> NODE_REACH_SHIFT) << NODE_REACH_STEP));
 }
+
+// The node that a walk through the photons that count at a place begins with.
+FN uint first_node(const PhotonMap* map, const MapPlace* p) { return p->caustics ? map->caustics : 0u; }
 
 // The next leaf's block from node *at on, and *at behind it; GLEANER_NONE: there is none. Leaves that the radius
 // reaches, or, with `own`, whose photons shine as far as the place: *reach2 is how far, at most as far as the radius.
@@ -143,7 +144,6 @@ FN vi photons_near(const PhotonMap* map, uint block, uint part, const MapPlace* 
   vi below = near & far_below(height, d2);
   if (any_lane(below)) near = near & none(below & covered(p, photon_u(map, block, part, PHOTON_ARRIVAL), height, d2));
   if (p->most_depth < PHOTON_MOST_DEPTH) near = near & ((surface >> PHOTON_DEPTH_SHIFT) <= p->most_depth);
-  if (p->caustics) near = near & (((surface >> PHOTON_CLASS_SHIFT) & MAP_CLASS_MASK) == PHOTON_CAUSTIC);
   return near;
 }
 

@@ -16,7 +16,7 @@ FN MapSum sum_photons(const Scene* scene, const PhotonMap* map, const MapPlace* 
   MapSum sum;
   sum.light = splat3(zero_f());
   sum.spread = photon_spread(place);
-  uint at = 0u;
+  uint at = first_node(map, place);
   float reach2;
   for (;;) {
     uint block = next_leaf(map, place, radius2, own, &at, &reach2);
@@ -43,8 +43,6 @@ kernel void photon_read(global const float* restrict reads, uint count, SCENE_PA
   uint slot = ((global const uint*)read)[READ_SLOT];
   if (slot >= slot_count) return;
   MapPlace place = map_place(read);
-  // A search for what is nowhere goes through all photons within `most_radius`.
-  if (place.caustics && ((global const uint*)map)[MAP_CAUSTICS] == 0u) return;
   if (cut_blocks && !place.caustics && place.most_depth >= cut_depth) {
     float e[3];
     if (cut_irradiance(cut, cut_blocks, &place, e)) {
@@ -55,10 +53,9 @@ kernel void photon_read(global const float* restrict reads, uint count, SCENE_PA
     }
   }
   PhotonMap photons = photon_map(map, map_nodes);
-  // Photons shine as far as the map says. Of caustic ones alone it tells nothing: the nearest are taken, as with a
-  // radius that was asked for.
-  bool own = neighbours != 0u && place.caustics == 0u;
-  float radius2 = own ? INFINITY : estimate_radius2(&photons, &place, neighbours, most_radius);
+  // Photons shine as far as the map says, or as a radius that was asked for.
+  bool own = neighbours != 0u;
+  float radius2 = own ? INFINITY : most_radius * most_radius;
   MapSum sum = sum_photons(&scene_value, &photons, &place, read, radius2, own);
   float scale = disc_over_surface(&sum.spread);
   global float* to = slots + SLOT_WORDS * slot + SLOT_INDIRECT;

@@ -110,7 +110,7 @@ TEST(Photon, PowerIsBalanced) {
 // --- The map ---
 
 worker::BatchResult map_of(const std::string& scene, const scene::Bytes& photons, std::uint32_t classes) {
-  const PhotonMapParameters p{.classes = classes, .neighbours = 16, .inner = 1};
+  const PhotonMapParameters p{.classes = classes, .neighbours = 16, .shine = 1};
   worker::StageTask task;
   task.kind = "photon_map";
   task.scene = scene;
@@ -132,7 +132,8 @@ float real_of(const scene::Bytes& map, std::size_t row, unsigned word) {
   return real;
 }
 
-// Every photon of the classes lies in one leaf, within the boxes of all nodes above it.
+// Every photon of the classes lies in one leaf, within the boxes of all nodes above it; caustic ones in a tree of their
+// own.
 TEST(Photon, MapHoldsEveryPhoton) {
   PhotonTraceParameters p{};
   p.items_low = 5000;
@@ -149,8 +150,7 @@ TEST(Photon, MapHoldsEveryPhoton) {
     const scene::Bytes map = map_of(trace.scene, photons, classes).records;
     const std::uint32_t nodes = word_of(map, 0, MAP_NODES), blocks = word_of(map, 0, MAP_BLOCKS);
     EXPECT_EQ(word_of(map, 0, MAP_PHOTONS), expected.size());
-    EXPECT_EQ(word_of(map, 0, MAP_CAUSTICS),
-              std::ranges::count_if(rows_of(photons), [](const Row& row) { return row.kind() == PHOTON_CAUSTIC; }));
+    const std::uint32_t caustics = word_of(map, 0, MAP_CAUSTICS);
     ASSERT_EQ(map.size() / sizeof(Row), 1 + nodes + std::size_t{blocks} * RAY_BLOCK);
     const auto photon = [&](std::uint32_t block, unsigned lane, unsigned word) {
       const std::size_t at = (std::size_t{block} * PHOTON_WORDS + word) * RAY_BLOCK + lane;
@@ -165,6 +165,8 @@ TEST(Photon, MapHoldsEveryPhoton) {
           const std::array<float, 3> at = {photon(block, lane, 0), photon(block, lane, 1), photon(block, lane, 2)};
           if (at[0] > 1e18f) continue;  // padding
           if (below == node) found.insert(at);
+          const std::uint32_t surface = std::bit_cast<std::uint32_t>(photon(block, lane, PHOTON_SURFACE));
+          ASSERT_EQ((surface >> PHOTON_CLASS_SHIFT & (PHOTON_CLASSES - 1)) == PHOTON_CAUSTIC, below >= caustics);
           for (unsigned k = 0; k < 3; ++k) {
             ASSERT_GE(at[k], real_of(map, 1 + node, NODE_LOWER + k));
             ASSERT_LE(at[k], real_of(map, 1 + node, NODE_UPPER + k));
@@ -1135,6 +1137,7 @@ TEST(Photon, RefusesWhatIsOutOfRange) {
   for (const char* stage : {"photon_gather.0", "photon.caustics.0", "photon.cluster_gather"}) {
     refused(stage, broken(0, MAP_NODES, 1));
     refused(stage, broken(0, MAP_BLOCKS, 1u << 30));
+    refused(stage, broken(0, MAP_CAUSTICS, 1u << 30));
     refused(stage, broken(0, MAP_REACH, 0x7fc00000u));  // NaN
     refused(stage, broken(1, NODE_BLOCK, 1u << 20));
     refused(stage, broken(1, NODE_SKIP, 0));

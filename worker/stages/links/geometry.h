@@ -19,16 +19,6 @@ using Vec = std::array<double, 3>;
 // Nodes at one place are one vertex where their normals agree to half a degree.
 constexpr double kSameNormal = 0.99996;
 
-inline Vec operator+(const Vec& a, const Vec& b) { return {a[0] + b[0], a[1] + b[1], a[2] + b[2]}; }
-inline Vec operator-(const Vec& a, const Vec& b) { return {a[0] - b[0], a[1] - b[1], a[2] - b[2]}; }
-inline Vec operator*(const Vec& a, double s) { return {a[0] * s, a[1] * s, a[2] * s}; }
-inline Vec cross(const Vec& a, const Vec& b) {
-  return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
-}
-inline Vec unit(const Vec& a) {
-  const double l = std::sqrt(dot(a, a));
-  return l > 0 ? a * (1 / l) : a;
-}
 inline Vec vec(const float* p) { return {p[0], p[1], p[2]}; }
 
 struct Triangle {

@@ -79,6 +79,7 @@ float IlluminationCut::photon(std::uint32_t block, unsigned lane, unsigned word)
 
 IlluminationCut::IlluminationCut(std::vector<std::uint32_t> map)
     : map_(std::move(map)), nodes_(map_[MAP_NODES]), power_(nodes_, 0) {
+  if (map_[MAP_CAUSTICS] > 1 && map_[MAP_CAUSTICS] < nodes_) root_ = 1;
   // Children stand behind their node.
   for (std::size_t node = nodes_; node-- > 0;) {
     if (!leaf(node)) {
@@ -88,7 +89,7 @@ IlluminationCut::IlluminationCut(std::vector<std::uint32_t> map)
     for (unsigned lane = 0; lane < RAY_BLOCK; ++lane)
       for (unsigned k = 0; k < 3; ++k) power_[node] += double{photon(block(node), lane, PHOTON_POWER + k)};
   }
-  cut_ = {0};
+  cut_ = {root_};
   closed_ = {false};
 }
 
@@ -103,7 +104,7 @@ void IlluminationCut::choose(std::uint32_t nodes) {
     else
       open.push({power_[node], -static_cast<std::int64_t>(node)});
   };
-  add(0);
+  add(root_);
   while (!open.empty() && open.size() + closed.size() < nodes) {
     const auto node = static_cast<std::size_t>(-open.top().second);
     open.pop();
@@ -163,8 +164,8 @@ std::vector<CutPlace> IlluminationCut::spread(std::size_t i, const CutPlace& pla
   std::vector<CutPlace> alike;
   each_photon(cut_[i], [&](std::uint32_t block, unsigned lane) {
     const CutPlace other = photon_place(block, lane);
-    if (dot(other.normal, place.normal) > kAlike && other.position != place.position && !covers(place, other) &&
-        !covers(other, place))
+    if (dot(other.normal, place.normal) > MAP_LEAST_COSINE && other.position != place.position &&
+        !covers(place, other) && !covers(other, place))
       alike.push_back(other);
   });
   std::vector<CutPlace> places;
@@ -180,7 +181,7 @@ bool IlluminationCut::bent(std::size_t node) const {
     const std::array<float, 3> n = photon_place(block, lane).normal;
     if (first) one = n;
     first = false;
-    unlike = unlike || dot(n, one) < kAlike;
+    unlike = unlike || dot(n, one) < MAP_LEAST_COSINE;
   });
   return unlike;
 }
@@ -229,7 +230,7 @@ void IlluminationCut::each_run(std::size_t node, std::size_t first, std::size_t 
 std::vector<std::uint32_t> IlluminationCut::rows(const std::vector<CutLight>& lights) const {
   std::vector<std::uint32_t> blocks;
   std::vector<ReachBox> boxes;
-  each_run(0, 0, cut_.size(), [&](std::size_t first, std::size_t end) {
+  each_run(root_, 0, cut_.size(), [&](std::size_t first, std::size_t end) {
     const std::size_t words = blocks.size();
     blocks.resize(words + std::size_t{CUT_WORDS} * RAY_BLOCK, 0);
     ReachBox box;

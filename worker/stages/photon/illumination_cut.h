@@ -66,6 +66,7 @@ class IlluminationCut {
 
   std::vector<std::uint32_t> map_;
   std::uint32_t nodes_ = 0;
+  std::uint32_t root_ = 0;          // of the tree that is cut: where there are two, not the caustic photons'
   std::vector<double> power_;       // of each node's photons, W, all colours
   std::vector<std::uint32_t> cut_;  // rising
   std::vector<bool> closed_;        // of cut_: refine() has looked at it

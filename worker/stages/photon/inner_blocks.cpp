@@ -21,7 +21,7 @@ constexpr float kBeyond = 1.3f;
 // mostly does not.
 constexpr float kRise = 0.25f;
 // What they meet is the surface where it is not farther off the plane, of the ring's radius: photons below it still
-// count (MAP_FLATNESS of kernels/photon/map.h), and what is above it may as well stand on it.
+// count (MAP_FLATNESS), and what is above it may as well stand on it.
 constexpr float kMostAbove = 0.04f, kMostBelow = 0.2f;
 
 struct Ring {
@@ -30,29 +30,18 @@ struct Ring {
   float radius;  // m
 };
 
-Vector along(const Vector& from, float length, const Vector& direction) {
-  Vector to = from;
-  for (unsigned k = 0; k < 3; ++k) to[k] += length * direction[k];
-  return to;
-}
-
 // From above the middle to the ring's points, evenly, the first turned by the block's number.
 void add_probes(const Ring& ring, std::vector<HostRay>& rays) {
   const Vector& n = ring.about.normal;
   const Vector axis = std::abs(n[0]) < 0.6f ? Vector{1, 0, 0} : Vector{0, 1, 0};
-  const float rest = dot(axis, n), scale = 1 / std::sqrt(1 - rest * rest);
-  Vector x, y;
-  for (unsigned k = 0; k < 3; ++k) x[k] = scale * (axis[k] - rest * n[k]);
-  for (unsigned k = 0; k < 3; ++k) y[k] = n[(k + 1) % 3] * x[(k + 2) % 3] - n[(k + 2) % 3] * x[(k + 1) % 3];
-  const Vector from = along(ring.about.position, kRise * ring.radius, n);
+  const Vector x = unit(axis - n * dot(axis, n)), y = cross(n, x);
+  const Vector from = ring.about.position + n * (kRise * ring.radius);
   const double first = std::fmod(static_cast<double>(ring.block) * std::numbers::phi, 1.0);
   const float length = std::sqrt(1 + kRise * kRise);
   for (unsigned probe = 0; probe < kProbes; ++probe) {
     const double turn = 2 * std::numbers::pi * (probe + first) / kProbes;
     const float c = static_cast<float>(std::cos(turn)), s = static_cast<float>(std::sin(turn));
-    Vector direction;
-    for (unsigned k = 0; k < 3; ++k) direction[k] = (c * x[k] + s * y[k] - kRise * n[k]) / length;
-    rays.push_back({from, direction});
+    rays.push_back({from, (x * c + y * s - n * kRise) * (1 / length)});
   }
 }
 

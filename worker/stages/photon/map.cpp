@@ -1,4 +1,4 @@
-// Stage kind "photon_map": the tree over photons (kernels/photon_records.h). A kd-tree split at medians: the widest
+// Stage kind "photon_map": the trees over photons (kernels/photon_records.h). Kd-trees split at medians: the widest
 // axis of each node's box is cut where half of its blocks of 16 photons lie on either side, so that all leaves are
 // whole blocks. Photons lie on surfaces, in clumps; a median tree's depth does not depend on that, a grid's cells do.
 
@@ -54,15 +54,17 @@ class MapBuilder {
   MapBuilder(std::vector<Photon> photons, std::uint32_t neighbours, unsigned threads)
       : photons_(std::move(photons)), neighbours_(std::max(neighbours, 1u)) {
     places_.reserve(photons_.size());
-    for (const Photon& photon : photons_) {
-      places_.push_back({{as_float(photon.words[0]), as_float(photon.words[1]), as_float(photon.words[2]),
-                          as_float(static_cast<std::uint32_t>(places_.size()))}});
-      caustics_ += class_of(photon) == PHOTON_CAUSTIC;
-    }
-    const std::size_t blocks = std::max<std::size_t>(1, blocks_of(places_.size()));
+    add_places(false);
+    front_ = places_.size();
+    add_places(true);
+    const std::size_t before = blocks_of(front_), behind = blocks_of(places_.size() - front_);
+    const std::size_t blocks = std::max<std::size_t>(1, before + behind);
     nodes_.resize(2 * blocks - 1);
     rows_.resize((1 + nodes_.size() + blocks * RAY_BLOCK) * sizeof(Photon));
-    add_node(0, 0, places_.size(), true, threads);
+    if (before > 0 && behind > 0)
+      add_both(before, threads);
+    else
+      add_node(0, {.first = 0, .last = places_.size(), .block = 0}, true, threads);
     for (const Node& node : nodes_)
       if (node.disc >= 0) radii_.push_back(node.disc);
     write(blocks, threads);
@@ -91,12 +93,38 @@ class MapBuilder {
     double disc = -1;  // m: the radius of a disc of so many neighbours, where this node tells it
   };
 
+  // Places [first, last), which are those of blocks from `block` on.
+  struct Part {
+    std::size_t first, last, block;
+  };
+
   static std::size_t blocks_of(std::size_t places) { return (places + RAY_BLOCK - 1) / RAY_BLOCK; }
 
-  // Node number `index`, over places [first, last), and those below it. `looks`: it, or one below it, tells how wide
-  // the nearest neighbours' disc is. How many places there are says where each node and block stands, so that the two
-  // halves are made side by side.
-  void add_node(std::size_t index, std::size_t first, std::size_t last, bool looks, unsigned threads) {
+  void add_places(bool caustic) {
+    for (std::size_t i = 0; i < photons_.size(); ++i) {
+      const Photon& photon = photons_[i];
+      if ((class_of(photon) == PHOTON_CAUSTIC) != caustic) continue;
+      places_.push_back({{as_float(photon.words[0]), as_float(photon.words[1]), as_float(photon.words[2]),
+                          as_float(static_cast<std::uint32_t>(i))}});
+    }
+  }
+
+  // The root, and a tree of each kind of photons: who looks for caustic ones alone would go through all others.
+  // `before`: blocks of the others.
+  void add_both(std::size_t before, unsigned threads) {
+    caustics_ = 2 * before;
+    add_node(1, {.first = 0, .last = front_, .block = 0}, true, threads);
+    add_node(caustics_, {.first = front_, .last = places_.size(), .block = before}, false, threads);
+    Node& root = nodes_[0];
+    bound(places_, root);
+    root.skip = static_cast<std::uint32_t>(nodes_.size());
+  }
+
+  // Node number `index`, over a part of one kind's places, and those below it. `looks`: it, or one below it, tells how
+  // wide the nearest neighbours' disc is. How many places there are says where each node and block stands, so that the
+  // two halves are made side by side.
+  void add_node(std::size_t index, const Part& part, bool looks, unsigned threads) {
+    const std::size_t first = part.first, last = part.last;
     Node& node = nodes_[index];
     bound(std::span(places_).subspan(first, last - first), node);
     if (first == last) node.upper = node.lower;  // of a map without photons: far away
@@ -106,7 +134,7 @@ class MapBuilder {
       looks = false;
     }
     if (blocks <= 1) {
-      node.block = static_cast<std::uint32_t>(first / RAY_BLOCK);
+      node.block = static_cast<std::uint32_t>(part.block);
       node.skip = static_cast<std::uint32_t>(index + 1);
       return;
     }
@@ -116,9 +144,9 @@ class MapBuilder {
     split(first, middle, last, node);
     const auto half = [&](unsigned k, unsigned others) {
       if (k == 0)
-        add_node(index + 1, first, middle, looks, others);
+        add_node(index + 1, {.first = first, .last = middle, .block = part.block}, looks, others);
       else
-        add_node(index + 2 * left, middle, last, looks, others);
+        add_node(index + 2 * left, {.first = middle, .last = last, .block = part.block + left}, looks, others);
     };
     if (threads > 1) {
       run_threads(2, [&](unsigned k) { half(k, (threads + 1 - k) / 2); });
@@ -161,7 +189,8 @@ class MapBuilder {
     words[MAP_NODES] = static_cast<std::uint32_t>(nodes_.size());
     words[MAP_BLOCKS] = static_cast<std::uint32_t>(blocks);
     words[MAP_PHOTONS] = static_cast<std::uint32_t>(photons_.size());
-    words[MAP_CAUSTICS] = caustics_;
+    const std::size_t caustics = front_ < places_.size() ? caustics_ : nodes_.size();
+    words[MAP_CAUSTICS] = static_cast<std::uint32_t>(caustics);
     for (std::size_t i = 0; i < nodes_.size(); ++i) {
       words = row(1 + i);
       for (unsigned k = 0; k < 3; ++k) {
@@ -178,20 +207,23 @@ class MapBuilder {
 
   void write_blocks(std::size_t begin, std::size_t end) {
     std::uint32_t* to = row(1 + nodes_.size());
+    const std::size_t before = blocks_of(front_) * RAY_BLOCK;
     for (std::size_t i = begin * RAY_BLOCK; i < end * RAY_BLOCK; ++i) {
       Photon photon{};
       for (unsigned k = 0; k < 3; ++k) photon.words[PHOTON_POSITION + k] = as_word(kFar);
-      if (i < places_.size()) photon = photons_[places_[i].photon()];
+      const std::size_t place = i < before ? i : front_ + (i - before);
+      if (place < (i < before ? front_ : places_.size())) photon = photons_[places_[place].photon()];
       for (unsigned word = 0; word < PHOTON_WORDS; ++word)
         to[(i / RAY_BLOCK * PHOTON_WORDS + word) * RAY_BLOCK + i % RAY_BLOCK] = photon.words[word];
     }
   }
 
   std::vector<Photon> photons_;
-  std::uint32_t caustics_ = 0;
   scene::Bytes rows_;
   std::size_t neighbours_;
-  std::vector<PhotonPlace> places_;
+  std::vector<PhotonPlace> places_;  // caustic photons' behind the others'
+  std::size_t front_ = 0;            // places of the others
+  std::size_t caustics_ = 0;         // the first node of the caustic photons' tree, where there are any
   std::vector<Node> nodes_;
   std::vector<double> radii_;
 };
@@ -233,9 +265,11 @@ BatchResult run_photon_map_stage(const StageRun& run) {
   BatchResult result;
   result.records = builder.take_rows();
   const std::span words(reinterpret_cast<std::uint32_t*>(result.records.data()), result.records.size() / 4);
-  const std::vector<MapLeaf> leaves =
-      set_reaches(words, std::max(p.neighbours, 1u), p.most_radius, host_threads(run.device));
-  if (p.inner) mark_inner_blocks(run, words, leaves, result);
+  set_most_reach(words, p.most_radius);
+  if (p.shine) {
+    const std::vector<MapLeaf> leaves = set_reaches(words, std::max(p.neighbours, 1u), host_threads(run.device));
+    mark_inner_blocks(run, words, leaves, result);
+  }
   result.counts = {static_cast<std::uint32_t>(result.records.size() / sizeof(Photon))};
   set_facts(result, builder.facts());
   result.counters.seconds = seconds_now() - start;

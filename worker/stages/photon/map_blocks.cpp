@@ -19,11 +19,8 @@ using Vector = std::array<float, 3>;
 constexpr std::size_t kTelling = 8;
 // Where fewer lie on the middle's surface, those of others tell as well.
 constexpr std::size_t kLeastTelling = 4;
-constexpr float kFlatness = 15;              // MAP_FLATNESS of kernels/photon/map.h
 constexpr float kLeastReach2 = 1e-8f;        // of the largest, where photons lie at one place
 constexpr std::uint32_t kOne = 0x3f800000u;  // 1.0f
-
-Vector operator-(const Vector& a, const Vector& b) { return {a[0] - b[0], a[1] - b[1], a[2] - b[2]}; }
 
 std::uint32_t* node_words(std::span<std::uint32_t> map, std::size_t node) { return &map[(1 + node) * PHOTON_WORDS]; }
 
@@ -79,8 +76,8 @@ float MapBlocks::reach2(std::size_t block, const BlockMiddle& middle, std::uint3
     const Vector off = position(block, lane) - middle.position;
     const float height = dot(off, middle.normal);
     of_all[lane] = dot(off, off);
-    if (dot(normal(block, lane), middle.normal) >= kAlike)
-      distances[alike++] = of_all[lane] + kFlatness * height * height;
+    if (dot(normal(block, lane), middle.normal) >= MAP_LEAST_COSINE)
+      distances[alike++] = of_all[lane] + MAP_FLATNESS * height * height;
   }
   if (alike <= kLeastTelling) {
     distances = of_all;
@@ -98,9 +95,7 @@ void MapBlocks::mark(std::size_t block) {
   for (unsigned lane = 0; lane < RAY_BLOCK; ++lane) words_[at(block, PHOTON_SURFACE, lane)] |= PHOTON_INNER;
 }
 
-std::vector<MapLeaf> set_reaches(std::span<std::uint32_t> map, std::uint32_t neighbours, float most_radius,
-                                 unsigned threads) {
-  const std::uint32_t nodes = map[MAP_NODES];
+void set_most_reach(std::span<std::uint32_t> map, float most_radius) {
   float extent2 = 0;
   for (unsigned k = 0; k < 3; ++k) {
     const float side = std::bit_cast<float>(node_words(map, 0)[NODE_UPPER + k]) -
@@ -109,6 +104,11 @@ std::vector<MapLeaf> set_reaches(std::span<std::uint32_t> map, std::uint32_t nei
   }
   const float most2 = most_radius > 0 ? most_radius * most_radius : std::max(extent2, 1e-30f);
   map[MAP_REACH] = std::bit_cast<std::uint32_t>(most2);
+}
+
+std::vector<MapLeaf> set_reaches(std::span<std::uint32_t> map, std::uint32_t neighbours, unsigned threads) {
+  const std::uint32_t nodes = map[MAP_NODES];
+  const float most2 = std::bit_cast<float>(map[MAP_REACH]);
   const MapBlocks blocks(map);
   std::vector<std::vector<MapLeaf>> parts(threads);
   run_threads(threads, [&](unsigned k) {

@@ -49,10 +49,11 @@ struct MapLeaf {
   BlockMiddle middle;
 };
 
-// Sets MAP_REACH and the reaches of all nodes. `most_radius`: m; 0: the map's own extent. Returns the leaves, in the
-// tree's order.
-std::vector<MapLeaf> set_reaches(std::span<std::uint32_t> map, std::uint32_t neighbours, float most_radius,
-                                 unsigned threads);
+// Sets MAP_REACH. `most_radius`: m; 0: the map's own extent.
+void set_most_reach(std::span<std::uint32_t> map, float most_radius);
+
+// Sets the reaches of all nodes, no farther than MAP_REACH. Returns the leaves, in the tree's order.
+std::vector<MapLeaf> set_reaches(std::span<std::uint32_t> map, std::uint32_t neighbours, unsigned threads);
 
 // m^2; `node` counts from 0.
 float node_reach2(std::span<const std::uint32_t> map, std::size_t node);

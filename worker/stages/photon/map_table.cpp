@@ -81,6 +81,9 @@ PhotonMapTable make_table(const StageRun& run, const InputRows& rows) {
   const Shape shape = read_header(rows, PHOTON_WORDS);
   check_nodes(rows, shape);
   rows.visit(0, 1, [&](std::uint64_t, std::span<const std::byte> row) {
+    const auto caustics = row_word<std::uint32_t>(row.data(), MAP_CAUSTICS);
+    if (caustics > shape.nodes)
+      rows.fail(0, "caustics", "a node, at most " + std::to_string(shape.nodes), std::to_string(caustics));
     const auto reach = row_word<float>(row.data(), MAP_REACH);
     if (!(reach > 0) || !std::isfinite(reach)) rows.fail(0, "reach", "a finite number above 0", std::to_string(reach));
   });

@@ -1,5 +1,5 @@
 #pragma once
-// Photons on the host: what they pack into a word, as kernels/photon/pack.h reads it, and when they are of one surface.
+// Photons on the host: what they pack into a word, as kernels/photon/pack.h reads it.
 
 #include <array>
 #include <cstdint>
@@ -7,7 +7,6 @@
 namespace gleaner::worker {
 
 inline constexpr float kFarthestPhoton = 1e18f;  // m: what lies farther away is no photon (kernels/photon_records.h)
-inline constexpr float kAlike = 0.7f;  // least cosine between normals of one surface: MAP_LEAST_COSINE of the kernels
 
 // A unit vector, of octahedral coordinates of `width` bits each, x in the low ones.
 std::array<float, 3> unpack_unit(std::uint32_t packed, unsigned width);
