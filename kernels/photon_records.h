@@ -189,6 +189,10 @@ typedef struct {
 } PhotonCausticsParameters;
 GLEANER_SIZE(PhotonCausticsParameters, 128);
 
+// Of a pixel: the squared radius at its first point, m^2, and that point's row of READ_WORDS, uint; GLEANER_NONE: it
+// shows none.
+#define CAUSTIC_RADIUS_WORDS 2u
+
 #ifndef __OPENCL_VERSION__
 // Stage kind "photon_map"; solo. Input "photons". One item: the rows of a map of the photons of these classes.
 struct PhotonMapParameters {

@@ -22,8 +22,11 @@ using Shape = kernels::VplPilotShape;
 constexpr double kLightsFitted = 3.6, kMiddleFitted = 1.0, kDrawnFitted = 1.6, kPointsFitted = 1.0;
 constexpr double kResidualFitted = 0.45;
 
-// What VPLs leave is smooth, seen for longer than noise of the same strength, and predicted less surely than it.
-constexpr double kVplWeight = 3;
+// What VPLs leave is smooth, seen for longer than noise of the same strength, and predicted less surely than it. A
+// denoiser takes none of it out: it is what frames of other seeds flicker by.
+constexpr double kVplWeight = 3, kVplWeightDenoised = 10;
+// Samples of a pixel for each pass, at least.
+constexpr double kSamplesAPass = 16, kSamplesAPassDenoised = 2;
 
 // Samples a pixel that leave this squared error of a sample's `variance`.
 double samples_for(double variance, double error, bool denoised) {
@@ -167,7 +170,8 @@ double value_of(const VplPrediction& f, const VplTarget& target) {
     return over > 1.0001 ? f.cost * 1e6 * over * over : f.cost;
   }
   // Samples' variance falls as one over their number: that is what a sample more of all pixels is worth.
-  return kVplWeight * f.vpl() + noise + noise / (target.pixels * target.spp) * f.cost;
+  const double weight = target.denoised ? kVplWeightDenoised : kVplWeight;
+  return weight * f.vpl() + noise + noise / (target.pixels * target.spp) * f.cost;
 }
 
 }  // namespace
@@ -179,7 +183,8 @@ VplPrediction choose_vpl(const VplPilot& pilot, const VplTarget& target) {
     clusters.push_back(1.5 * c);
   }
   for (const double factor : {0.125, 0.25, 0.5, 1.0, 2.0}) points.push_back(target.usual_point_clusters * factor);
-  const double most_passes = target.error > 0 ? 64 : std::max(1.0, target.spp / 16);
+  const double most_passes =
+      target.error > 0 ? 64 : std::max(1.0, target.spp / (target.denoised ? kSamplesAPassDenoised : kSamplesAPass));
   const auto counts = grid(target.count, {kLeastChosen, 8000, 16000, 24000}, 1, target.made);
   const auto passes = grid(target.passes, {1, 2, 4, 8, 16, 32, 64}, 1, most_passes);
   const auto point_clusters = grid(target.point_clusters, points, 64, 1e9);

@@ -5,7 +5,8 @@
 //     trace                closest hits
 //     photon_point_step    through mirrors and glass, to a diffuse layer or a rough lobe   (surface_points.h)
 //   until no path is left
-//   photon_caustics_read   radius   <- distance to the k-th photon of the guide * shrink
+//   photon_caustics_radii  a pixel's radius <- distance from its first point to the k-th photon of the guide
+//   photon_caustics_read   radius   <- the pixel's, or the point's own where that is elsewhere, * shrink
 //                          radiance <- sum over the map's photons of BSDF * power * kernel
 //   photon_caustics_resolve  a pixel's samples -> its record
 //
@@ -91,20 +92,60 @@ FN v3 lobe_sends(const PhotonMap* map, uint block, uint part, global const float
 }
 #endif
 
+// A pixel's other points take its first one's radius within this squared distance, over the squared radius, and where
+// the cosine between the normals is no less.
+#define RADIUS_NEAR2 0.04f
+#define RADIUS_LEAST_COSINE 0.95f
+
+FN bool takes_radius(global const float* read, global const float* other, float radius2) {
+  float distance2 = 0.0f, cosine = 0.0f;
+  for (uint k = 0; k < 3u; ++k) {
+    float off = read[READ_POSITION + k] - other[READ_POSITION + k];
+    distance2 += off * off;
+    cosine += read[READ_GEOMETRIC + k] * other[READ_GEOMETRIC + k];
+  }
+  return distance2 < RADIUS_NEAR2 * radius2 && cosine > RADIUS_LEAST_COSINE &&
+         as_uint(read[READ_LIMITS]) == as_uint(other[READ_LIMITS]);
+}
+
+// To search for the nearest photons takes as long as to read them, and a pixel's points mostly lie near each other.
+kernel void photon_caustics_radii(global const float* restrict reads, uint samples, uint count,
+                                  global const float* restrict guide, uint guide_nodes, uint neighbours,
+                                  float most_radius, global float* restrict radii) {
+  uint pixel = (uint)get_global_id(0);
+  if (pixel >= count) return;
+  uint first = pixel * samples, end = first + samples;
+  while (first < end && ((global const uint*)reads)[READ_WORDS * first + READ_SLOT] != first) ++first;
+  float radius2 = 0.0f;
+  if (first < end) {
+    PhotonMap photons = photon_map(guide, guide_nodes);
+    MapPlace place = map_place(reads + READ_WORDS * first);
+    radius2 = estimate_radius2(&photons, &place, neighbours, most_radius);
+  }
+  radii[CAUSTIC_RADIUS_WORDS * pixel] = radius2;
+  radii[CAUSTIC_RADIUS_WORDS * pixel + 1u] = as_float(first < end ? first : GLEANER_NONE);
+}
+
 kernel void photon_caustics_read(global const float* restrict reads, global const float* restrict lobes, uint count,
                                  SCENE_PARAMETERS, global const float* restrict guide, uint guide_nodes,
                                  global const float* restrict map, uint map_nodes, uint neighbours, float most_radius,
-                                 float shrink, global float* restrict radiance) {
+                                 float shrink, global const float* restrict radii, uint samples,
+                                 global float* restrict radiance) {
   uint i = (uint)get_global_id(0);
   if (i >= count) return;
   Scene scene_value = SCENE_FROM_PARAMETERS;
   global const float* read = reads + READ_WORDS * i;
   float r = 0.0f, g = 0.0f, b = 0.0f;
   if (((global const uint*)read)[READ_SLOT] == i) {
-    PhotonMap photons = photon_map(guide, guide_nodes);
     MapPlace place = map_place(read);
-    float radius2 = estimate_radius2(&photons, &place, neighbours, most_radius) * shrink * shrink;
-    photons = photon_map(map, map_nodes);
+    global const float* pixel = radii + CAUSTIC_RADIUS_WORDS * (i / samples);
+    float radius2 = pixel[0];
+    if (!takes_radius(read, reads + READ_WORDS * as_uint(pixel[1]), radius2)) {
+      PhotonMap photons = photon_map(guide, guide_nodes);
+      radius2 = estimate_radius2(&photons, &place, neighbours, most_radius);
+    }
+    radius2 *= shrink * shrink;
+    PhotonMap photons = photon_map(map, map_nodes);
     v3 layer = splat3(zero_f()), glossy = layer;
     uint at = 0u;
     float reach2;

@@ -44,11 +44,13 @@ class CausticsThread : public HostThread {
         // Lanes that found nothing write behind the others.
         reads_(take("reads", std::size_t{capacity_ + 1} * READ_WORDS * 4)),
         lobes_(take("lobes", std::size_t{capacity_ + 1} * LOBE_WORDS * 4)),
+        radii_(take("radii", std::size_t{capacity_} * CAUSTIC_RADIUS_WORDS * 4)),
         radiance_(take("radiance", std::size_t{capacity_} * 12)),
         records_(take("records", std::size_t{capacity_} * 12)),
         report_(take("report", FiniteReport::kWords * 4)),
         camera_rays_(run.device, program, "photon_camera_rays"),
         step_(run.device, program, "photon_point_step"),
+        choose_radii_(run.device, program, "photon_caustics_radii"),
         read_(run.device, program, "photon_caustics_read"),
         resolve_(run.device, program, "photon_caustics_resolve") {
     const auto media = run.scene.media_of(p.camera);
@@ -63,6 +65,12 @@ class CausticsThread : public HostThread {
         .set("reads", reads_)
         .set("lobes", lobes_)
         .set("counters", device_counters());
+    guide.set_arguments(choose_radii_, "guide");
+    choose_radii_.set("reads", reads_)
+        .set("samples", samples_)
+        .set("neighbours", p.estimate.neighbours)
+        .set("most_radius", p.estimate.most_radius)
+        .set("radii", radii_);
     run.scene.set_arguments(read_);
     guide.set_arguments(read_, "guide");
     map.set_arguments(read_, "map");
@@ -71,6 +79,8 @@ class CausticsThread : public HostThread {
         .set("neighbours", p.estimate.neighbours)
         .set("most_radius", p.estimate.most_radius)
         .set("shrink", p.shrink)
+        .set("radii", radii_)
+        .set("samples", samples_)
         .set("radiance", radiance_);
     resolve_.set("radiance", radiance_)
         .set("samples", samples_)
@@ -85,6 +95,8 @@ class CausticsThread : public HostThread {
       launch(camera_rays_, paths, capacity_);
       counters.camera += paths;
       step_in_place(step_, paths_, path_rows_, paths, capacity_);
+      choose_radii_.set("count", static_cast<cl_uint>(block.count));
+      launch(choose_radii_, block.count, capacity_, 1);
       read_.set("count", paths);
       launch(read_, paths, capacity_, 1);
       report_.clear(queue_);
@@ -99,9 +111,9 @@ class CausticsThread : public HostThread {
   std::uint64_t first_item_;
   std::uint32_t samples_, capacity_;
   unsigned path_rows_;
-  cl::Buffer paths_, reads_, lobes_, radiance_, records_;
+  cl::Buffer paths_, reads_, lobes_, radii_, radiance_, records_;
   FiniteReport report_;
-  Kernel camera_rays_, step_, read_, resolve_;
+  Kernel camera_rays_, step_, choose_radii_, read_, resolve_;
 };
 
 }  // namespace
