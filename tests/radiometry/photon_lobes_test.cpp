@@ -31,24 +31,8 @@ Film truth_of(Frame frame, std::uint32_t spp) {
   return render(frame).film;
 }
 
-// Of means over blocks of so many pixels an edge.
 double error_of(const Film& film, const Film& truth, std::uint32_t block = 1) {
-  double square = 0, sum = 0, count = 0;
-  for (const char* channel : kIndirect) {
-    const auto &found = film.find(channel)->values, &expected = truth.find(channel)->values;
-    for (std::uint32_t y = 0; y < film.height; y += block)
-      for (std::uint32_t x = 0; x < film.width; x += block, ++count) {
-        double off = 0, light = 0;
-        for (std::size_t i = 0; i < std::size_t{block} * block; ++i) {
-          const std::size_t at = (y + i / block) * film.width + x + i % block;
-          off += double{found[at]} - expected[at];
-          light += double{expected[at]};
-        }
-        square += off * off;
-        sum += light;
-      }
-  }
-  return std::sqrt(square / count) / (sum / count);
+  return block_error(film, truth, {std::begin(kIndirect), std::end(kIndirect)}, block);
 }
 
 // Paths off a rough lobe are the noise of such pictures.

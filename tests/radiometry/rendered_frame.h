@@ -89,6 +89,28 @@ inline double mean_of(const Film& film, const std::string& channel) {
   return std::accumulate(found->values.begin(), found->values.end(), 0.0) / static_cast<double>(found->values.size());
 }
 
+// How far means over blocks of so many pixels an edge are off, root mean square over the truth's mean, in these
+// channels.
+inline double block_error(const Film& film, const Film& truth, const std::vector<std::string>& channels,
+                          std::uint32_t block) {
+  double square = 0, sum = 0, count = 0;
+  for (const std::string& channel : channels) {
+    const auto &found = film.find(channel)->values, &expected = truth.find(channel)->values;
+    for (std::uint32_t y = 0; y < film.height; y += block)
+      for (std::uint32_t x = 0; x < film.width; x += block, ++count) {
+        double off = 0, light = 0;
+        for (std::size_t i = 0; i < std::size_t{block} * block; ++i) {
+          const std::size_t at = (y + i / block) * film.width + x + i % block;
+          off += double{found[at]} - expected[at];
+          light += double{expected[at]};
+        }
+        square += off * off;
+        sum += light;
+      }
+  }
+  return std::sqrt(square / count) / (sum / count);
+}
+
 // Of pictures of seeds 1 to `seeds`, by channel.
 inline std::map<std::string, Sample> means_of(Frame frame, const std::vector<std::string>& channels, unsigned seeds) {
   std::map<std::string, Sample> samples;

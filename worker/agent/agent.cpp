@@ -25,6 +25,7 @@
 #include "worker/agent/input_loader.h"
 #include "worker/agent/part_client.h"
 #include "worker/agent/part_server.h"
+#include "worker/device/clock.h"
 
 namespace gleaner::worker {
 
@@ -38,8 +39,6 @@ constexpr std::chrono::milliseconds unavailable_pause{200};
 constexpr double first_backoff_seconds = 1, longest_backoff_seconds = 30;
 
 using Clock = std::chrono::steady_clock;
-
-double seconds_since(Clock::time_point begin) { return std::chrono::duration<double>(Clock::now() - begin).count(); }
 
 pb::Device describe(const DeviceInfo& info) {
   pb::Device device;

@@ -7,6 +7,7 @@
 
 #include "scene/model/error.h"
 #include "scene/model/instances.h"
+#include "worker/device/clock.h"
 
 namespace gleaner::worker {
 namespace {

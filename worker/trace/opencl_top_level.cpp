@@ -9,6 +9,7 @@
 #include "scene/model/error.h"
 #include "scene/model/instances.h"
 #include "scene/model/limits.h"
+#include "worker/device/clock.h"
 
 namespace gleaner::worker {
 namespace {

@@ -6,6 +6,7 @@
 #include "kernels/scene_layout.h"
 #include "scene/model/error.h"
 #include "scene/model/limits.h"
+#include "worker/device/clock.h"
 #include "worker/device/kernel.h"
 #include "worker/trace/opencl_top_level.h"
 

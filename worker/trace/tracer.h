@@ -1,7 +1,6 @@
 #pragma once
 // Ray queries against one scene: closest hit and any hit, over blocks of 16 rays (kernels/rays.h).
 
-#include <chrono>
 #include <cstdint>
 #include <memory>
 #include <span>
@@ -13,11 +12,6 @@
 #include "worker/trace/motion.h"
 
 namespace gleaner::worker {
-
-// For the reports of builds.
-inline double seconds_since(std::chrono::steady_clock::time_point start) {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
 
 bool embree_available();
 std::string tracer_description(TraceKind kind);

@@ -1,18 +1,14 @@
 #pragma once
 // What one host thread's share of a batch cost, and samples that were not finite.
 
-#include <chrono>
 #include <cstdint>
 #include <vector>
 
+#include "worker/device/clock.h"
 #include "worker/device/device.h"
 #include "worker/wavefront/stage_task.h"
 
 namespace gleaner::worker {
-
-inline double seconds_now() {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
 
 struct ThreadCounters {
   std::uint64_t camera = 0, scatter = 0, shadow = 0;  // rays

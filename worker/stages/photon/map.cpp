@@ -26,7 +26,8 @@ namespace {
 using kernels::PhotonMapFacts;
 using kernels::PhotonMapParameters;
 
-constexpr std::uint64_t kMostPhotons = std::uint64_t{NODE_NO_BLOCK} * RAY_BLOCK;
+// The last block of each of two trees may be all but empty.
+constexpr std::uint64_t kMostPhotons = std::uint64_t{NODE_NO_BLOCK - 1} * RAY_BLOCK;
 constexpr float kFar = 3e18f;  // its square is still a float
 
 struct Photon {
