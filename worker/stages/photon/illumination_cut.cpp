@@ -19,8 +19,7 @@ constexpr float kLeastRadius = 1e-6f;  // m
 
 // Whether the surface at a place covers a photon: as far_below() and covered() of kernels/photon/map.h.
 bool covers(const CutPlace& place, const CutPlace& photon) {
-  std::array<float, 3> off{};
-  for (unsigned k = 0; k < 3; ++k) off[k] = photon.position[k] - place.position[k];
+  const std::array<float, 3> off = photon.position - place.position;
   const float height = dot(off, place.normal), distance2 = dot(off, off);
   if (!(height < 0 && height * height > PHOTON_LEAST_DEPTH * PHOTON_LEAST_DEPTH * distance2)) return false;
   const float length = unpack_length(photon.arrival >> PHOTON_LENGTH_SHIFT);

@@ -101,6 +101,9 @@ class MapBuilder {
 
   static std::size_t blocks_of(std::size_t places) { return (places + RAY_BLOCK - 1) / RAY_BLOCK; }
 
+  // The first node of the caustic photons' tree, where there are any.
+  std::size_t caustics_node() const { return 2 * blocks_of(front_); }
+
   void add_places(bool caustic) {
     for (std::size_t i = 0; i < photons_.size(); ++i) {
       const Photon& photon = photons_[i];
@@ -113,9 +116,9 @@ class MapBuilder {
   // The root, and a tree of each kind of photons: who looks for caustic ones alone would go through all others.
   // `before`: blocks of the others.
   void add_both(std::size_t before, unsigned threads) {
-    caustics_ = 2 * before;
+    const std::size_t caustics = caustics_node();
     add_node(1, {.first = 0, .last = front_, .block = 0}, true, threads);
-    add_node(caustics_, {.first = front_, .last = places_.size(), .block = before}, false, threads);
+    add_node(caustics, {.first = front_, .last = places_.size(), .block = before}, false, threads);
     Node& root = nodes_[0];
     bound(places_, root);
     root.skip = static_cast<std::uint32_t>(nodes_.size());
@@ -190,7 +193,7 @@ class MapBuilder {
     words[MAP_NODES] = static_cast<std::uint32_t>(nodes_.size());
     words[MAP_BLOCKS] = static_cast<std::uint32_t>(blocks);
     words[MAP_PHOTONS] = static_cast<std::uint32_t>(photons_.size());
-    const std::size_t caustics = front_ < places_.size() ? caustics_ : nodes_.size();
+    const std::size_t caustics = front_ < places_.size() ? caustics_node() : nodes_.size();
     words[MAP_CAUSTICS] = static_cast<std::uint32_t>(caustics);
     for (std::size_t i = 0; i < nodes_.size(); ++i) {
       words = row(1 + i);
@@ -224,7 +227,6 @@ class MapBuilder {
   std::size_t neighbours_;
   std::vector<PhotonPlace> places_;  // caustic photons' behind the others'
   std::size_t front_ = 0;            // places of the others
-  std::size_t caustics_ = 0;         // the first node of the caustic photons' tree, where there are any
   std::vector<Node> nodes_;
   std::vector<double> radii_;
 };
