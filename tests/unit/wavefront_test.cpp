@@ -5,6 +5,9 @@
 
 #include <numeric>
 #include <set>
+#include <string>
+#include <thread>
+#include <vector>
 
 #include "scene/model/error.h"
 #include "worker/wavefront/host_threads.h"
@@ -130,6 +133,25 @@ TEST_F(WorkspaceTest, GivesBackWhatBatchesNoLongerUse) {
     workspace.take("shrinks", 1000);
   }
   EXPECT_EQ(workspace.bytes(), 1000u);
+}
+
+// Threads of a batch take buffers whenever they need some. Without a lock the map of names breaks.
+TEST_F(WorkspaceTest, ThreadsTakeBuffersAtOnce) {
+  constexpr unsigned kThreads = 4, kNames = 200;
+  Workspace workspace(*device_, 0);
+  for (int batch = 0; batch < 5; ++batch) {
+    {
+      std::vector<std::jthread> threads;
+      for (unsigned k = 0; k < kThreads; ++k)
+        threads.emplace_back([&, k] {
+          for (unsigned name = 0; name < kNames; ++name)
+            workspace.take(std::to_string(name) + "." + std::to_string(k), 64 + name);
+        });
+    }
+    EXPECT_EQ(workspace.bytes(), kThreads * (kNames * 64 + kNames * (kNames - 1) / 2));
+    workspace.end_batch();
+    EXPECT_EQ(workspace.bytes(), 0u);
+  }
 }
 
 StageTask task_of(const std::string& parameters, const std::string& artifact) {

@@ -11,6 +11,7 @@ constexpr std::uint64_t kPatience = 64;
 }  // namespace
 
 cl::Buffer Workspace::take(const std::string& name, std::size_t bytes) {
+  std::lock_guard lock(mutex_);
   Entry& entry = entries_[name];
   entry.last_used = batch_;
   if (entry.bytes < bytes) {
@@ -25,12 +26,19 @@ cl::Buffer Workspace::take(const std::string& name, std::size_t bytes) {
   return entry.buffer;
 }
 
+std::size_t Workspace::bytes() const {
+  std::lock_guard lock(mutex_);
+  return bytes_;
+}
+
+// With the lock.
 Workspace::Entries::iterator Workspace::drop(Entries::iterator entry) {
   bytes_ -= entry->second.bytes;
   return entries_.erase(entry);
 }
 
 void Workspace::end_batch() {
+  std::lock_guard lock(mutex_);
   ++batch_;
   for (auto it = entries_.begin(); it != entries_.end();) {
     Entry& entry = it->second;

@@ -3,13 +3,14 @@
 
 #include <cstdint>
 #include <map>
+#include <mutex>
 #include <string>
 
 #include "worker/device/device.h"
 
 namespace gleaner::worker {
 
-// Not thread-safe.
+// Within a batch thread-safe: its threads take buffers, each by names of its own.
 class Workspace {
  public:
   // `most`: bytes that stay between batches. A batch itself gets what it asks for.
@@ -23,7 +24,7 @@ class Workspace {
   // still holds a buffer keeps it alive.
   void end_batch();
 
-  std::size_t bytes() const { return bytes_; }
+  std::size_t bytes() const;
 
  private:
   struct Entry {
@@ -37,6 +38,7 @@ class Workspace {
   Entries::iterator drop(Entries::iterator entry);
 
   const Device& device_;
+  mutable std::mutex mutex_;  // of what follows
   std::size_t most_, bytes_ = 0;
   std::uint64_t batch_ = 0;
   Entries entries_;
