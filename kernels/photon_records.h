@@ -160,6 +160,8 @@ typedef struct {
   gl_uint order;  // of hemispherical harmonics
 } PhotonClusterGatherParameters;
 GLEANER_SIZE(PhotonClusterGatherParameters, 176);
+// Of a record of irradiance, whose CACHE_SPARE has other numbers until "photon_cluster_smooth": as CACHE_NOISE.
+#define CLUSTER_NOISE 34u
 
 // A place where a map is read: rows of 16 words.
 #define READ_WORDS 16u

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace gleaner::coordinator {
 namespace {
@@ -17,6 +18,9 @@ constexpr double kLeastClusters = 64, kMostClusters = 32768;
 // A record is noisy by 2 % of its light with 384 rays, which its pixels share.
 constexpr double kRaysOfASample = 24, kLeastRays = 96, kMostRays = 1024;
 
+// The noise of a ray over that of a sample, which the usual rays are right for.
+constexpr double kUsualNoise = 5;
+
 // A light path costs two samples.
 constexpr double kPathsOfASample = 1.0 / 8, kLeastPaths = 100'000, kMostPaths = 1'000'000;
 
@@ -26,6 +30,10 @@ constexpr std::uint32_t kCut = 4096;
 constexpr std::uint32_t kPhotonsOfACut = 50'000;
 
 constexpr std::uint32_t kCausticPaths = 200'000, kSamplesOfAPass = 4, kLeastPasses = 2, kMostPasses = 64;
+
+// Squared error of P passes goes as P to this power (Knaus & Zwicker 2011, with radii that shrink by 2/3). It is off in
+// blotches and beside edges, which people see sooner than grain: it counts for so many times itself.
+constexpr double kPassesPower = -2.0 / 3, kBlotches = 4;
 
 std::uint32_t whole(double number, double least, double most) {
   return static_cast<std::uint32_t>(std::lround(std::clamp(number, least, most)));
@@ -51,6 +59,23 @@ PhotonCounts choose_photon_counts(std::uint64_t pixels, std::uint32_t spp, doubl
   const double reads = clustered ? static_cast<double>(counts.clusters) * counts.rays : all;
   counts.cut = given.cut.value_or(reads > kReadsOfACut && counts.count >= kPhotonsOfACut ? kCut : 0);
   return counts;
+}
+
+std::uint32_t photon_rays_beside(const CacheNoise& noise, const PhotonCounts& counts) {
+  return std::min(counts.rays, whole(counts.rays * worthwhile_part_of_rays(noise, kUsualNoise), kLeastRays, kMostRays));
+}
+
+std::uint32_t worthwhile_passes(const CausticPasses& passes, std::uint32_t usual) {
+  if (!(passes.sample_error > 0) || !(passes.pass_error >= 0) || usual <= kLeastPasses) return usual;
+  const double paths = passes.sample_error * passes.sample_error / passes.samples;
+  std::uint32_t best = usual;
+  double least = std::numeric_limits<double>::infinity();
+  for (std::uint32_t number = kLeastPasses; number <= usual; ++number) {
+    const double error = paths + kBlotches * passes.pass_error * passes.pass_error * std::pow(number, kPassesPower);
+    const double cost = error * (passes.work + number * passes.pass_work);
+    if (cost < least) least = cost, best = number;
+  }
+  return best;
 }
 
 }  // namespace gleaner::coordinator

@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <optional>
 
+#include "coordinator/plan/cache_noise.h"
+
 namespace gleaner::coordinator {
 
 struct PhotonCounts {
@@ -24,5 +26,20 @@ struct GivenPhotonCounts {
 // predicted to need for it beside photons. `takes_clusters`: whether the film is not too large for them.
 PhotonCounts choose_photon_counts(std::uint64_t pixels, std::uint32_t spp, double error, bool takes_clusters,
                                   const GivenPhotonCounts& given);
+
+// Rays of a cluster's sample, given what both kinds of rays are off by: fewer than `counts` has where paths are noisier
+// beside clusters than there.
+std::uint32_t photon_rays_beside(const CacheNoise& noise, const PhotonCounts& counts);
+
+// What passes of caustics are worth beside the rest of the picture. Errors as radiance that the picture shows.
+struct CausticPasses {
+  double sample_error = 0;         // of a sample of a pixel (PathSampler::sample_error()); 0: not known
+  double pass_error = 0;           // of the first pass's density estimates
+  double samples = 0;              // of a pixel
+  double work = 0, pass_work = 0;  // of all but the passes, and of each of these: in samples
+};
+// So many passes that the least is left of the squared error for the time: 2 to `usual`. They are as many as usual
+// where nothing is known.
+std::uint32_t worthwhile_passes(const CausticPasses& passes, std::uint32_t usual);
 
 }  // namespace gleaner::coordinator

@@ -12,6 +12,7 @@
 #include "coordinator/plan/path_sampler.h"
 #include "coordinator/plan/photon_choice.h"
 #include "coordinator/plan/pixel_cache.h"
+#include "coordinator/plan/record_look.h"
 #include "kernels/photon_records.h"
 
 namespace gleaner::coordinator {
@@ -29,6 +30,11 @@ constexpr double kMostRadius = 0.05;
 constexpr double kShrinkage = 2.0 / 3;
 // Places of a pass, at least, where caustics are read, for each of its light paths: they take half of its time then.
 constexpr double kReadsOfALightPath = 0.5;
+// Samples of a pixel for each point that clusters light. Of as many points as samples the error is as large in rooms
+// but for the worst 0.1 % of the pixels, and a picture takes a tenth to a fifth longer.
+constexpr std::uint32_t kSamplesOfAPoint = 2;
+// Of a place where caustics are read, the time over that of a path's sample.
+constexpr double kReadWork = 2;
 // The guide's photons are those of a pass that is none.
 constexpr std::uint32_t kGlobalPass = 0, kGuidePass = 1, kFirstPass = 2, kPilotPass = 1u << 31;
 // Turns of k-means.
@@ -56,6 +62,7 @@ struct PhotonSettings : PhotonCounts {
   double radius;          // m; 0: by the nearest photons
   std::uint32_t order;    // of hemispherical harmonics of light on rough lobes; 0: paths find that light
   std::uint32_t guide;    // light paths of the pilot that tells where photons are of use; 0: none
+  bool given_rays, given_passes;
 };
 
 PhotonSettings read_settings(const FrameSettings& settings) {
@@ -69,10 +76,13 @@ PhotonSettings read_settings(const FrameSettings& settings) {
     return choose_photon_counts(std::uint64_t{settings.width} * settings.height, spp, settings.target_error,
                                 PixelCache::holds(settings), given);
   };
-  PhotonSettings p{chosen(PixelCache::samples_of_records(settings)), 1,
+  PhotonSettings p{chosen(PixelCache::samples_of_records(settings)),
+                   1,
                    real_setting(settings, "photon.radius").value_or(0),
                    whole_setting(settings, "photon.order").value_or(kUsualOrder),
-                   whole_setting(settings, "photon.guide").value_or(0)};
+                   whole_setting(settings, "photon.guide").value_or(0),
+                   given.rays.has_value(),
+                   given.passes.has_value()};
   p.passes = chosen(settings.planned_spp()).passes;  // which nothing is shared of
   // As many places of caustics in a pixel as samples. More where pixels are few: what a pass traces is worth more
   // reads.
@@ -111,7 +121,14 @@ struct OwnLight {
   }
 };
 
-PhotonMapFacts checked_facts(const Graph::Artifact& map) {
+std::vector<float> picture_of(const Artifact& shaded) {
+  const Bytes& records = shaded.records();
+  std::vector<float> picture(records.size() / sizeof(float));
+  std::memcpy(picture.data(), records.data(), records.size());
+  return picture;
+}
+
+PhotonMapFacts checked_map(const Graph::Artifact& map) {
   const auto facts = map.facts<PhotonMapFacts>();
   map.check_facts(facts.radius >= 0 && std::isfinite(facts.radius) &&
                       std::ranges::all_of(facts.power, [](double w) { return w >= 0 && std::isfinite(w); }),
@@ -166,6 +183,15 @@ class PhotonPlan final : public GraphPlan {
            (has_clusters() ? cluster_work() + (has_lobes() ? cluster_work() : 0) : 0.0);
   }
 
+  // Whether counts follow what is seen of the noise of paths and of the method's own light. A denoiser takes the former
+  // out; pictures of a row, and a target error, choose by what they know before.
+  bool looks_at_noise() const {
+    return gathers() && settings_.target_error == 0 && settings_.denoise == Denoise::off && cameras_.empty();
+  }
+  double pass_work() const {
+    return 2.0 * photon_.caustics + kReadWork * static_cast<double>(pixels()) * photon_.samples;
+  }
+
   double cluster_work() const { return cache_.work() + static_cast<double>(photon_.clusters) * strata_.count(); }
 
   void begin() override;
@@ -193,6 +219,7 @@ class PhotonPlan final : public GraphPlan {
   std::vector<Artifact> places_and_light(std::size_t cameras) const;
   StageSpec shared_choice(const std::string& name, const char* kind) const;
   void extend(std::size_t camera);
+  void look_at_records(std::function<void()> then);
   void gather_own();
   std::size_t rounds() const { return strata_.count() < kRaysOfRounds ? 1 : kRefineRounds; }
   void refine_next();
@@ -207,6 +234,8 @@ class PhotonPlan final : public GraphPlan {
   void begin_lobes();
   void ask_caustics(std::uint32_t pass);
   void shade_caustics(std::uint32_t pass);
+  void ask_caustics_after(std::uint32_t pass);
+  void choose_passes(const Artifact& first);
 
   FrameSettings settings_;
   PhotonSettings photon_;
@@ -233,6 +262,11 @@ class PhotonPlan final : public GraphPlan {
   CacheLight light_;                // of the clusters: on layers, on lobes
   Artifact first_caustics_;         // an event, where a target error waits for the first pass
   OwnLight own_light_;
+  Artifact seen_;  // an event: the first samples' noise is known; none: it is not asked for
+  CacheNoise noise_;
+  double albedo_ = 0;  // of what the first samples saw, in the mean
+  double first_pass_error_ = 0;
+  double usual_work_ = 0;  // of all but the passes, in samples, before anything is seen
   bool clusters_asked_ = false, caustics_asked_ = false;
   Artifact map_emission_, caustic_emission_;  // emission guides; none: light paths begin anywhere alike
   PhotonGuideFacts map_guide_, caustic_guide_;
@@ -249,7 +283,7 @@ PhotonPlan::PhotonPlan(const FrameSettings& settings, const SceneSummary& scene)
       near_(kGuideNear * diagonal_of(scene.bounds)),
       most_radius_(photon_.radius > 0 ? photon_.radius : kMostRadius * diagonal_of(scene.bounds)),
       paths_(graph_, film_, settings),
-      cache_(settings, settings.method_spp()),
+      cache_(settings, std::max(1u, settings.method_spp() / kSamplesOfAPoint)),
       lobes_(graph_, cache_),
       strata_(strata_of(std::max(1u, photon_.rays))),
       // As many clusters as points are no clusters.
@@ -292,6 +326,8 @@ void PhotonPlan::begin() {
     if (has_clusters()) known.push_back(beside_->known);
     if (has_caustics()) known.push_back(first_caustics_ = graph_.event());
   }
+  if (looks_at_noise()) seen_ = graph_.event();
+  usual_work_ = static_cast<double>(pixels()) * settings_.planned_spp() + (has_clusters() ? cluster_work() : 0);
   if (is_guided()) ask_guides();
   if (has_caustics()) {
     guide_ = ask_map("guide", kGuidePass, photon_.caustics, PHOTON_CLASS_BIT(PHOTON_CAUSTIC));
@@ -302,7 +338,7 @@ void PhotonPlan::begin() {
     if (photon_.cut) cut_ = ask_cut(map);
     known.push_back(cut_ ? cut_ : map);
     graph_.when(std::move(known), [this, map] {
-      gathered_ = checked_facts(map);
+      gathered_ = checked_map(map);
       if (cut_) cut_facts_ = cut_.facts<PhotonCutFacts>();
       gather(map);
     });
@@ -453,6 +489,13 @@ void PhotonPlan::gather(const Artifact& map) {
   paths_.begin(
       {.classes = classes(), .limit = limit(), .mean = own_light_.mean, .squared_error = own_light_.squared_error},
       {.kind = "photon_gather", .method_parameters = bytes_of(program), .inputs = light_of(map)});
+  if (!looks_at_noise()) return;
+  // At once: samples that come later are more or fewer from run to run.
+  graph_.when({paths_.first_samples()}, [this] {
+    noise_.sample = paths_.sample_error();
+    albedo_ = film_.mean_albedo();
+    graph_.announce(seen_);
+  });
 }
 
 // --- Shading clusters ---
@@ -473,7 +516,27 @@ void PhotonPlan::ask_clusters() {
   own_.places = graph_.add(shared_choice("photon.clusters", "photon_cluster"), p, std::move(inputs));
   std::vector<Artifact> until = places_and_light(before_.size());
   until.push_back(own_.places);
-  graph_.when(std::move(until), [this] { gather_own(); });
+  if (seen_) until.push_back(seen_);
+  graph_.when(std::move(until), [this] { look_at_records([this] { gather_own(); }); });
+}
+
+// Some of the places, with few rays, before all of them.
+void PhotonPlan::look_at_records(std::function<void()> then) {
+  gathered_ = checked_map(map_);
+  const std::uint64_t places = own_.places.record_count();
+  const std::optional<RecordLook> look = RecordLook::at(places, strata_.count());
+  if (!looks_at_noise() || photon_.given_rays || !look) return then();
+  PhotonClusterGatherParameters p = gather_parameters(places, 0);
+  p.records = look->parameters(p.records, 0);
+  std::vector<Graph::Input> inputs = light_of(map_);
+  inputs.push_back({"places", own_.places});
+  const Artifact looked = graph_.add(look->stage("photon.look", "photon_cluster_gather", kFirst), p, std::move(inputs));
+  graph_.when({looked}, [this, looked, look, then = std::move(then)] {
+    noise_.ray = look->noise_of(looked, albedo_, CLUSTER_NOISE);
+    photon_.rays = photon_rays_beside(noise_, photon_);
+    strata_ = strata_of(photon_.rays);
+    then();
+  });
 }
 
 PhotonClusterParameters PhotonPlan::cluster_parameters(std::uint32_t width, std::uint32_t height,
@@ -546,7 +609,7 @@ void PhotonPlan::extend(std::size_t camera) {
   before_[camera].places =
       graph_.add(shared_choice(numbered("photon.extend", camera), "photon_extend"), p, std::move(inputs));
   graph_.when(places_and_light(camera + 1), [this, camera] {
-    gathered_ = checked_facts(map_);
+    gathered_ = checked_map(map_);
     const std::uint64_t given = camera > 0 ? before_[camera - 1].count : 0;
     Places& clusters = before_[camera];
     gather_new(clusters, checked_places(clusters.places, given).places, given, numbered("photon.extend_gather", camera),
@@ -573,7 +636,7 @@ StageSpec PhotonPlan::shared_choice(const std::string& name, const char* kind) c
 
 // What this frame shows and no camera before did. Of a frame that stands alone that is all.
 void PhotonPlan::gather_own() {
-  gathered_ = checked_facts(map_);
+  gathered_ = checked_map(map_);
   const std::uint64_t given = before_.empty() ? 0 : before_.back().count;
   clusters_ = checked_places(own_.places, given);
   if (clusters_.places == 0) return show_clusters({}, 0);
@@ -660,7 +723,7 @@ Artifact PhotonPlan::choose_lobe_places(const Artifact& points) {
 }
 
 Artifact PhotonPlan::gather_lobes(const Artifact& places) {
-  gathered_ = checked_facts(map_);
+  gathered_ = checked_map(map_);
   const std::uint64_t records = checked_places(places, 0).places;
   std::vector<Graph::Input> inputs = light_of(map_);
   inputs.push_back({"places", places});
@@ -707,7 +770,7 @@ void PhotonPlan::ask_caustics(std::uint32_t pass) {
 
 void PhotonPlan::shade_caustics(std::uint32_t pass) {
   Pass& s = passes_[pass];
-  s.facts = checked_facts(s.map);
+  s.facts = checked_map(s.map);
   PhotonCausticsParameters p{};
   p.camera = settings_.camera;
   p.width = settings_.width;
@@ -732,21 +795,39 @@ void PhotonPlan::shade_caustics(std::uint32_t pass) {
   s.map = {};
   if (first_caustics_ && pass == 0)
     graph_.when({shaded}, [this, shaded] {
-      const Bytes& records = shaded.records();
-      std::vector<float> picture(records.size() / sizeof(float));
-      std::memcpy(picture.data(), records.data(), records.size());
       // Of a pass; radii shrink, so that variance falls by less than the passes' number.
-      own_light_.add(picture, std::pow(passes_.size(), -kShrinkage / 2) / std::sqrt(kCausticNeighbours));
+      own_light_.add(picture_of(shaded), std::pow(passes_.size(), -kShrinkage / 2) / std::sqrt(kCausticNeighbours));
       graph_.announce(first_caustics_);
     });
   preview_pass(shaded);
   add_pass(shaded, beside_);
+  if (pass > 0 || !seen_ || photon_.given_passes) return ask_caustics_after(pass);
+  graph_.when({shaded, seen_}, [this, shaded] {
+    choose_passes(shaded);
+    ask_caustics_after(0);
+  });
+}
+
+void PhotonPlan::ask_caustics_after(std::uint32_t pass) {
   caustics_asked_ = pass + 1 == passes_.size();
   own_stages_asked_ = caustics_asked_ && (clusters_asked_ || !has_clusters());
   if (caustics_asked_)
     guide_ = {};
   else
     ask_caustics(pass + 1);
+}
+
+// Where caustics are little beside the noise of paths, fewer passes are worth their time.
+void PhotonPlan::choose_passes(const Artifact& first) {
+  OwnLight light;
+  light.add(picture_of(first), 1 / std::sqrt(kCausticNeighbours));
+  first_pass_error_ = std::sqrt(light.squared_error);
+  passes_.resize(worthwhile_passes({.sample_error = noise_.sample,
+                                    .pass_error = first_pass_error_,
+                                    .samples = static_cast<double>(settings_.planned_spp()),
+                                    .work = usual_work_,
+                                    .pass_work = pass_work()},
+                                   low(passes_.size())));
 }
 
 // --- The film and the report ---
@@ -774,6 +855,9 @@ std::string PhotonPlan::parameters_json() const {
     if (gathers()) photon["guide"]["map"] = told(map_guide_);
     if (has_caustics()) photon["guide"]["caustics"] = told(caustic_guide_);
   }
+  if (noise_.sample > 0) photon["sample_error"] = noise_.sample;
+  if (noise_.ray > 0) photon["ray_error"] = noise_.ray;
+  if (first_pass_error_ > 0) photon["pass_error"] = first_pass_error_;
   photon["cut"] = photon_.cut;
   if (gathers() && photon_.cut) {
     photon["cut_nodes"] = cut_facts_.nodes;
@@ -826,6 +910,9 @@ std::vector<std::string> PhotonPlan::outline() const {
     lines.push_back("photon.points: " + std::to_string(cache_.samples()) + " surface points of each pixel, in " +
                     std::to_string(cache_.tiles()) + " tiles, split");
     lines.push_back("photon.clusters: " + std::to_string(photon_.clusters) + " clusters of these, solo");
+    if (looks_at_noise() && !photon_.given_rays)
+      lines.push_back(
+          "photon.look: some sample points with few rays, which tell with the first samples how many all get, split");
     lines.push_back("photon.cluster_gather: " + std::to_string(strata_.count()) +
                     " rays of each cluster's sample point, which read the map, split");
     if (cameras_.empty())

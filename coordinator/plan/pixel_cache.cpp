@@ -14,7 +14,7 @@ constexpr std::uint64_t kMostPoints = 1u << 22;
 // Points of a camera whose records others begin with, at most: they are looked at by one worker.
 constexpr std::uint64_t kMostCameraPoints = std::uint64_t{1} << 17;
 // Samples of a pixel that records of a session's pictures are good for.
-constexpr std::uint32_t kSessionSamples = 16;
+constexpr std::uint32_t kSharedSamples = 16;
 // Work, in samples of paths: of a point that is found, and one that is shaded.
 constexpr double kPointWork = 0.2, kShadeWork = 0.1;
 
@@ -103,7 +103,7 @@ const std::vector<scene::Camera>& PixelCache::begins_with(const FrameSettings& s
 }
 
 std::uint32_t PixelCache::samples_of_records(const FrameSettings& settings) {
-  return settings.looks.empty() ? settings.method_spp() : kSessionSamples;
+  return settings.looks.empty() ? settings.method_spp() : kSharedSamples;
 }
 
 SplatPointParameters PixelCache::camera_point_parameters(const scene::Camera& camera, std::size_t number,

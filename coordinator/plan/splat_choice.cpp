@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <numbers>
 
 #include "kernels/splat_records.h"
 
@@ -29,8 +28,6 @@ constexpr double kErrorOfSpread = 1.0;
 
 // The noise of a ray over that of a sample, which the usual rays are right for: that of cornell-box at 512 x 512.
 constexpr double kUsualNoise = 4;
-// Where paths turn out noisier, no fewer rays than such a part.
-constexpr double kFewestOfRays = 0.25;
 
 // Of the picture's squared error, at most: the paths', noise of records, and what interpolation does wrong. A ray for a
 // record would be worth as much as one for a pixel at 0.35; but its noise shows as blotches, which people see sooner
@@ -85,23 +82,8 @@ std::uint32_t splat_rays_of_many(double records, double pixels, const SplatCount
   return more > 1 ? std::min(counts.rays, rays_of(counts.rays / std::sqrt(more))) : counts.rays;
 }
 
-double splat_ray_noise(std::span<const float> cache, std::uint32_t rays, double albedo) {
-  double off = 0;
-  for (std::size_t at = 0; at + CACHE_WORDS <= cache.size(); at += CACHE_WORDS) {
-    double irradiance = 0;
-    for (std::size_t c = 0; c < 3; ++c) irradiance += double{cache[at + CACHE_IRRADIANCE + c]} / 3;
-    off += irradiance * std::abs(double{cache[at + CACHE_NOISE]});  // it has a sign
-  }
-  const auto records = static_cast<double>(cache.size() / CACHE_WORDS);
-  return records > 0 ? albedo / std::numbers::pi * off / records * std::sqrt(static_cast<double>(rays)) : 0;
-}
-
-// The least squared error times time: s samples leave A / s and take s, r rays leave B / r and take c r, so that r goes
-// as s sqrt(B / (A c)).
-std::uint32_t splat_rays_beside(const SplatNoise& noise, const SplatCounts& counts) {
-  if (!(noise.sample > 0) || !(noise.ray > 0)) return counts.rays;
-  const double part = noise.ray / noise.sample / kUsualNoise;
-  return std::min(counts.rays, rays_of(counts.rays * std::clamp(part, kFewestOfRays, 1.0)));
+std::uint32_t splat_rays_beside(const CacheNoise& noise, const SplatCounts& counts) {
+  return std::min(counts.rays, rays_of(counts.rays * worthwhile_part_of_rays(noise, kUsualNoise)));
 }
 
 SplatCounts splat_counts_within(double work, double pixels, const SplatTarget& target, const GivenSplatCounts& given) {

@@ -4,8 +4,8 @@
 
 #include <cstdint>
 #include <optional>
-#include <span>
 
+#include "coordinator/plan/cache_noise.h"
 #include "kernels/splat_records.h"
 
 namespace gleaner::coordinator {
@@ -38,15 +38,8 @@ double usual_splat_records(double pixels, double accuracy);
 // share their noise, and all of them together take as long as everything else of the picture.
 std::uint32_t splat_rays_of_many(double records, double pixels, const SplatCounts& counts);
 
-// What both kinds of rays are off by, as radiance that the picture shows. 0: not known.
-struct SplatNoise {
-  double sample = 0;  // of paths: a sample of a pixel (PathSampler::sample_error())
-  double ray = 0;     // of the cache: a ray of a record, before records are smoothed (splat_ray_noise())
-};
-// Of records with so many rays each, on surfaces of this albedo.
-double splat_ray_noise(std::span<const float> cache, std::uint32_t rays, double albedo);
 // Rays of a record, given that noise: fewer than `counts` has where paths are noisier beside the cache than there.
-std::uint32_t splat_rays_beside(const SplatNoise& noise, const SplatCounts& counts);
+std::uint32_t splat_rays_beside(const CacheNoise& noise, const SplatCounts& counts);
 
 // Counts of fewer samples: as many as have a cache of no more than `work` rays in all, or
 // the coarsest one. `points` stay.

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -11,6 +10,7 @@
 #include "coordinator/plan/lobe_cache.h"
 #include "coordinator/plan/path_sampler.h"
 #include "coordinator/plan/pixel_cache.h"
+#include "coordinator/plan/record_look.h"
 #include "coordinator/plan/splat_choice.h"
 #include "kernels/splat_records.h"
 #include "scene/model/error.h"
@@ -41,9 +41,6 @@ constexpr std::uint32_t kBlockTiles = 2;
 // what the whole cache would take. Both together are usually so many times these.
 constexpr float kFirstAccuracy = 1.75f;
 constexpr std::uint64_t kRecordsAFirst = 2;
-// So many records, of so many rays, tell how noisy all are; not where they would be more than a part of all rays.
-constexpr std::uint32_t kLookedAtRecords = 256, kLookedAtRays = 64;
-constexpr double kMostOfRays = 1.0 / 16;
 
 struct SplatSettings : SplatCounts {
   GivenSplatCounts given;
@@ -194,7 +191,7 @@ class SplatPlan final : public GraphPlan {
   std::optional<double> planned_work_;     // limited_work() before places were chosen
   Artifact errors_known_;                  // an event, where a target error is given: paths may go on
   double wanted_squared_error_ = 0;        // of the whole picture, where one is given
-  SplatNoise noise_;
+  CacheNoise noise_;
   double albedo_ = 0;    // of what the first samples saw, in the mean
   bool chosen_ = false;  // the facts of all are known
 };
@@ -319,22 +316,13 @@ void SplatPlan::add_own_records() {
 // Some of the places, with few rays, before all of them.
 void SplatPlan::look_at_records(std::function<void()> then) {
   const std::uint64_t added = own_.facts.records - own_.facts.given;
-  const double share = double{kLookedAtRecords} * kLookedAtRays / (static_cast<double>(added) * splat_.rays);
-  if (!looks_at_noise() || shapes() || added < kLookedAtRecords || !(share < kMostOfRays)) return then();
-  const Strata strata = strata_of(kLookedAtRays);
-  SplatGatherParameters p = gather_parameters(kLookedAtRecords);
-  p.polar = strata.polar;
-  p.azimuthal = strata.azimuthal;
-  p.first_place = low(own_.facts.given);
-  p.place_stride = low(added / kLookedAtRecords);
-  StageSpec spec = PixelCache::gathering("splat.look", "splat_gather", kFirst, kLookedAtRecords, strata);
-  spec.output.placement = Placement::collect;
-  const Artifact looked = graph_.add(std::move(spec), p, {{"places", own_.places}});
-  graph_.when({looked}, [this, looked, strata, then = std::move(then)] {
-    std::vector<float> rows(looked.records().size() / sizeof(float));
-    std::memcpy(rows.data(), looked.records().data(), rows.size() * sizeof(float));
-    noise_.ray = splat_ray_noise(rows, strata.count(), albedo_);
-    looked.check_facts(noise_.ray >= 0 && std::isfinite(noise_.ray), "a noise of " + std::to_string(noise_.ray));
+  const std::optional<RecordLook> look = RecordLook::at(added, splat_.rays);
+  if (!looks_at_noise() || shapes() || !look) return then();
+  const Artifact looked =
+      graph_.add(look->stage("splat.look", "splat_gather", kFirst),
+                 look->parameters(gather_parameters(look->records), own_.facts.given), {{"places", own_.places}});
+  graph_.when({looked}, [this, looked, look, then = std::move(then)] {
+    noise_.ray = look->noise_of(looked, albedo_);
     then();
   });
 }

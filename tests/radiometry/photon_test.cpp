@@ -463,6 +463,47 @@ TEST(Photon, ClustersAreRefined) {
   EXPECT_EQ(rounds("100000", "384")[2], 0u);
 }
 
+// A look at some of the sample points tells their noise, the first pass that of caustics, and the first samples that of
+// paths: beside it as many rays and passes as usual are not worth their time.
+TEST(Photon, CountsFollowWhatIsNoisy) {
+  const Scene scene = scene::make_scene("cornell-glass", {});
+  const auto passes = [](const Rendered& made) {
+    std::size_t count = 0;
+    while (made.results.contains("photon.caustics." + std::to_string(count))) ++count;
+    return count;
+  };
+  const Settings set = {{"photon.count", "20000"}, {"photon.caustics", "20000"}};
+  const Rendered made = render(frame_of(scene, 64, 64, set));
+  const auto& photon = made.parameters["photon"];
+  const std::vector<float> places = made.floats("photon.clusters"), looked = made.floats("photon.look");
+  const std::size_t count = looked.size() / CACHE_WORDS, all = places.size() / SPLAT_POINT_WORDS;
+  const std::uint32_t rays = photon["gather_rays"];
+  std::printf(
+      "  a sample is off by %.4f, a ray by %.4f, a pass by %.4f; %zu of %zu sample points; %u rays, %zu passes\n",
+      photon["sample_error"].get<double>(), photon["ray_error"].get<double>(), photon["pass_error"].get<double>(),
+      count, all, rays, passes(made));
+  ASSERT_EQ(count, 256u);
+  ASSERT_GE(all, 2 * count) << "nothing is left out";
+  const std::size_t stride = all / count;
+  for (std::size_t i = 0; i < count; ++i)
+    for (std::size_t k = 0; k < 3; ++k)
+      ASSERT_EQ(looked[i * CACHE_WORDS + CACHE_POSITION + k], places[i * stride * SPLAT_POINT_WORDS + k]) << i;
+  EXPECT_EQ(made.specs.at("photon.cluster_gather").work, static_cast<double>(all) * rays);
+  EXPECT_GE(rays, 96u);
+  EXPECT_LT(rays, 1024u);
+  EXPECT_EQ(passes(made), photon["passes"]);
+  EXPECT_EQ(passes(made), 16u) << "glass: as many as usual";
+  const std::size_t of_glossy = passes(render(frame_of(scene::make_scene("cornell-glossy", {}), 64, 64, set)));
+  EXPECT_GE(of_glossy, 2u);
+  EXPECT_LT(of_glossy, 12u) << "rough lobes: their caustics are less beside the noise of paths";
+  Settings given = set;
+  given["photon.gather_rays"] = "128";
+  given["photon.passes"] = "16";
+  const Rendered as_given = render(frame_of(scene, 64, 64, given));
+  EXPECT_FALSE(as_given.results.contains("photon.look")) << "what is set stays";
+  EXPECT_EQ(passes(as_given), 16u);
+}
+
 // Beside a gather at every point: contact shadows, corners, light by a glass ball.
 TEST(Photon, InterpolationIsNear) {
   const Settings set = {

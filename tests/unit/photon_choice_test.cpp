@@ -61,5 +61,36 @@ TEST(PhotonChoice, LeavesOutWhatDoesNotPay) {
   EXPECT_EQ(choose_photon_counts(kPicture, 16, 0, true, {.clusters = 0}).cut, 4096u) << "samples' rays read it";
 }
 
+TEST(PhotonChoice, NoisyPathsTakeFewerRays) {
+  const PhotonCounts counts = choose_photon_counts(kPicture, 16, 0, true, {});
+  const auto rays = [&](double sample, double ray) { return photon_rays_beside({sample, ray}, counts); };
+  EXPECT_EQ(rays(0, 1), counts.rays) << "not known";
+  EXPECT_EQ(rays(0.1, 1), counts.rays) << "quiet paths";
+  EXPECT_NEAR(rays(0.4, 1), counts.rays / 2.0, 1);
+  EXPECT_EQ(rays(1e9, 1), 96u) << "as few as make a picture";
+}
+
+// Passes are worth their time while what they leave weighs beside the noise of paths.
+TEST(PhotonChoice, PassesAreAsManyAsPay) {
+  const auto passes = [](double sample_error, double pass_error, double pass_work = 1e6) {
+    return worthwhile_passes({.sample_error = sample_error,
+                              .pass_error = pass_error,
+                              .samples = 64,
+                              .work = 1.6e7,
+                              .pass_work = pass_work},
+                             16);
+  };
+  EXPECT_EQ(passes(0, 1), 16u) << "not known";
+  EXPECT_EQ(passes(1, 0), 2u) << "no caustics";
+  EXPECT_EQ(passes(1, 1e3), 16u) << "caustics alone";
+  EXPECT_EQ(passes(0.1, 0.1, 0), 16u) << "they cost nothing";
+  const std::uint32_t some = passes(1, 0.05);
+  EXPECT_GT(some, 2u);
+  EXPECT_LT(some, 16u);
+  EXPECT_LT(passes(2, 0.05), some) << "noisier paths";
+  EXPECT_LT(passes(1, 0.05, 1e7), some) << "dearer passes";
+  EXPECT_EQ(worthwhile_passes({.sample_error = 1, .samples = 64, .work = 1, .pass_work = 1}, 1), 1u);
+}
+
 }  // namespace
 }  // namespace gleaner::coordinator

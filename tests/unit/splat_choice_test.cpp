@@ -75,17 +75,6 @@ TEST(SplatChoice, NoisyPathsTakeFewerRays) {
   EXPECT_EQ(splat_rays_beside({1, 0.1}, {.accuracy = 0.3, .rays = 16, .points = 1}), 16u);
 }
 
-// Records tell by how much the halves of their rays differ.
-TEST(SplatChoice, RecordsTellTheNoiseOfARay) {
-  std::vector<float> cache(2 * CACHE_WORDS);
-  for (const std::size_t at : {0u, CACHE_WORDS})
-    for (std::size_t c = 0; c < 3; ++c) cache[at + CACHE_IRRADIANCE + c] = 3;
-  cache[CACHE_NOISE] = 0.1f;
-  cache[CACHE_WORDS + CACHE_NOISE] = -0.3f;
-  EXPECT_NEAR(splat_ray_noise(cache, 16, 0.5), 0.5 / std::numbers::pi * 3 * 0.2 * 4, 1e-6);
-  EXPECT_EQ(splat_ray_noise({}, 16, 0.5), 0);
-}
-
 // Half the error: four times the rays, and an interpolation that is off by half.
 TEST(SplatChoice, TargetsAskForTheirErrors) {
   const SplatCounts wide = choose_splat_counts({1, 0.04}, {}), fine = choose_splat_counts({1, 0.02}, {});

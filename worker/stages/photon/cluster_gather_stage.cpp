@@ -38,6 +38,7 @@ CacheRecord cluster_record(const SplatPoint& place, const HemisphereGrid& grid,
   const float mean = mean_distance(samples);
   CacheRecord record = cache_record(sized_place(place, mean), grid, samples);
   record.radius = std::min(mean, kMostOfReach * place.factor[0]);
+  record.hessian[CLUSTER_NOISE - CACHE_HESSIAN] = record.noise();
   record.spare = {place.factor[0], place.factor[1]};
   return record;
 }

@@ -209,6 +209,7 @@ class ClusterSmoothing {
     result.radius = extent.radius;
     result.accuracy = extent.accuracy;
     result.spare = {};
+    result.hessian = {};
     return result;
   }
 
