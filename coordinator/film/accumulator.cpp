@@ -278,6 +278,25 @@ Film Accumulator::film_of_samples() const {
   return samples.take_film();
 }
 
+Film Accumulator::take_picture() {
+  if (halves_ || !sampled()) return take_film();
+  Film film{width_, height_, {}};
+  for (const char* color : kColor) film.channels.push_back({color, std::vector<float>(pixel_count())});
+  const auto n = static_cast<float>(passes_);
+  for (std::size_t i = 0; i < pixel_count(); ++i) {
+    const std::uint32_t count = samples(i);
+    for (int k = 0; k < 3; ++k) {
+      // As take_film() adds them up, to the bit.
+      float indirect = mean(indirect_[k][i], count);
+      if (passes_ > 0) indirect += pass_sum_[3 * i + static_cast<std::size_t>(k)] / n;
+      film.channels[static_cast<std::size_t>(k)].values[i] =
+          mean(direct_[k][i], count) + static_cast<float>(seen_by_all(i, k)) + indirect;
+    }
+  }
+  *this = Accumulator(width_, height_);
+  return film;
+}
+
 Film Accumulator::take_film() {
   if (!sampled()) {
     for (auto* sums : {&direct_, &indirect_, &first_}) resize(*sums, pixel_count());

@@ -82,6 +82,8 @@ class Accumulator {
   Film film_of_samples() const;
   // film(). The layers take the place of what they are made of: afterwards nothing is left here.
   Film take_film();
+  // The layers R G B of that alone; where halves are kept, all layers.
+  Film take_picture();
 
  private:
   using Samples = std::array<std::uint32_t, 2>;  // by sequence

@@ -194,7 +194,8 @@ Film Farm::Impl::render(const std::shared_ptr<Frame>& frame) {
   }
   await_rechecks(*frame);
   end_frame(*frame);
-  Film film = timed([](Plan& plan) { return plan.take_film(); });
+  const bool only_picture = frame->job->request.settings.only_picture;
+  Film film = timed([&](Plan& plan) { return only_picture ? plan.take_picture() : plan.take_film(); });
   std::lock_guard plan_lock(frame->plan_mutex);
   std::lock_guard lock(mutex);
   frame->drawn = false;  // the plan has given its picture away

@@ -52,6 +52,7 @@ std::optional<Farm::Picture> Farm::denoise(const std::string& id, Film film, con
 std::optional<Farm::Picture> Farm::Impl::show(Farm& farm, JobRequest request, Job::Showing showing,
                                               const std::stop_token& stop) {
   request.priority = most_priority - (showing.behind ? 1 : 0);
+  request.settings.only_picture = request.settings.denoise == Denoise::off;
   const std::shared_ptr<Job> job = accept(request);
   job->showing = std::make_unique<Job::Showing>(std::move(showing));
   join_ended_threads();

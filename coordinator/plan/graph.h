@@ -182,6 +182,7 @@ class GraphPlan : public Plan {
   Film preview_film(bool guides = false) const final { return film_.preview(guides); }
   Film film() const final { return film_.film(); }
   Film take_film() final { return film_.take_film(); }
+  Film take_picture() final { return film_.take_picture(); }
   std::vector<Skip> skips() const override { return skips_; }
 
  protected:

@@ -28,6 +28,7 @@ class LimitedPlan final : public Plan {
   Step after_conclude() override { return method_->after_conclude(); }
   Film film() const override { return method_->film(); }
   Film take_film() override { return method_->take_film(); }
+  Film take_picture() override { return method_->take_picture(); }
   std::vector<Skip> skips() const override { return method_->skips(); }
   std::vector<std::string> warnings() const override { return method_->warnings(); }
   std::string parameters_json() const override { return method_->parameters_json(); }

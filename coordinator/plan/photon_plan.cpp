@@ -958,7 +958,7 @@ Method photon_method() {
            "light paths of the map that paths read behind their first surface; 0: no such map, paths go on"},
           {"photon.caustics", whole, 0, 1u << 24, "200000",
            "light paths of each pass of caustics; 0: paths find the caustics"},
-          {"photon.passes", whole, 1, 4096, "`--spp` / 4, 2 to 64",
+          {"photon.passes", whole, 1, 4096, "at most `--spp` / 4, 2 to 64",
            "independent passes of caustics, each of a smaller radius; their mean is the picture"},
           {"photon.clusters", whole, 0, 1u << 20, "4 to 16 times the root of the number of pixels",
            "clusters of the points that pixels show, at whose sample points indirect light on diffuse layers is "
@@ -966,7 +966,7 @@ Method photon_method() {
           {"photon.cut", whole, 0, PHOTON_MOST_CUT, "4096 for more than 200,000 rays, else 0",
            "nodes of the map's tree that are read in place of its photons, before they are refined; 0: photons are "
            "read"},
-          {"photon.gather_rays", whole, 0, SPLAT_MOST_RAYS / 2, "24 times `--spp`, 96 to 1024",
+          {"photon.gather_rays", whole, 0, SPLAT_MOST_RAYS / 2, "at most 24 times `--spp`, 96 to 1024",
            "rays of each cluster's sample point; 0: no clusters"},
           {"photon.guide", whole, 0, 1u << 24, "0",
            "light paths that tell where photons are of use: others begin where more of them are, and count for less; "

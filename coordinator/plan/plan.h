@@ -63,6 +63,7 @@ struct FrameSettings {
   Denoise denoise = Denoise::off;
   std::map<std::string, std::string> set;  // --set KEY=VALUE
   bool limited = false;                    // a time limit may end the frame before all is done
+  bool only_picture = false;               // nobody asks for layers beside R G B
   // Of `spp`, what the time limit is predicted to leave time for; 0: all.
   std::uint32_t fitting_spp = 0;
 
@@ -115,6 +116,8 @@ class Plan {
   // The same for who needs the plan no more: it may give its memory to the film. Afterwards only skips(), warnings()
   // and parameters_json() may be called.
   virtual Film take_film() { return film(); }
+  // The layers R G B of that alone, or more of them.
+  virtual Film take_picture() { return take_film(); }
   virtual std::vector<Skip> skips() const = 0;
   // What people must know of the picture, one sentence each: a target that was not reached, for instance.
   virtual std::vector<std::string> warnings() const { return {}; }

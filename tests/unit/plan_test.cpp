@@ -9,6 +9,7 @@
 #include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <random>
 #include <set>
 
 #include "coordinator/plan/allocation.h"
@@ -499,6 +500,34 @@ TEST(Accumulator, SumsAreThoseOfTheTextbook) {
     EXPECT_EQ(taken.find("samples.Y")->values[pixel], count);
   }
   EXPECT_EQ(film.film().find("R")->values[0], 0) << "a film that was taken leaves nothing";
+}
+
+// Sums of samples, of short chunks, of passes and of what is seen directly.
+TEST(Accumulator, APictureIsTheFilmsRgb) {
+  constexpr std::uint32_t kWidth = 5, kHeight = 3;
+  for (const int passes : {0, 1, 3})
+    for (const bool halves : {false, true}) {
+      Accumulator film(kWidth, kHeight);
+      if (halves) film.keep_halves();
+      std::mt19937 random(static_cast<unsigned>(passes));
+      std::uniform_real_distribution<float> light(0, 3);
+      const auto color = [&] { return std::array<float, 3>{light(random), light(random), light(random)}; };
+      for (std::uint32_t pixel = 0; pixel < kWidth * kHeight; ++pixel)
+        for (std::uint32_t chunk = 0; chunk < 3; ++chunk) {
+          const bool whole = chunk < 2;
+          film.add(pixel, chunk, color().data(), color().data(), whole ? 4 : 1, whole);
+          if (pixel % 4 == 0) film.add_seen(pixel, chunk, color().data());
+        }
+      for (int pass = 0; pass < passes; ++pass) {
+        std::vector<float> rgb(3 * kWidth * kHeight);
+        for (float& value : rgb) value = light(random);
+        film.add_pass(rgb);
+      }
+      const Film layers = film.film(), picture = film.take_picture();
+      for (const char* channel : {"R", "G", "B"})
+        EXPECT_EQ(picture.find(channel)->values, layers.find(channel)->values) << channel << ", " << passes;
+      EXPECT_EQ(picture.channels.size() == 3, !halves) << "a denoiser reads halves";
+    }
 }
 
 TEST(Allocation, RefusesWhatIsNoVariance) {
