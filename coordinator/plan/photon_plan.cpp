@@ -186,7 +186,8 @@ class PhotonPlan final : public GraphPlan {
   // Whether counts follow what is seen of the noise of paths and of the method's own light. A denoiser takes the former
   // out; pictures of a row, and a target error, choose by what they know before.
   bool looks_at_noise() const {
-    return gathers() && settings_.target_error == 0 && settings_.denoise == Denoise::off && cameras_.empty();
+    return gathers() && settings_.target_error == 0 && settings_.denoise == Denoise::off &&
+           PixelCache::begins_with(settings_).empty();
   }
   double pass_work() const {
     return 2.0 * photon_.caustics + kReadWork * static_cast<double>(pixels()) * photon_.samples;
@@ -262,7 +263,8 @@ class PhotonPlan final : public GraphPlan {
   CacheLight light_;                // of the clusters: on layers, on lobes
   Artifact first_caustics_;         // an event, where a target error waits for the first pass
   OwnLight own_light_;
-  Artifact seen_;  // an event: the first samples' noise is known; none: it is not asked for
+  Artifact seen_;        // an event: the first samples' noise is known; none: it is not asked for
+  Artifact rays_known_;  // an event, beside that one
   CacheNoise noise_;
   double albedo_ = 0;  // of what the first samples saw, in the mean
   double first_pass_error_ = 0;
@@ -326,7 +328,10 @@ void PhotonPlan::begin() {
     if (has_clusters()) known.push_back(beside_->known);
     if (has_caustics()) known.push_back(first_caustics_ = graph_.event());
   }
-  if (looks_at_noise()) seen_ = graph_.event();
+  if (looks_at_noise()) {
+    seen_ = graph_.event();
+    rays_known_ = graph_.event();
+  }
   usual_work_ = static_cast<double>(pixels()) * settings_.planned_spp() + (has_clusters() ? cluster_work() : 0);
   if (is_guided()) ask_guides();
   if (has_caustics()) {
@@ -517,7 +522,12 @@ void PhotonPlan::ask_clusters() {
   std::vector<Artifact> until = places_and_light(before_.size());
   until.push_back(own_.places);
   if (seen_) until.push_back(seen_);
-  graph_.when(std::move(until), [this] { look_at_records([this] { gather_own(); }); });
+  graph_.when(std::move(until), [this] {
+    look_at_records([this] {
+      if (rays_known_) graph_.announce(rays_known_);
+      gather_own();
+    });
+  });
 }
 
 // Some of the places, with few rays, before all of them.
@@ -735,13 +745,15 @@ Artifact PhotonPlan::gather_lobes(const Artifact& places) {
 // Light on rough lobes by sample points of their own, of which harmonics tell from where it comes (section 3.4,
 // "Representing Radiance Fields using SH"). Lobes that are too sharp for that stay the paths'.
 void PhotonPlan::begin_lobes() {
+  std::vector<Artifact> until = places_and_light(0);
+  if (rays_known_) until.push_back(rays_known_);
   lobes_.begin({.method = "photon",
                 .order = photon_.order,
                 .least_order = photon_.order,
                 .free_scatterings = SPLAT_LEVEL,
                 .priority = kFirst,
                 .choose = [this](const Artifact& points) { return choose_lobe_places(points); },
-                .until = places_and_light(0),
+                .until = std::move(until),
                 .gather = [this](const Artifact& places) { return gather_lobes(places); }},
                [this](const std::vector<float>& picture) { show_clusters(picture, kLobeNoise); });
 }
