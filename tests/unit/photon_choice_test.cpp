@@ -73,12 +73,9 @@ TEST(PhotonChoice, NoisyPathsTakeFewerRays) {
 // Passes are worth their time while what they leave weighs beside the noise of paths.
 TEST(PhotonChoice, PassesAreAsManyAsPay) {
   const auto passes = [](double sample_error, double pass_error, double pass_work = 1e6) {
-    return worthwhile_passes({.sample_error = sample_error,
-                              .pass_error = pass_error,
-                              .samples = 64,
-                              .work = 1.6e7,
-                              .pass_work = pass_work},
-                             16);
+    return worthwhile_passes(
+        {.sample_error = sample_error, .pass_error = pass_error, .samples = 64, .work = 1.6e7, .pass_work = pass_work},
+        16);
   };
   EXPECT_EQ(passes(0, 1), 16u) << "not known";
   EXPECT_EQ(passes(1, 0), 2u) << "no caustics";
