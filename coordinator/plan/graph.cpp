@@ -230,13 +230,7 @@ Step GraphPlan::next(const FinishedStage* finished) {
   return step;
 }
 
-namespace {
-
-std::span<const float> floats_of(const Bytes& records) {
-  return {reinterpret_cast<const float*>(records.data()), records.size() / sizeof(float)};
-}
-
-}  // namespace
+namespace {}  // namespace
 
 void GraphPlan::add_pass(const Graph::Artifact& shaded, std::shared_ptr<const Beside> beside) {
   std::vector<Graph::Artifact> after;
@@ -245,7 +239,7 @@ void GraphPlan::add_pass(const Graph::Artifact& shaded, std::shared_ptr<const Be
   if (last_pass_) after.push_back(last_pass_);
   const Graph::Artifact added = last_pass_ = graph_.event();
   graph_.when(std::move(after), [this, shaded, added, beside] {
-    const std::span<const float> pass = shaded ? floats_of(shaded.records()) : std::span<const float>{};
+    const std::span<const float> pass = shaded ? float_view(shaded.records()) : std::span<const float>{};
     if (beside && !beside->light.empty()) {
       std::vector<float> both = beside->light;
       for (std::size_t i = 0; i < pass.size(); ++i) both[i] += pass[i];
@@ -259,7 +253,7 @@ void GraphPlan::add_pass(const Graph::Artifact& shaded, std::shared_ptr<const Be
 
 void GraphPlan::preview_pass(const Graph::Artifact& shaded) {
   graph_.on_preview(shaded, [this](auto first, auto count, const Bytes& records) {
-    film_.draw_pass(first, floats_of(records).first(3 * count));
+    film_.draw_pass(first, float_view(records).first(3 * count));
   });
 }
 

@@ -168,6 +168,11 @@ class Graph {
   double asked_work_ = 0;
 };
 
+// Records that are floats and nothing else, as they lie.
+inline std::span<const float> float_view(const Bytes& records) {
+  return {reinterpret_cast<const float*>(records.data()), records.size() / sizeof(float)};
+}
+
 // A plan that is a graph, and what its records add up to: the base of the methods' plans.
 class GraphPlan : public Plan {
  public:

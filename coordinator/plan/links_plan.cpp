@@ -530,10 +530,7 @@ void LinksPlan::audit(const Artifact& irradiance) {
 }
 
 void LinksPlan::take_audit(const Artifact& audited, const Artifact& irradiance) {
-  const Bytes& records = audited.records();
-  std::vector<float> values(records.size() / sizeof(float));
-  std::memcpy(values.data(), records.data(), values.size() * sizeof(float));
-  found_ = links_error(values, kAuditedPoints, links_);
+  found_ = links_error(float_view(audited.records()), kAuditedPoints, links_);
   if (const std::optional<LinksCounts> better = better_counts()) {
     static_cast<LinksCounts&>(links_) = *better;
     make_links();

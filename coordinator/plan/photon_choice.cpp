@@ -31,9 +31,9 @@ constexpr std::uint32_t kPhotonsOfACut = 50'000;
 
 constexpr std::uint32_t kCausticPaths = 200'000, kSamplesOfAPass = 4, kLeastPasses = 2, kMostPasses = 64;
 
-// Squared error of P passes goes as P to this power (Knaus & Zwicker 2011, with radii that shrink by 2/3). It is off in
-// blotches and beside edges, which people see sooner than grain: it counts for so many times itself.
-constexpr double kPassesPower = -2.0 / 3, kBlotches = 4;
+// Caustics are off in blotches and beside edges, which people see sooner than grain: their squared error counts for so
+// many times itself.
+constexpr double kBlotches = 4;
 
 std::uint32_t whole(double number, double least, double most) {
   return static_cast<std::uint32_t>(std::lround(std::clamp(number, least, most)));
@@ -71,7 +71,7 @@ std::uint32_t worthwhile_passes(const CausticPasses& passes, std::uint32_t usual
   std::uint32_t best = usual;
   double least = std::numeric_limits<double>::infinity();
   for (std::uint32_t number = kLeastPasses; number <= usual; ++number) {
-    const double error = paths + kBlotches * passes.pass_error * passes.pass_error * std::pow(number, kPassesPower);
+    const double error = paths + kBlotches * passes.pass_error * passes.pass_error * std::pow(number, -kShrinkage);
     const double cost = error * (passes.work + number * passes.pass_work);
     if (cost < least) least = cost, best = number;
   }

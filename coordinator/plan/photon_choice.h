@@ -9,6 +9,9 @@
 
 namespace gleaner::coordinator {
 
+// Knaus & Zwicker 2011: of the variance of caustics' density, what a pass adds falls, and its bias shrinks, by this.
+inline constexpr double kShrinkage = 2.0 / 3;
+
 struct PhotonCounts {
   std::uint32_t count = 0, caustics = 0;  // light paths: of the map, and of each pass of caustics
   std::uint32_t passes = 1;

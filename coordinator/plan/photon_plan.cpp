@@ -3,9 +3,9 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <nlohmann/json.hpp>
+#include <span>
 
 #include "coordinator/plan/graph.h"
 #include "coordinator/plan/lobe_cache.h"
@@ -26,8 +26,6 @@ using Artifact = Graph::Artifact;
 constexpr std::uint32_t kGatherNeighbours = 24, kCausticNeighbours = 64;
 // The widest estimate, over the diagonal of the scene's bounds.
 constexpr double kMostRadius = 0.05;
-// Knaus & Zwicker 2011: of the variance of caustics' density, what a pass adds falls, and its bias shrinks, by this.
-constexpr double kShrinkage = 2.0 / 3;
 // Places of a pass, at least, where caustics are read, for each of its light paths: they take half of its time then.
 constexpr double kReadsOfALightPath = 0.5;
 // Samples of a pixel for each point that clusters light. Of as many points as samples the error is as large in rooms
@@ -62,7 +60,7 @@ struct PhotonSettings : PhotonCounts {
   double radius;          // m; 0: by the nearest photons
   std::uint32_t order;    // of hemispherical harmonics of light on rough lobes; 0: paths find that light
   std::uint32_t guide;    // light paths of the pilot that tells where photons are of use; 0: none
-  bool given_rays, given_passes;
+  GivenPhotonCounts given;
 };
 
 PhotonSettings read_settings(const FrameSettings& settings) {
@@ -81,8 +79,7 @@ PhotonSettings read_settings(const FrameSettings& settings) {
                    real_setting(settings, "photon.radius").value_or(0),
                    whole_setting(settings, "photon.order").value_or(kUsualOrder),
                    whole_setting(settings, "photon.guide").value_or(0),
-                   given.rays.has_value(),
-                   given.passes.has_value()};
+                   given};
   p.passes = chosen(settings.planned_spp()).passes;  // which nothing is shared of
   // As many places of caustics in a pixel as samples. More where pixels are few: what a pass traces is worth more
   // reads.
@@ -109,7 +106,7 @@ struct OwnLight {
   double mean = 0, squared_error = 0;
 
   // Light whose standard deviation is `noise` of itself.
-  void add(const std::vector<float>& picture, double noise) {
+  void add(std::span<const float> picture, double noise) {
     double sum = 0, squares = 0;
     for (const float value : picture) {
       sum += double{value};
@@ -120,13 +117,6 @@ struct OwnLight {
     squared_error += noise * noise * squares / count;
   }
 };
-
-std::vector<float> picture_of(const Artifact& shaded) {
-  const Bytes& records = shaded.records();
-  std::vector<float> picture(records.size() / sizeof(float));
-  std::memcpy(picture.data(), records.data(), records.size());
-  return picture;
-}
 
 PhotonMapFacts checked_map(const Graph::Artifact& map) {
   const auto facts = map.facts<PhotonMapFacts>();
@@ -535,7 +525,7 @@ void PhotonPlan::look_at_records(std::function<void()> then) {
   gathered_ = checked_map(map_);
   const std::uint64_t places = own_.places.record_count();
   const std::optional<RecordLook> look = RecordLook::at(places, strata_.count());
-  if (!looks_at_noise() || photon_.given_rays || !look) return then();
+  if (!looks_at_noise() || photon_.given.rays || !look) return then();
   PhotonClusterGatherParameters p = gather_parameters(places, 0);
   p.records = look->parameters(p.records, 0);
   std::vector<Graph::Input> inputs = light_of(map_);
@@ -808,12 +798,13 @@ void PhotonPlan::shade_caustics(std::uint32_t pass) {
   if (first_caustics_ && pass == 0)
     graph_.when({shaded}, [this, shaded] {
       // Of a pass; radii shrink, so that variance falls by less than the passes' number.
-      own_light_.add(picture_of(shaded), std::pow(passes_.size(), -kShrinkage / 2) / std::sqrt(kCausticNeighbours));
+      own_light_.add(float_view(shaded.records()),
+                     std::pow(passes_.size(), -kShrinkage / 2) / std::sqrt(kCausticNeighbours));
       graph_.announce(first_caustics_);
     });
   preview_pass(shaded);
   add_pass(shaded, beside_);
-  if (pass > 0 || !seen_ || photon_.given_passes) return ask_caustics_after(pass);
+  if (pass > 0 || !seen_ || photon_.given.passes) return ask_caustics_after(pass);
   graph_.when({shaded, seen_}, [this, shaded] {
     choose_passes(shaded);
     ask_caustics_after(0);
@@ -832,7 +823,7 @@ void PhotonPlan::ask_caustics_after(std::uint32_t pass) {
 // Where caustics are little beside the noise of paths, fewer passes are worth their time.
 void PhotonPlan::choose_passes(const Artifact& first) {
   OwnLight light;
-  light.add(picture_of(first), 1 / std::sqrt(kCausticNeighbours));
+  light.add(float_view(first.records()), 1 / std::sqrt(kCausticNeighbours));
   first_pass_error_ = std::sqrt(light.squared_error);
   passes_.resize(worthwhile_passes({.sample_error = noise_.sample,
                                     .pass_error = first_pass_error_,
@@ -922,7 +913,7 @@ std::vector<std::string> PhotonPlan::outline() const {
     lines.push_back("photon.points: " + std::to_string(cache_.samples()) + " surface points of each pixel, in " +
                     std::to_string(cache_.tiles()) + " tiles, split");
     lines.push_back("photon.clusters: " + std::to_string(photon_.clusters) + " clusters of these, solo");
-    if (looks_at_noise() && !photon_.given_rays)
+    if (looks_at_noise() && !photon_.given.rays)
       lines.push_back(
           "photon.look: some sample points with few rays, which tell with the first samples how many all get, split");
     lines.push_back("photon.cluster_gather: " + std::to_string(strata_.count()) +

@@ -1,8 +1,6 @@
 #include "coordinator/plan/record_look.h"
 
 #include <cmath>
-#include <cstring>
-#include <vector>
 
 #include "coordinator/plan/cache_noise.h"
 
@@ -37,9 +35,7 @@ StageSpec RecordLook::stage(const std::string& name, const char* kind, int prior
 }
 
 double RecordLook::noise_of(const Graph::Artifact& looked, double albedo, std::uint32_t word) const {
-  std::vector<float> rows(looked.records().size() / sizeof(float));
-  std::memcpy(rows.data(), looked.records().data(), rows.size() * sizeof(float));
-  const double noise = ray_noise(rows, strata.count(), albedo, word);
+  const double noise = ray_noise(float_view(looked.records()), strata.count(), albedo, word);
   looked.check_facts(noise >= 0 && std::isfinite(noise), "a noise of " + std::to_string(noise));
   return noise;
 }

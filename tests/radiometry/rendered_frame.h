@@ -17,6 +17,7 @@
 
 #include "cli/local_frame.h"
 #include "coordinator/plan/plan.h"
+#include "kernels/splat_records.h"
 #include "scene/model/error.h"
 #include "tests/radiometry/shot.h"
 
@@ -60,6 +61,21 @@ struct Rendered {
     return values;
   }
 };
+
+// Of a look at some of the records of a cache, 256 of them: they stand at places that are spread evenly over all.
+// `words`: of a row of the places, which begins with the position. Returns how many places there are.
+inline std::size_t expect_spread_look(const std::vector<float>& looked, const std::vector<float>& places,
+                                      std::size_t words) {
+  const std::size_t count = looked.size() / CACHE_WORDS, all = places.size() / words;
+  EXPECT_EQ(count, 256u);
+  EXPECT_GE(all, 2 * count) << "nothing is left out";
+  if (count == 0 || all < count) return all;
+  const std::size_t stride = all / count;
+  for (std::size_t i = 0; i < count; ++i)
+    for (std::size_t k = 0; k < 3; ++k)
+      EXPECT_EQ(looked[i * CACHE_WORDS + CACHE_POSITION + k], places[i * stride * words + k]) << i;
+  return all;
+}
 
 // No stage may leave out samples that are not finite.
 inline Rendered render(const Frame& frame) {

@@ -272,17 +272,11 @@ TEST(Splat, RaysFollowWhatIsNoisy) {
     const Rendered made =
         render(square_frame("splat", scene::make_scene("cornell-box", {}), {}, small ? 48 : 160, 64, {}));
     const auto& splat = made.parameters["splat"];
-    const std::vector<float> places = made.floats("splat.select"), looked = made.floats("splat.look");
-    const std::size_t count = looked.size() / CACHE_WORDS, all = places.size() / SPLAT_PLACE_WORDS;
+    const std::size_t all =
+        expect_spread_look(made.floats("splat.look"), made.floats("splat.select"), SPLAT_PLACE_WORDS);
     rays[small] = splat["gather_rays"];
-    std::printf("  a sample is off by %.4f, a ray by %.4f; %zu of %zu records, of %u rays\n",
-                splat["sample_error"].get<double>(), splat["ray_error"].get<double>(), count, all, rays[small]);
-    ASSERT_EQ(count, 256u);
-    ASSERT_GE(all, 2 * count) << "nothing is left out";
-    const std::size_t stride = all / count;
-    for (std::size_t i = 0; i < count; ++i)
-      for (std::size_t k = 0; k < 3; ++k)
-        ASSERT_EQ(looked[i * CACHE_WORDS + CACHE_POSITION + k], places[i * stride * SPLAT_PLACE_WORDS + k]) << i;
+    std::printf("  a sample is off by %.4f, a ray by %.4f; %zu records, of %u rays\n",
+                splat["sample_error"].get<double>(), splat["ray_error"].get<double>(), all, rays[small]);
     EXPECT_EQ(made.results.at("splat.gather").records.size(), all * CACHE_WORDS * 4);
     EXPECT_EQ(made.specs.at("splat.gather").work, static_cast<double>(all) * rays[small]);
   }
