@@ -26,7 +26,7 @@ namespace gleaner::kernels {
 // Instead of these: indirect light that leaves the first surface by its diffuse layer, but for caustics of perfect
 // mirrors and smooth glass (kernels/irradiance_filter.h).
 #define PATH_CLASS_IRRADIANCE 32u
-// As IRRADIANCE, with what leaves the first surface by a rough lobe (kernels/bsdf.h).
+// As IRRADIANCE, with what leaves the first surface by a rough lobe (kernels/bsdf/lobe.h).
 #define PATH_CLASS_RADIANCE 256u
 // As RADIOSITY. Where every surface is diffuse, paths also end at their first surface, and light samples alone bring
 // direct light.

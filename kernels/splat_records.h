@@ -34,8 +34,8 @@ namespace gleaner::kernels {
 #define SPLAT_TABLE_BITS 0xffffffu
 #define SPLAT_LEVEL 255u  // above all levels
 
-// What is found: points of diffuse layers; points of rough lobes (has_rough_lobe() of kernels/bsdf.h); of these, at the
-// same places, the lobes themselves (kernels/lobe_rows.h).
+// What is found: points of diffuse layers; points of rough lobes (has_rough_lobe() of kernels/bsdf/lobe.h); of these,
+// at the same places, the lobes themselves (kernels/lobe_rows.h).
 #define SPLAT_LAYERS 0u
 #define SPLAT_LOBES 1u
 #define SPLAT_LOBE_ROWS 2u

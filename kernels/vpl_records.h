@@ -26,7 +26,7 @@ namespace gleaner::kernels {
 #define VPL_COUNT 16u  // clusters: members (float)
 #define VPL_ERROR 17u  // bound of the position's rounding
 #define VPL_COS 20u    // clusters: least cosine between the normal and a member's
-// A rough lobe (bsdf.h): of VPL_FLUX, sent * mean_lobe() is its part.
+// A rough lobe (kernels/bsdf/lobe.h): of VPL_FLUX, sent * mean_lobe() is its part.
 #define VPL_SENT 21u      // RGB: W that the surface scatters, or 0
 #define VPL_F0 24u        // RGB: colour of the lobe at normal incidence
 #define VPL_F90 27u       // and at grazing incidence

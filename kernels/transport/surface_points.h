@@ -25,7 +25,7 @@ typedef struct {
   v3 albedo;      // of the diffuse layer, as seen from the ray
   vu table;       // the albedo table of the lobe above that layer, or GLEANER_NONE
   vf table_row;
-  vi rough;  // the surface has a rough lobe (kernels/bsdf.h)
+  vi rough;  // the surface has a rough lobe (kernels/bsdf/lobe.h)
 } SurfacePoint;
 
 // Moves one block of camera paths. samples: length of the pixels' sequences of random numbers. max_depth: most

@@ -1,4 +1,5 @@
-// Contribution of a virtual point light to a point: both may have a rough specular lobe over a diffuse layer (bsdf.h).
+// Contribution of a virtual point light to a point: both may have a rough specular lobe over a diffuse layer
+// (bsdf/lobe.h).
 #ifndef GLEANER_KERNELS_VPL_LOBES_H
 #define GLEANER_KERNELS_VPL_LOBES_H
 

@@ -124,7 +124,7 @@ AlbedoNodes lobe_albedo(double alpha_x, double alpha_y, double azimuth, const Fr
 
 namespace {
 
-// Conty and Kulla's fit of the shadowing of fibres, as in kernels/layers.h.
+// Conty and Kulla's fit of the shadowing of fibres, as in kernels/bsdf/layers.h.
 double sheen_lambda(double cosine, double alpha) {
   const double k = (1 - alpha) * (1 - alpha);
   const auto fit = [k](double x) {

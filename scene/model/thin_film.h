@@ -1,5 +1,5 @@
 #pragma once
-// Reflectance of a thin film on a surface (KHR_materials_iridescence), as kernels/thin_film.h has it.
+// Reflectance of a thin film on a surface (KHR_materials_iridescence), as kernels/bsdf/thin_film.h has it.
 
 #include <array>
 

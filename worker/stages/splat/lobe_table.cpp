@@ -12,7 +12,7 @@ namespace {
 
 constexpr std::uint32_t kPolar = 48, kAzimuthal = 48;
 
-// GGX with separable Smith masking (kernels/bsdf.h), times the light's cosine, over Schlick's two colours.
+// GGX with separable Smith masking (kernels/bsdf/lobe.h), times the light's cosine, over Schlick's two colours.
 std::array<double, 2> lobe(double alpha, double nv, double nl, double phi) {
   const double sv = std::sqrt(1 - nv * nv), sl = std::sqrt(1 - nl * nl), vl = nv * nl + sv * sl * std::cos(phi);
   const double a2 = alpha * alpha, length2 = 2 + 2 * vl;  // of v + l

@@ -8,7 +8,7 @@
 
 namespace gleaner::worker {
 
-// A lobe is f0 a + f90 b (kernels/bsdf.h: rough_lobe()), seen from an azimuth of 0; so it has no sines. Rows of
+// A lobe is f0 a + f90 b (kernels/bsdf/lobe.h: rough_lobe()), seen from an azimuth of 0; so it has no sines. Rows of
 // LOBE_TABLE_WORDS(order) of kernels/splat_records.h: a's coefficients, then b's, of LOBE_TABLE_VIEWS cosines of each
 // of LOBE_TABLE_ALPHAS roughnesses. Takes a second.
 std::vector<float> make_lobe_table(std::uint32_t order);

@@ -2,10 +2,13 @@
 // of its own) over sheen (KHR_materials_sheen: the "Charlie" lobe of Conty & Kulla 2017). Both take from all that lies
 // below what they reflect themselves, reciprocally: min(1 - w E(n.v), 1 - w E(n.l)), as Conty & Kulla scale albedos.
 // The diffuse layer has a table of what all lobes above leave to it (Material::albedo_table), so that white stays
-// white. They lie on what does not transmit; virtual point lights know nothing of them but that table. Included by
-// bsdf.h.
-#ifndef GLEANER_KERNELS_LAYERS_H
-#define GLEANER_KERNELS_LAYERS_H
+// white. They lie on what does not transmit; virtual point lights know nothing of them but that table.
+#ifndef GLEANER_KERNELS_BSDF_LAYERS_H
+#define GLEANER_KERNELS_BSDF_LAYERS_H
+
+#include "kernels/bsdf/albedo_tables.h"
+
+#ifdef NEED_LAYERS
 
 #ifdef NEED_CLEARCOAT
 
@@ -195,5 +198,7 @@ FN vf share_lobes(Surface* m, vf lobe, vi has_lobe) {
 #endif
   return all;
 }
+
+#endif
 
 #endif

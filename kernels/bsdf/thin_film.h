@@ -1,8 +1,8 @@
 // Reflectance of a thin film on a surface, by Belcour & Barla 2017, "A Practical Extension to Microfacet Theory for the
 // Modeling of Varying Iridescence", as KHR_materials_iridescence has it: Schlick's Fresnel at both interfaces, no
 // polarization, the spectrum integrated in Fourier space. scene/model/thin_film.cpp is the same in double precision.
-#ifndef GLEANER_KERNELS_THIN_FILM_H
-#define GLEANER_KERNELS_THIN_FILM_H
+#ifndef GLEANER_KERNELS_BSDF_THIN_FILM_H
+#define GLEANER_KERNELS_BSDF_THIN_FILM_H
 
 #include "kernels/vec3.h"
 
