@@ -160,9 +160,13 @@ double Accumulator::seen_by(std::size_t sequence, std::size_t pixel, int k, cons
 }
 
 double Accumulator::seen_by_all(std::size_t pixel, int k) const {
+  if (!sees_emission()) return 0;
+  // Nearly all pixels.
+  const bool none = seen_[0][k][pixel] == 0 && seen_[1][k][pixel] == 0;
+  if (none && seen_alone_[0].empty() && seen_alone_[1].empty()) return 0;
   const Samples by_sequence = sequence_samples(pixel);
   const double a = by_sequence[0], b = by_sequence[1];
-  if (!sees_emission() || a + b == 0) return 0;
+  if (a + b == 0) return 0;
   return (a * seen_by(0, pixel, k, by_sequence) + b * seen_by(1, pixel, k, by_sequence)) / (a + b);
 }
 
@@ -281,18 +285,16 @@ Film Accumulator::film_of_samples() const {
 Film Accumulator::take_picture() {
   if (halves_ || !sampled()) return take_film();
   Film film{width_, height_, {}};
-  for (const char* color : kColor) film.channels.push_back({color, std::vector<float>(pixel_count())});
   const auto n = static_cast<float>(passes_);
-  for (std::size_t i = 0; i < pixel_count(); ++i) {
-    const std::uint32_t count = samples(i);
-    for (int k = 0; k < 3; ++k) {
-      // As take_film() adds them up, to the bit.
-      float indirect = mean(indirect_[k][i], count);
-      if (passes_ > 0) indirect += pass_sum_[3 * i + static_cast<std::size_t>(k)] / n;
-      film.channels[static_cast<std::size_t>(k)].values[i] =
-          mean(direct_[k][i], count) + static_cast<float>(seen_by_all(i, k)) + indirect;
-    }
-  }
+  for (std::size_t k = 0; k < 3; ++k)
+    film.channels.push_back({kColor[k], layer([&](std::size_t i) {
+                               // As take_film() adds them up, to the bit.
+                               const std::uint32_t count = samples(i);
+                               float indirect = mean(indirect_[k][i], count);
+                               if (passes_ > 0) indirect += pass_sum_[3 * i + k] / n;
+                               const auto seen = static_cast<float>(seen_by_all(i, static_cast<int>(k)));
+                               return mean(direct_[k][i], count) + seen + indirect;
+                             })});
   *this = Accumulator(width_, height_);
   return film;
 }

@@ -25,16 +25,20 @@ std::string exposure_warning(const Film& film, double exposure_stops) {
   const double scale = std::exp2(exposure_stops);
   const std::size_t pixels = planes[0]->values.size();
   std::size_t white = 0, black = 0;
-  std::vector<float> levels;  // brightest channel of each pixel that has light
+  const auto range = [&](std::size_t i) {
+    return std::minmax({planes[0]->values[i], planes[1]->values[i], planes[2]->values[i]});
+  };
   for (std::size_t i = 0; i < pixels; ++i) {
-    const auto [least, most] = std::minmax({planes[0]->values[i], planes[1]->values[i], planes[2]->values[i]});
+    const auto [least, most] = range(i);
     white += scale * double{least} >= kWhite;
     black += !(scale * double{most} >= kLeastGrey);
-    if (most > 0 && std::isfinite(most)) levels.push_back(most);
   }
   const std::size_t others = pixels / 1000;
   const bool all_white = white + others >= pixels, all_black = black + others >= pixels;
   if (!all_white && !all_black) return {};
+  std::vector<float> levels;  // brightest channel of each pixel that has light
+  for (std::size_t i = 0; i < pixels; ++i)
+    if (const float most = range(i).second; most > 0 && std::isfinite(most)) levels.push_back(most);
   if (levels.empty()) return "the picture is black from end to end: no light reaches what the camera sees";
   // The middle of a white picture becomes a middle grey. Of a black one little may have light at all: the brightest
   // hundredth of that comes close to white.

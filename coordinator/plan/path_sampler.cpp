@@ -80,13 +80,22 @@ Sums read_sums(const std::byte* at, bool features, bool apart, bool compensates)
   return sums;
 }
 
-void check_finite(const Sums& sums, const Graph::Artifact& stage, std::uint64_t item) {
-  float words[sizeof sums / 4];
-  std::memcpy(words, &sums, sizeof sums);
-  float zero = 0;  // not, where a word is not finite: without branches, for this is done for each pixel and chunk
-  for (const float word : words) zero += 0 * word;
-  if (zero != 0)
-    throw Error::failed("stage " + stage.stage() + ", item " + std::to_string(item) + ": a sum that is not finite");
+// Throws Error::failed where a sum of the items from `first` on is not finite. `stride`: bytes of an item's record.
+void check_finite(const Bytes& records, std::size_t stride, const Graph::Artifact& stage, std::uint64_t first) {
+  constexpr std::uint32_t exponent = 0x7f800000;  // all bits of it are set in what is not finite
+  const auto odd = [&](std::size_t at) {
+    std::uint32_t word;
+    std::memcpy(&word, records.data() + at, sizeof word);
+    return (word & exponent) == exponent;
+  };
+  // Without a branch for each word: this is done for all pixels and chunks.
+  bool any = false;
+  for (std::size_t at = 0; at < records.size(); at += 4) any |= odd(at);
+  if (!any) return;
+  std::size_t at = 0;
+  while (!odd(at)) at += 4;
+  throw Error::failed("stage " + stage.stage() + ", item " + std::to_string(first + at / stride) +
+                      ": a sum that is not finite");
 }
 
 }  // namespace
@@ -228,9 +237,9 @@ void PathSampler::ask_seen() {
 
 void PathSampler::absorb_seen(std::uint64_t first, std::uint64_t count, const Bytes& records) {
   const std::size_t stride = record_bytes(*seen_);
+  check_finite(records, stride, seen_->artifact, first);
   for (std::uint64_t k = 0; k < count; ++k) {
     const Sums sums = read_sums(records.data() + k * stride, false, false, false);
-    check_finite(sums, seen_->artifact, first + k);
     const PathItem item = item_of(*seen_, first + k);
     film_.add_seen_alone(item.pixel, item.chunk, sums.record.direct, samples_of(*seen_, first + k));
   }
@@ -272,10 +281,10 @@ void PathSampler::spend(std::uint64_t samples) {
 void PathSampler::absorb(std::uint64_t first, std::uint64_t count, const Bytes& records) {
   const Asked& asked = stages_.back();
   const std::size_t stride = record_bytes(asked);
+  check_finite(records, stride, asked.artifact, first);
   for (std::uint64_t k = 0; k < count; ++k) {
     Sums sums =
         read_sums(records.data() + k * stride, asked.features, asked.seen == PATH_SEEN_APART, complement_.compensates);
-    check_finite(sums, asked.artifact, first + k);
     const std::uint32_t samples = samples_of(asked, first + k);
     const PathItem item = item_of(asked, first + k);
     PathFeatureRecord& r = sums.record;
