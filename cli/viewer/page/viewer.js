@@ -359,7 +359,8 @@ function tell(words) {
   set($("rate"), words.frames_per_second > 0 ? words.frames_per_second.toFixed(1) : "\u2013");
   set($("latency"), shownLatency === null ? "\u2013" : milliseconds(shownLatency / 1000));
   if (words.latency_seconds > 0) set($("farm"), milliseconds(words.latency_seconds));
-  set($("links"), words.links_behind > 0 ? `${words.links_behind} changes` : "none");
+  const behind = words.links_behind;
+  set($("links"), behind > 0 ? `${behind} ${behind === 1 ? "change" : "changes"}` : "none");
   set($("samples"), words.samples + (words.last ? ", the finest" : ""));
   set($("seconds"), milliseconds(words.seconds));
   set($("made"), words.made.join(", ") || "nothing");
