@@ -3,7 +3,7 @@
 Scenes and references are looked for in $GLEANER_SHARED (default: ../shared beside the project), programs in $GLEANER_BIN
 (default: build/bin). Smaller references need a Python with numpy and OpenEXR.
 """
-import atexit, functools, importlib.machinery, importlib.util, json, math, os, pathlib, subprocess, sys, tempfile
+import atexit, functools, importlib.machinery, importlib.util, json, math, os, pathlib, struct, subprocess, sys, tempfile
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 SHARED = pathlib.Path(os.environ.get("GLEANER_SHARED", ROOT.parent / "shared"))
@@ -83,6 +83,36 @@ def against_reference(picture, name, shrink=1):
     """As compared(): the picture beside the scene's reference, whose noise is taken off."""
     reference, noise = reference_files(name, shrink)
     return compared(picture, reference, "--stderr", noise)
+
+
+def block_error(picture, reference, worst=0.01):
+    """Root mean square of the differences of means over blocks of 8 x 8 pixels, over the reference's mean, without the `worst` part of the blocks."""
+    import numpy, OpenEXR
+
+    def blocks(path):
+        channels = OpenEXR.File(str(path)).channels()
+        image = channels["RGB"].pixels if "RGB" in channels else numpy.stack([channels[c].pixels for c in "RGB"], -1)
+        height, width = (size // 8 for size in image.shape[:2])
+        return image[:8 * height, :8 * width].astype(float).reshape(height, 8, width, 8, 3).mean((1, 3))
+
+    picture, reference = blocks(picture), blocks(reference)
+    squared = numpy.sort(((picture - reference) ** 2).mean(-1).ravel())
+    return float(numpy.sqrt(squared[:len(squared) - int(worst * len(squared))].mean()) / reference.mean())
+
+
+def lambert_hall(folder):
+    """The library's hall without its polished floor, as .gltf beside a .bin."""
+    subprocess.run([BIN / "gleaner", "scene", "hall", "-o", folder / "hall.glb"], check=True, stdout=subprocess.DEVNULL)
+    data = (folder / "hall.glb").read_bytes()
+    length = struct.unpack("<I", data[12:16])[0]
+    gltf = json.loads(data[20:20 + length])
+    for material in gltf["materials"]:
+        material["pbrMetallicRoughness"].update(metallicFactor=0, roughnessFactor=1)
+        material.setdefault("extensions", {})["KHR_materials_specular"] = {"specularFactor": 0}
+    (folder / "hall.bin").write_bytes(data[28 + length:])
+    gltf["buffers"][0]["uri"] = "hall.bin"
+    (folder / "hall.gltf").write_text(json.dumps(gltf))
+    return folder / "hall.gltf"
 
 
 def needed(points, target):
