@@ -72,7 +72,7 @@ TEST(SplatSmooth, NoiseFallsAndIsToldTruly) {
   for (const double noise : {0.02, 0.1, 0.3}) {
     const auto records = records_of(smooth_field, noise);
     const Errors before = errors_of(records, smooth_field),
-                 after = errors_of(worker::smooth_cache(records), smooth_field);
+                 after = errors_of(worker::smooth_cache(records, 2), smooth_field);
     EXPECT_LT(after.rms, 0.5 * before.rms) << noise;
     EXPECT_LT(std::abs(after.mean), 4 * noise / 40) << noise << ": four of its mean's deviations";
     EXPECT_NEAR(after.told / after.rms, 1, 0.25) << noise;
@@ -81,7 +81,7 @@ TEST(SplatSmooth, NoiseFallsAndIsToldTruly) {
 
 TEST(SplatSmooth, WhereNothingIsNoisyNothingMoves) {
   const auto records = records_of([](double x, double y) { return 1 + x * x + std::sin(20 * y); }, 0);
-  const auto smoothed = worker::smooth_cache(records);
+  const auto smoothed = worker::smooth_cache(records, 2);
   for (std::size_t i = 0; i < records.size(); ++i)
     ASSERT_EQ(std::memcmp(&smoothed[i], &records[i], sizeof(CacheRecord)), 0) << i;
 }
@@ -89,7 +89,7 @@ TEST(SplatSmooth, WhereNothingIsNoisyNothingMoves) {
 // Noise is no reason to blur what is larger than it.
 TEST(SplatSmooth, AnEdgeStays) {
   const Field edge = [](double x, double) { return x < 0.5 ? 1.0 : 3.0; };
-  const auto records = records_of(edge, 0.05), smoothed = worker::smooth_cache(records);
+  const auto records = records_of(edge, 0.05), smoothed = worker::smooth_cache(records, 2);
   for (std::size_t i = 0; i < records.size(); ++i)
     EXPECT_LT(std::abs(smoothed[i].irradiance[0] - records[i].irradiance[0]), 0.05 * 3 * 2 * 4)
         << "two of its noise's deviations, which its own word may take for twice as large";
@@ -115,7 +115,7 @@ double bright_record(float told, const Around& around = {}) {
   odd.clearance.fill(around.clearance);
   odd.least_clear = around.clearance;
   const double truth = around.field(odd.position[0], odd.position[1]);
-  return worker::smooth_cache(std::move(records))[at].irradiance[0] / truth;
+  return worker::smooth_cache(std::move(records), 2)[at].irradiance[0] / truth;
 }
 
 // A single ray that finds a lamp: one half has it, the other one has not. Its record is told by its neighbours, for
@@ -139,7 +139,7 @@ TEST(SplatSmooth, WhatIsTakenBackIsNotLost) {
       for (float& light : r.irradiance) light *= 3;
       r.spare[0] = random() % 2 ? 0.67f : -0.67f;
     }
-  const Errors before = errors_of(records, wavy_field), after = errors_of(worker::smooth_cache(records), wavy_field);
+  const Errors before = errors_of(records, wavy_field), after = errors_of(worker::smooth_cache(records, 2), wavy_field);
   EXPECT_NEAR(after.mean / before.mean, 1, 0.1) << before.mean;
   EXPECT_LT(after.rms, 0.5 * before.rms);
 }
@@ -148,6 +148,14 @@ TEST(SplatSmooth, WhatIsTakenBackIsNotLost) {
 TEST(SplatSmooth, ASingleBrightRecordOfLittleNoiseStays) {
   EXPECT_GT(bright_record(0.01f), 2.7);
   EXPECT_GT(bright_record(0.01f, {.field = wavy_field, .noise = 0.01}), 2.7);
+}
+
+TEST(SplatSmooth, BitsAreTheSameByAnyNumberOfThreads) {
+  auto records = records_of(wavy_field, 0.1);
+  for (std::size_t i = 0; i < records.size(); i += 37) records[i].irradiance.fill(5);  // some of it is taken back
+  const auto one = worker::smooth_cache(records, 1), three = worker::smooth_cache(records, 3);
+  EXPECT_EQ(std::memcmp(one.data(), three.data(), records.size() * sizeof(CacheRecord)), 0);
+  EXPECT_NE(std::memcmp(one.data(), records.data(), records.size() * sizeof(CacheRecord)), 0);
 }
 
 // What lies in the mirror's depth, or on the other side of a wall, is no neighbour.
@@ -162,7 +170,7 @@ TEST(SplatSmooth, OtherLevelsAndSidesAreNoNeighbours) {
     r.normal[2] = -1;
     both.push_back(r);
   }
-  const auto alone = worker::smooth_cache(near), among = worker::smooth_cache(both);
+  const auto alone = worker::smooth_cache(near, 2), among = worker::smooth_cache(both, 2);
   for (std::size_t i = 0; i < near.size(); ++i)
     ASSERT_EQ(std::memcmp(&alone[i], &among[i], sizeof(CacheRecord)), 0) << i;
 }

@@ -186,7 +186,7 @@ const std::vector<StageKind>& stage_table() {
        {"kernels/splat/points.cl", "kernels/splat/probe.cl"},
        {{.name = "given", .required = false}}},
       {"splat_judge", on_host<judge_splat_cache>, {}, {{.name = "points"}, {.name = "cache"}}},
-      {"splat_smooth", on_host<smooth_splat_records>, {}, {{.name = "cache"}}},
+      {"splat_smooth", run_splat_smooth_stage, {}, {{.name = "cache"}}},
       {"splat_shape", on_host<shape_splat_places>, {}, {{.name = "places"}, {.name = "records"}}},
       {"splat_merge", on_host<merge_splat_records>, {}, {{.name = "places"}, {.name = "records", .numbered = true}}},
       {"splat_gather", run_splat_gather_stage, {"kernels/splat/gather.cl"}, {{.name = "places"}}},

@@ -39,7 +39,7 @@ ReachGrid grid_of_read(const std::vector<CacheRecord>& records) {
   std::vector<ReachGrid::Entry> entries;
   entries.reserve(records.size());
   for (const CacheRecord& record : records) entries.push_back({record.position, reach_of(record)});
-  return ReachGrid(std::move(entries));
+  return ReachGrid(entries);
 }
 
 }  // namespace

@@ -1,5 +1,5 @@
 #pragma once
-// Places by the cells of a grid that they reach: which of them may be read at a point.
+// Places by the cells that they reach, of grids as fine as they reach far: which of them may be read at a point.
 
 #include <array>
 #include <cstdint>
@@ -24,25 +24,29 @@ class ReachGrid {
     std::array<float, 3> position;
     float reach;  // m
   };
-  explicit ReachGrid(std::vector<Entry> entries);
+  explicit ReachGrid(std::span<const Entry> entries);
 
   // Calls see(number of the entry) for all that may reach the position, some perhaps twice, in an order of their own.
   template <typename See>
   void near(const std::array<float, 3>& position, const See& see) const {
-    GridCell at{};
-    for (std::size_t k = 0; k < 3; ++k) at[k] = cell_of(position[k]);
-    if (const auto found = cells_.find(key_of(at)); found != cells_.end())
-      for (const std::uint32_t i : found->second) see(i);
-    for (const std::uint32_t i : wide_) see(i);
+    for (const Level& level : levels_) {
+      GridCell at{};
+      for (std::size_t k = 0; k < 3; ++k) at[k] = level.cell_of(position[k]);
+      if (const auto found = level.cells.find(key_of(at)); found != level.cells.end())
+        for (const std::uint32_t i : found->second) see(i);
+    }
   }
 
  private:
-  std::int64_t cell_of(float x) const;
-  void enter(std::uint32_t number, const Entry& entry);
+  // Entries that are as wide as one cell at most, and wider than half of one: each lies in eight at most.
+  struct Level {
+    int exponent;  // of the cell's edge: 2^exponent m
+    std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> cells{};
+    std::int64_t cell_of(float x) const;
+    void enter(std::uint32_t number, const Entry& entry);
+  };
 
-  double cell_ = 1;
-  std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> cells_;
-  std::vector<std::uint32_t> wide_;
+  std::vector<Level> levels_;
 };
 
 // Of samples.

@@ -15,15 +15,25 @@ namespace gleaner::worker::splat {
 
 class RecordGrid {
  public:
+  // A record and what it counts with, above 0.
+  struct Near {
+    std::uint32_t record;
+    double weight;
+  };
+
   // `stretch`: as that of record_weight().
   RecordGrid(std::span<const CacheRecord> records, float stretch) : grid_(entries(records, stretch)) {}
 
-  // The numbers of the records that may count at a place, in their order.
-  std::vector<std::uint32_t> near(const std::array<float, 3>& position) const {
-    std::vector<std::uint32_t> near;
-    grid_.near(position, [&](std::uint32_t k) { near.push_back(k); });
-    std::ranges::sort(near);
-    near.erase(std::unique(near.begin(), near.end()), near.end());
+  // The records that count at a place by `weight_of`, which gets a record's number, in their order.
+  template <typename WeightOf>
+  std::vector<Near> near(const std::array<float, 3>& position, const WeightOf& weight_of) const {
+    std::vector<Near> near;
+    grid_.near(position, [&](std::uint32_t k) {
+      if (const double weight = weight_of(k); weight > 0) near.push_back({k, weight});
+    });
+    std::ranges::sort(near, {}, &Near::record);
+    const auto again = std::ranges::unique(near, {}, &Near::record);
+    near.erase(again.begin(), again.end());
     return near;
   }
 

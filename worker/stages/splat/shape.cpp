@@ -36,14 +36,14 @@ class MeanHessians {
     const CacheRecord& here = records_[i];
     WorldMatrix sum{};
     double light = 0;
-    for (const std::uint32_t k : grid_.near(here.position)) {
+    const auto weight_of = [&](std::uint32_t k) {
       const CacheRecord& record = records_[k];
-      if (record.level != here.level) continue;
+      return record.level == here.level ? splat::record_weight(record, here.position, here.normal, kMeanStretch) : 0;
+    };
+    for (const auto& [k, weight] : grid_.near(here.position, weight_of)) {
+      const CacheRecord& record = records_[k];
       // 1 at its own place, 0 where its reach ends.
-      const double least = 1 / (kMeanStretch * double{record.accuracy}),
-                   weight = splat::record_weight(record, here.position, here.normal, kMeanStretch),
-                   share = weight / (weight + least);
-      if (!(share > 0)) continue;
+      const double least = 1 / (kMeanStretch * double{record.accuracy}), share = weight / (weight + least);
       const double bright = share * (double{record.irradiance[0]} + record.irradiance[1] + record.irradiance[2]);
       const WorldMatrix matrix = in_world(record.normal, {record.hessian[0], record.hessian[1], record.hessian[2]});
       for (std::size_t c = 0; c < sum.size(); ++c) sum[c] += bright * matrix[c];

@@ -1,5 +1,5 @@
 // Stage kind "splat_smooth": the records of a cache, of which each takes part of what its neighbours say of its place.
-// Solo, on the host.
+// Solo, on the host's threads.
 //
 // Two estimates of one number whose errors know nothing of each other: the record's own, of variance s^2, and the
 // neighbours', e'. Where d^2 is the mean square of their difference, what is least wrong is E + s^2 / d^2 (E' - E)
@@ -13,6 +13,7 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cmath>
 #include <optional>
 #include <tuple>
@@ -24,6 +25,8 @@
 #include "worker/stages/splat/smooth.h"
 #include "worker/stages/splat/stages.h"
 #include "worker/stages/vpl/rows.h"
+#include "worker/wavefront/host_threads.h"
+#include "worker/wavefront/run_threads.h"
 #include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
@@ -42,40 +45,54 @@ constexpr double kMostShare = 0.85;
 // A record is brighter than its neighbours say by so many times the median of what they are off by, where that is not
 // chance: three standard deviations of normal numbers.
 constexpr double kPlausible = 4.5;
+// Records that a thread takes at a time.
+constexpr std::size_t kRun = 256;
 
-struct Neighbour {
-  std::uint32_t record;
-  double weight;
-};
+using Neighbour = splat::RecordGrid::Near;
 
 double square_of(const Color& color) { return color[0] * color[0] + color[1] * color[1] + color[2] * color[2]; }
 
 class RecordSmoothing {
  public:
-  explicit RecordSmoothing(std::vector<CacheRecord> records)
-      : records_(std::move(records)), neighbours_(records_.size()), cut_off_(records_.size()), said_(records_.size()) {
+  RecordSmoothing(std::vector<CacheRecord> records, unsigned threads)
+      : records_(std::move(records)),
+        threads_(threads),
+        neighbours_(records_.size()),
+        cut_off_(records_.size()),
+        said_(records_.size()) {
     const splat::RecordGrid grid(records_, kNeighbourStretch);
-    for (std::uint32_t i = 0; i < records_.size(); ++i) {
-      if (i % 1024 == 0) check_wanted();
+    for_all([&](std::uint32_t i) {
       find_neighbours(grid, i);
       if (neighbours_[i].size() < kLeastNeighbours) {
         cut_off_[i] = true;
-        neighbours_[i].clear();
         find_neighbours(grid, i);
       }
-    }
+    });
     hear_all();
     take_back_chance();
   }
 
   std::vector<CacheRecord> smoothed() const {
     std::vector<CacheRecord> result = records_;
-    for (std::uint32_t i = 0; i < records_.size(); ++i)
+    for_all([&](std::uint32_t i) {
       if (const double share = share_of_neighbours(i); share > 0) result[i] = blended(i, share);
+    });
     return result;
   }
 
  private:
+  // Calls of(record) for all records, several at a time.
+  template <typename Of>
+  void for_all(const Of& of) const {
+    std::atomic<std::size_t> next = 0;
+    run_threads(threads_, [&](unsigned) {
+      for (std::size_t first; (first = next.fetch_add(kRun)) < records_.size();) {
+        check_wanted();
+        for (std::size_t i = first; i < std::min(first + kRun, records_.size()); ++i) of(static_cast<std::uint32_t>(i));
+      }
+    });
+  }
+
   // What the neighbours say of a record's place.
   struct Said {
     Color light{};
@@ -95,10 +112,7 @@ class RecordSmoothing {
   }
 
   void find_neighbours(const splat::RecordGrid& grid, std::uint32_t i) {
-    for (const std::uint32_t k : grid.near(records_[i].position)) {
-      const double weight = weight_at(k, i);
-      if (weight > 0) neighbours_[i].push_back({k, weight});
-    }
+    neighbours_[i] = grid.near(records_[i].position, [&](std::uint32_t k) { return weight_at(k, i); });
   }
 
   // Weighed as the neighbours are; 0 where there are none.
@@ -129,7 +143,7 @@ class RecordSmoothing {
   }
 
   void hear_all() {
-    for (std::uint32_t i = 0; i < records_.size(); ++i) said_[i] = said(i);
+    for_all([&](std::uint32_t i) { said_[i] = said(i); });
   }
 
   Said said(std::uint32_t i) const {
@@ -177,12 +191,13 @@ class RecordSmoothing {
   void take_back_chance() {
     std::vector<Color> given(records_.size());
     std::vector<CacheRecord> without = records_;
+    std::vector<double> chances(records_.size());
+    for_all([&](std::uint32_t i) { chances[i] = share_of_chance(i); });
     bool any = false;
     for (std::uint32_t i = 0; i < records_.size(); ++i) {
-      const double chance = share_of_chance(i);
-      if (!(chance > 0)) continue;
+      if (!(chances[i] > 0)) continue;
       any = true;
-      without[i] = blended(i, chance);
+      without[i] = blended(i, chances[i]);
       give(i, without[i], given);
     }
     if (!any) return;
@@ -253,6 +268,7 @@ class RecordSmoothing {
   }
 
   std::vector<CacheRecord> records_;
+  unsigned threads_;
   std::vector<std::vector<Neighbour>> neighbours_;
   std::vector<char> cut_off_;  // whether walls leave a record too few neighbours
   std::vector<Said> said_;
@@ -260,15 +276,18 @@ class RecordSmoothing {
 
 }  // namespace
 
-std::vector<CacheRecord> smooth_cache(std::vector<CacheRecord> records) {
-  return RecordSmoothing(std::move(records)).smoothed();
+std::vector<CacheRecord> smooth_cache(std::vector<CacheRecord> records, unsigned threads) {
+  return RecordSmoothing(std::move(records), threads).smoothed();
 }
 
-BatchResult smooth_splat_records(const StageTask& task) {
-  host_parameters<kernels::SplatSmoothParameters>(task);
+BatchResult run_splat_smooth_stage(const StageRun& run) {
+  const double start = seconds_now();
+  host_parameters<kernels::SplatSmoothParameters>(run.task);
   std::vector<CacheRecord> records;
-  append_records(task, "cache", records);
-  return cache_result(smooth_cache(std::move(records)));
+  append_records(run.task, "cache", records);
+  BatchResult result = cache_result(smooth_cache(std::move(records), host_threads(run.device)));
+  result.counters.seconds = seconds_now() - start;
+  return result;
 }
 
 }  // namespace gleaner::worker

@@ -7,7 +7,8 @@
 
 namespace gleaner::worker {
 
-// The records in their order, each blended with what its neighbours say of its place (smooth.cpp).
-std::vector<CacheRecord> smooth_cache(std::vector<CacheRecord> records);
+// The records in their order, each blended with what its neighbours say of its place (smooth.cpp). The same bits by any
+// number of threads.
+std::vector<CacheRecord> smooth_cache(std::vector<CacheRecord> records, unsigned threads);
 
 }  // namespace gleaner::worker

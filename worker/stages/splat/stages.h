@@ -17,7 +17,7 @@ BatchResult run_splat_gather_stage(const StageRun& run);
 BatchResult shape_splat_places(const StageTask& task);
 BatchResult merge_splat_records(const StageTask& task);
 BatchResult judge_splat_cache(const StageTask& task);
-BatchResult smooth_splat_records(const StageTask& task);
+BatchResult run_splat_smooth_stage(const StageRun& run);
 BatchResult run_splat_lobe_gather_stage(const StageRun& run);
 BatchResult run_splat_shade_stage(const StageRun& run);
 
