@@ -258,6 +258,22 @@ TEST(SplatSelect, AsFewRecordsAsTheSerialLoop) {
     }
 }
 
+TEST(SplatSelect, PlacesAreTheSameByAnyNumberOfThreads) {
+  const Room room = hall();
+  SelectSettings s = settings_of(96, 2, 0.2f);
+  const std::vector<SplatPoint> points = points_of(room, s);
+  const auto probe = probe_of(room, points);
+  const Selection one = worker::select_places(s, points, {}, probe);
+  s.threads = 3;
+  const Selection three = worker::select_places(s, points, {}, probe);
+  EXPECT_EQ(one.probes, three.probes);
+  ASSERT_EQ(one.places.size(), three.places.size());
+  for (std::size_t i = 0; i < one.places.size(); ++i) {
+    ASSERT_EQ(one.places[i].point.position, three.places[i].point.position) << i;
+    ASSERT_EQ(one.places[i].radius, three.places[i].radius) << i;
+  }
+}
+
 // What is covered gets no more records; what is given stays, first and in its order.
 TEST(SplatSelect, GivenRecordsServe) {
   const Room room = hall();

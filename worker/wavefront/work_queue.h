@@ -5,6 +5,7 @@
 #include <atomic>
 #include <cstdint>
 
+#include "worker/wavefront/run_threads.h"
 #include "worker/wavefront/wanted.h"
 
 namespace gleaner::worker {
@@ -55,5 +56,17 @@ class WorkQueue {
   std::atomic<std::uint64_t> next_{0};
   std::atomic<bool> stopped_{false};
 };
+
+// Calls of(item) for items 0 to total - 1, by so many threads, each of which takes up to `room` of them at a time.
+// Throws what the first thread threw, and Error::failed where nobody wants the batch any more.
+template <typename Of>
+void for_each_item(std::uint64_t total, unsigned threads, std::uint64_t room, const Of& of) {
+  WorkQueue work(total, threads, room);
+  run_threads(threads, [&](unsigned) {
+    while (const WorkQueue::Block block = work.claim(room))
+      for (std::uint64_t item = block.first; item < block.first + block.count; ++item) of(item);
+  });
+  check_wanted();
+}
 
 }  // namespace gleaner::worker

@@ -4,6 +4,7 @@
 // "Making Radiance and Irradiance Caching Practical".
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <vector>
@@ -32,18 +33,22 @@ class ClampedMeans {
     float mean;
     std::uint32_t place;
   };
-  // Places near each other, which are passed over together.
-  struct Cell {
+  // Places near each other, which are passed over together: members, or all places of two other nodes.
+  struct Node {
     PointBox box{};
-    float least, most;  // of their means
-    std::vector<Member> members{};
+    float least, most;                // of their means
+    std::vector<Member> members{};    // of a leaf
+    std::size_t left = 0, right = 0;  // else; the root is nobody's child
   };
 
-  void split(Cell& full);
-  static Cell cell_of(std::vector<Member> members);
+  void lower(std::size_t node, const Vec& position, float& mean) const;
+  void lower_others(std::size_t node, const Vec& position, float mean,
+                    const std::function<void(std::uint32_t, float)>& changed);
+  void split(std::size_t full);
+  static Node leaf_of(std::vector<Member> members);
 
   float slope_;
-  std::vector<Cell> cells_;
+  std::vector<Node> nodes_;  // the root first
 };
 
 }  // namespace gleaner::worker

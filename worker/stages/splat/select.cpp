@@ -8,6 +8,7 @@
 #include "worker/stages/splat/reading.h"
 #include "worker/stages/splat/shape.h"
 #include "worker/wavefront/wanted.h"
+#include "worker/wavefront/work_queue.h"
 
 namespace gleaner::worker {
 namespace {
@@ -20,6 +21,9 @@ constexpr float kMostSlope = 1.5f;
 
 // Given places shape those within so many times their reach.
 constexpr float kShapeStretch = 3;
+
+// Blocks that a thread takes at a time.
+constexpr std::uint64_t kRun = 16;
 
 using Vec = std::array<float, 3>;
 
@@ -39,16 +43,12 @@ class Selector {
 
   Selection run(std::span<const Selection::Place> given, const ProbePoints& probe) {
     for (const Selection::Place& place : given) take(place);
-    std::vector<std::uint32_t> asked;
     // A record whose radius shrinks uncovers points that were passed: another turn finds them.
     for (bool found = true; found;) {
       found = false;
       for (Block& block : blocks_) block.at = 0;
       for (;;) {
-        check_wanted();
-        asked.clear();
-        for (Block& block : blocks_)
-          if (const std::uint32_t point = next_uncovered(block); point != kNone) asked.push_back(point);
+        const std::vector<std::uint32_t> asked = next_uncovered();
         if (asked.empty()) break;
         found = true;
         ++made_.rounds;
@@ -69,6 +69,16 @@ class Selector {
     std::vector<std::uint32_t> tiles;
     std::uint32_t at = 0;  // points of the block that were visited
   };
+
+  // The next points that no record covers, one of each block that has any, in their order.
+  std::vector<std::uint32_t> next_uncovered() {
+    std::vector<std::uint32_t> next(blocks_.size());
+    // A block's points know no other block's.
+    for_each_item(blocks_.size(), settings_.threads, kRun,
+                  [&](std::uint64_t i) { next[i] = next_uncovered(blocks_[i]); });
+    std::erase(next, kNone);
+    return next;
+  }
 
   // The block's first point from where it stands that no record covers.
   std::uint32_t next_uncovered(Block& block) {

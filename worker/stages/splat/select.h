@@ -23,6 +23,7 @@ struct SelectSettings {
   float least_radius = 0, most_radius = 0;           // of R_k, in pixels
   std::uint32_t block_tiles = 2;  // edge of a block in tiles; 0: the whole picture, as the paper has it
   std::uint32_t most_new = 0;     // gives up beyond so many records that were not given; 0: never
+  unsigned threads = 1;           // that look for points; places are the same by any number
 };
 
 struct Selection {

@@ -11,6 +11,7 @@
 #include "worker/stages/splat/select.h"
 #include "worker/stages/splat/stages.h"
 #include "worker/stages/split_stage.h"
+#include "worker/wavefront/host_threads.h"
 #include "worker/wavefront/input_rows.h"
 #include "worker/wavefront/path_wave.h"
 
@@ -201,7 +202,8 @@ Selection select(const StageRun& run, const SplatSelectParameters& p, const std:
                           .least_radius = p.least_radius,
                           .most_radius = p.most_radius,
                           .block_tiles = p.block_tiles,
-                          .most_new = p.most_new};
+                          .most_new = p.most_new,
+                          .threads = host_threads(run.device)};
   Probe probe(run, p, points, result);
   for (;;) {
     if (settings.accuracy >= kMostAccuracy) settings.most_new = 0;

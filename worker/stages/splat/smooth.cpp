@@ -13,7 +13,6 @@
 
 #include <algorithm>
 #include <array>
-#include <atomic>
 #include <cmath>
 #include <optional>
 #include <tuple>
@@ -26,8 +25,7 @@
 #include "worker/stages/splat/stages.h"
 #include "worker/stages/vpl/rows.h"
 #include "worker/wavefront/host_threads.h"
-#include "worker/wavefront/run_threads.h"
-#include "worker/wavefront/wanted.h"
+#include "worker/wavefront/work_queue.h"
 
 namespace gleaner::worker {
 namespace {
@@ -84,13 +82,7 @@ class RecordSmoothing {
   // Calls of(record) for all records, several at a time.
   template <typename Of>
   void for_all(const Of& of) const {
-    std::atomic<std::size_t> next = 0;
-    run_threads(threads_, [&](unsigned) {
-      for (std::size_t first; (first = next.fetch_add(kRun)) < records_.size();) {
-        check_wanted();
-        for (std::size_t i = first; i < std::min(first + kRun, records_.size()); ++i) of(static_cast<std::uint32_t>(i));
-      }
-    });
+    for_each_item(records_.size(), threads_, kRun, [&](std::uint64_t i) { of(static_cast<std::uint32_t>(i)); });
   }
 
   // What the neighbours say of a record's place.
