@@ -139,24 +139,23 @@ FN v3 emitter_radiance(const Scene* scene, const vf* e, vf b1, vf b2, vi active)
 }
 #endif
 
-OUTLINED LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1) {
-  LightSample light;
-  light.infinite = no_lanes();
-  light.delta = no_lanes();
+// A cluster by its share of all that light from here, *total. *chance: that it is chosen; *rest: what is left of the
+// random number, in [0, 1).
+FN vu choose_cluster(const Scene* scene, v3 p, vf u_choice, vf* total, vf* chance, vf* rest) {
   vu cluster = (vu)0u;
-  vf chance = one_f();
-  vf rest = u_choice;
+  *chance = one_f();
+  *rest = u_choice;
 #if CLUSTERS == 1
-  light.total = one_f();
+  *total = one_f();
 #else
   vf importance[CLUSTERS];
-  vf total = zero_f();
+  vf all = zero_f();
   for (uint k = 0; k < CLUSTERS; ++k) {
     importance[k] = cluster_importance(scene, k, p);
-    total += importance[k];
+    all += importance[k];
   }
-  light.total = total;
-  vf aim = u_choice * total;
+  *total = all;
+  vf aim = u_choice * all;
   vf sum = zero_f(), chosen = zero_f(), below = zero_f();
   for (uint k = 0; k < CLUSTERS; ++k) {
     // The last cluster with any importance stands where rounding leaves the sum short of the aim.
@@ -167,11 +166,100 @@ OUTLINED LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, 
     sum += importance[k];
   }
   vi any = chosen > zero_f();
-  chance = pick(zero_f(), chosen / total, any);
-  rest = clamp_f(pick(zero_f(), (aim - below) / chosen, any), zero_f(), (vf)0.99999994f);
+  *chance = pick(zero_f(), chosen / all, any);
+  *rest = clamp_f(pick(zero_f(), (aim - below) / chosen, any), zero_f(), (vf)0.99999994f);
 #endif
+  return cluster;
+}
+
+#if defined(NEED_EMISSIVE_TRIANGLES) || defined(NEED_PUNCTUAL_LIGHTS)
+// Of `count` emitters from row `first` on, the row that the random number falls to.
+FN vu emitter_in_cluster(const Scene* scene, vu first, vu count, vf rest) {
   global const uint* cluster_words = (global const uint*)scene->clusters;
+  vu low = (vu)0u;
+  for (uint step = cluster_words[CLUSTERS * CLUSTER_WORDS]; step > 0u; step >>= 1) {
+    vu probe = low + step;
+    vi inside = probe < count;
+    vu at = first + pick_u((vu)0u, probe - 1u, inside);
+    low = pick_u(low, probe, inside & (gather_f(scene->emitters + EMITTER_CDF, at * EMITTER_WORDS) <= rest));
+  }
+  return first + low;
+}
+#endif
+
+#ifdef NEED_EMISSIVE_TRIANGLES
+// A point of the triangle of the emitter's row `e`, in lanes `here`.
+FN void sample_shining_triangle(const Scene* scene, const vf* e, v3 p, vf u0, vf u1, vf chance, vi here,
+                                LightSample* light) {
+  v3 corner = words3(e, EMITTER_P0);
+  v3 e1 = words3(e, EMITTER_E1);
+  v3 e2 = words3(e, EMITTER_E2);
+  vf b1, b2;
+  sample_triangle(u0, u1, &b1, &b2);
+  v3 error;
+  v3 q = surface_point(corner, e1, e2, b1, b2, &error);
+  v3 n = cross3(e1, e2);  // its length is twice the area
+  v3 d = sub3(q, p);
+  vf d2 = dot3(d, d);
+  vf distance = sqrt(d2);
+  v3 w = scale3(d, one_f() / distance);
+  vf projected = -dot3(n, w);  // front face alone, or both
+  projected = pick(projected, fabs(projected), is_two_sided(e));
+  vf pdf = chance * 2.0f * d2 / projected;
+  vi ok = here & (projected > zero_f()) & (d2 > zero_f()) & finite_f(pdf);
+  // A query knows the light's corners by their offsets from where it begins: their rounding, and that of its sums of
+  // products, grow with the distance. A target within that of the light would be in its own light's way.
+  const vf unit = (vf)(16.0f * 5.9604645e-8f);
+  error = add3(error, make3(unit * fabs(d.x), unit * fabs(d.y), unit * fabs(d.z)));
+  light->target = pick3(light->target, offset_ray_origin(q, error, normalize3(n), negate3(w)), ok);
+  light->direction = pick3(light->direction, w, ok);
+  light->radiance = pick3(light->radiance, emitter_radiance(scene, e, b1, b2, ok), ok);
+  light->pdf = pick(light->pdf, pdf, ok);
+}
+#endif
+
+#ifdef NEED_PUNCTUAL_LIGHTS
+// The light of the emitter's row `e`, in lanes of such a `kind`.
+FN void aim_at_light(const vf* e, v3 p, vf chance, vu kind, LightSample* light) {
+  vi here = kind == CLUSTER_POSITIONAL;
+  v3 position = words3(e, EMITTER_POSITION);
+  v3 axis = words3(e, EMITTER_DIRECTION);
+  v3 intensity = words3(e, EMITTER_RADIANCE);
+  vf inner = e[EMITTER_COS_INNER];
+  vf outer = e[EMITTER_COS_OUTER];
+  vf range = e[EMITTER_RANGE];
+  v3 d = sub3(position, p);
+  vf d2 = dot3(d, d);
+  vf distance = sqrt(d2);
+  v3 w = scale3(d, one_f() / distance);
+  // KHR_lights_punctual: the cone's falloff and the window that ends at the range.
+  vf cone = clamp_f((-dot3(axis, w) - outer) / max_f((vf)1e-4f, inner - outer), zero_f(), one_f());
+  cone = pick(cone * cone, one_f(), outer <= (vf)-1.0f);
+  vf ratio = distance / range;
+  vf window = clamp_f(one_f() - ratio * ratio * ratio * ratio, zero_f(), one_f());
+  vf factor = cone * pick(one_f(), window, range > zero_f()) / d2;
+  vi ok = here & (d2 > zero_f()) & finite_f(factor);
+  light->target = pick3(light->target, position, ok);
+  light->direction = pick3(light->direction, w, ok);
+  light->radiance = pick3(light->radiance, scale3(intensity, factor), ok);
+  light->pdf = pick(light->pdf, chance, ok);
+  vi far = kind == CLUSTER_DIRECTIONAL;
+  light->direction = pick3(light->direction, negate3(axis), far);
+  light->radiance = pick3(light->radiance, intensity, far);
+  light->pdf = pick(light->pdf, chance, far);
+  light->infinite = light->infinite | far;
+  light->delta = here | far;
+}
+#endif
+
+OUTLINED LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, vf u1) {
+  LightSample light;
+  light.infinite = no_lanes();
+  light.delta = no_lanes();
+  vf chance, rest;
+  vu cluster = choose_cluster(scene, p, u_choice, &light.total, &chance, &rest);
 #if CLUSTERS == 1
+  global const uint* cluster_words = (global const uint*)scene->clusters;
   vu kind = (vu)cluster_words[CLUSTER_KIND];
 #else
   vf c[16];
@@ -188,15 +276,8 @@ OUTLINED LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, 
 #else
   vu first = as_vu(c[CLUSTER_FIRST]), count = as_vu(c[CLUSTER_COUNT]);
 #endif
-  vu low = (vu)0u;
-  for (uint step = cluster_words[CLUSTERS * CLUSTER_WORDS]; step > 0u; step >>= 1) {
-    vu probe = low + step;
-    vi inside = probe < count;
-    vu at = first + pick_u((vu)0u, probe - 1u, inside);
-    low = pick_u(low, probe, inside & (gather_f(scene->emitters + EMITTER_CDF, at * EMITTER_WORDS) <= rest));
-  }
   vf e[16];
-  load_words(scene->emitters, (first + low) * EMITTER_WORDS, e);
+  load_words(scene->emitters, emitter_in_cluster(scene, first, count, rest) * EMITTER_WORDS, e);
 #ifdef NEED_ENVIRONMENT
   chance *= pick(e[EMITTER_PMF], one_f(), kind == CLUSTER_ENVIRONMENT);  // which has no row of its own
 #else
@@ -204,65 +285,10 @@ OUTLINED LightSample sample_light(const Scene* scene, v3 p, vf u_choice, vf u0, 
 #endif
 #endif
 #ifdef NEED_EMISSIVE_TRIANGLES
-  {
-    vi here = kind == CLUSTER_TRIANGLES;
-    v3 corner = words3(e, EMITTER_P0);
-    v3 e1 = words3(e, EMITTER_E1);
-    v3 e2 = words3(e, EMITTER_E2);
-    vf b1, b2;
-    sample_triangle(u0, u1, &b1, &b2);
-    v3 error;
-    v3 q = surface_point(corner, e1, e2, b1, b2, &error);
-    v3 n = cross3(e1, e2);  // its length is twice the area
-    v3 d = sub3(q, p);
-    vf d2 = dot3(d, d);
-    vf distance = sqrt(d2);
-    v3 w = scale3(d, one_f() / distance);
-    vf projected = -dot3(n, w);  // front face alone, or both
-    projected = pick(projected, fabs(projected), is_two_sided(e));
-    vf pdf = chance * 2.0f * d2 / projected;
-    vi ok = here & (projected > zero_f()) & (d2 > zero_f()) & finite_f(pdf);
-    // A query knows the light's corners by their offsets from where it begins: their rounding, and that of its sums of
-    // products, grow with the distance. A target within that of the light would be in its own light's way.
-    const vf unit = (vf)(16.0f * 5.9604645e-8f);
-    error = add3(error, make3(unit * fabs(d.x), unit * fabs(d.y), unit * fabs(d.z)));
-    light.target = pick3(light.target, offset_ray_origin(q, error, normalize3(n), negate3(w)), ok);
-    light.direction = pick3(light.direction, w, ok);
-    light.radiance = pick3(light.radiance, emitter_radiance(scene, e, b1, b2, ok), ok);
-    light.pdf = pick(light.pdf, pdf, ok);
-  }
+  sample_shining_triangle(scene, e, p, u0, u1, chance, kind == CLUSTER_TRIANGLES, &light);
 #endif
 #ifdef NEED_PUNCTUAL_LIGHTS
-  {
-    vi here = kind == CLUSTER_POSITIONAL;
-    v3 position = words3(e, EMITTER_POSITION);
-    v3 axis = words3(e, EMITTER_DIRECTION);
-    v3 intensity = words3(e, EMITTER_RADIANCE);
-    vf inner = e[EMITTER_COS_INNER];
-    vf outer = e[EMITTER_COS_OUTER];
-    vf range = e[EMITTER_RANGE];
-    v3 d = sub3(position, p);
-    vf d2 = dot3(d, d);
-    vf distance = sqrt(d2);
-    v3 w = scale3(d, one_f() / distance);
-    // KHR_lights_punctual: the cone's falloff and the window that ends at the range.
-    vf cone = clamp_f((-dot3(axis, w) - outer) / max_f((vf)1e-4f, inner - outer), zero_f(), one_f());
-    cone = pick(cone * cone, one_f(), outer <= (vf)-1.0f);
-    vf ratio = distance / range;
-    vf window = clamp_f(one_f() - ratio * ratio * ratio * ratio, zero_f(), one_f());
-    vf factor = cone * pick(one_f(), window, range > zero_f()) / d2;
-    vi ok = here & (d2 > zero_f()) & finite_f(factor);
-    light.target = pick3(light.target, position, ok);
-    light.direction = pick3(light.direction, w, ok);
-    light.radiance = pick3(light.radiance, scale3(intensity, factor), ok);
-    light.pdf = pick(light.pdf, chance, ok);
-    vi far = kind == CLUSTER_DIRECTIONAL;
-    light.direction = pick3(light.direction, negate3(axis), far);
-    light.radiance = pick3(light.radiance, intensity, far);
-    light.pdf = pick(light.pdf, chance, far);
-    light.infinite = light.infinite | far;
-    light.delta = here | far;
-  }
+  aim_at_light(e, p, chance, kind, &light);
 #endif
 #ifdef NEED_ENVIRONMENT
   {

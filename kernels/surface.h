@@ -174,6 +174,15 @@ FN v3 interpolated_normal(const Scene* scene, const Hit* h, const vf* t2, vf b0)
 }
 #endif
 
+#ifdef NEED_SMOOTH_NORMALS
+// The corners' normals, interpolated; the triangle's own where they cancel out.
+FN v3 smooth_normal(const Scene* scene, const Hit* h, const vf* second_words, vf b0) {
+  v3 n = interpolated_normal(scene, h, second_words, b0);
+  vf l2 = dot3(n, n);
+  return pick3(h->geometric, scale3(n, one_f() / sqrt(l2)), l2 > (vf)1e-12f);
+}
+#endif
+
 // Triangles in `active` lanes; the others read triangle 0. The point is computed from the corners, not along the ray,
 // so that its error is the corners' and not the distance's.
 OUTLINED Hit load_hit(const Scene* scene, vu primitive, vu instance, vf b1, vf b2, vi active) {
@@ -230,15 +239,9 @@ OUTLINED Hit load_hit(const Scene* scene, vu primitive, vu instance, vf b1, vf b
         b2 * t2[TRIANGLE_UV2 - TRIANGLE_SECOND + 1];
 #endif
   h.normal = h.geometric;
-#ifdef NEED_SMOOTH_NORMALS
-  {
-    v3 n = interpolated_normal(scene, &h, t2, b0);
-    vf l2 = dot3(n, n);
-    h.normal = pick3(h.geometric, scale3(n, one_f() / sqrt(l2)), l2 > (vf)1e-12f);
-  }
-#endif
   h.outward = h.geometric;
 #ifdef NEED_SMOOTH_NORMALS
+  h.normal = smooth_normal(scene, &h, t2, b0);
   h.outward = pick3(h.outward, negate3(h.outward), dot3(h.outward, h.normal) < zero_f());
 #endif
 #if defined(NEED_NORMAL_MAPS) || defined(NEED_ANISOTROPY)
@@ -445,6 +448,60 @@ FN void load_shining(const Scene* scene, const Hit* h, Surface* m, vi active) {
 }
 #endif
 
+#if (defined(NEED_LOBE) || defined(NEED_TRANSMISSIVE)) && defined(NEED_MATERIAL_TEXTURES)
+// What textures say of roughness, metal, the lobe's weight and colour, and glass.
+FN void load_lobe_textures(const Scene* scene, const Hit* h, Surface* m, vi active) {
+  vf unused;
+  vu texture = material_u(scene, h->material, MATERIAL_METALLIC_ROUGHNESS_TEXTURE);
+  vi textured = active & (texture != GLEANER_NONE);
+  if (any_lane(textured)) {
+    v3 c = texture_at(scene, h, texture, textured, &unused);
+    m->alpha = pick(m->alpha, m->alpha * c.y, textured);
+#ifdef NEED_LOBE
+    m->metallic = pick(m->metallic, m->metallic * c.z, textured);
+#endif
+  }
+#ifdef NEED_LOBE
+  vu rows = as_vu(h->words[MATERIAL_ALBEDO_ROWS]);
+  m->table_row = pick(zero_f(), clamp_f(m->alpha, zero_f(), one_f()) * (vf)(float)(GLEANER_ALBEDO_ROWS - 1), rows > 1u);
+  texture = material_u(scene, h->material, MATERIAL_SPECULAR_TEXTURE);
+  textured = active & (texture != GLEANER_NONE);
+  if (any_lane(textured)) {
+    vf a;
+    texture_at(scene, h, texture, textured, &a);
+    m->specular = pick(m->specular, m->specular * a, textured);
+  }
+  texture = material_u(scene, h->material, MATERIAL_SPECULAR_COLOR_TEXTURE);
+  textured = active & (texture != GLEANER_NONE);
+  if (any_lane(textured)) {
+    v3 c = texture_at(scene, h, texture, textured, &unused);
+    m->f0 = pick3(m->f0, mul3(m->f0, c), textured);
+  }
+#endif
+#ifdef NEED_TRANSMISSIVE
+  texture = material_u(scene, h->material, MATERIAL_TRANSMISSION_TEXTURE);
+  textured = active & (texture != GLEANER_NONE);
+  if (any_lane(textured)) {
+    v3 c = texture_at(scene, h, texture, textured, &unused);
+    m->transmission = pick(m->transmission, m->transmission * c.x, textured);
+  }
+#endif
+}
+#endif
+
+#if defined(NEED_LOBE) && (defined(NEED_LAYERS) || defined(NEED_IRIDESCENCE)) && defined(NEED_MATERIAL_TEXTURES)
+// Of a table with rows for each `level` of the layers above, 0 to 1: the row for this one.
+FN void choose_table_level(const Hit* h, Surface* m, vf level) {
+  vu rows = as_vu(h->words[MATERIAL_ALBEDO_ROWS]);
+  vi textured = (rows == (vu)GLEANER_ALBEDO_ROWS) | (rows == (vu)(GLEANER_ALBEDO_ROWS * GLEANER_ALBEDO_LEVELS));
+  vf row = pick(zero_f(), m->table_row, textured);
+  vf set = floor(fma(clamp_f(level, zero_f(), one_f()), (vf)(float)(GLEANER_ALBEDO_LEVELS - 1), (vf)0.5f));
+  vf stride = pick(one_f(), (vf)(float)GLEANER_ALBEDO_ROWS, textured);
+  vi levels = (rows != 1u) & (rows != (vu)GLEANER_ALBEDO_ROWS);
+  m->table_row = pick(row, fma(set, stride, row), levels & (rows != 0u));
+}
+#endif
+
 // What scattering needs beyond load_color().
 OUTLINED void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active) {
 #if defined(NEED_LOBE) || defined(NEED_TRANSMISSIVE)
@@ -462,44 +519,7 @@ OUTLINED void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active
   m->solid = (as_vu(h->words[MATERIAL_FLAGS]) & GLEANER_MATERIAL_SOLID) != 0u;
 #endif
 #ifdef NEED_MATERIAL_TEXTURES
-  {
-    vf unused;
-    vu texture = material_u(scene, h->material, MATERIAL_METALLIC_ROUGHNESS_TEXTURE);
-    vi textured = active & (texture != GLEANER_NONE);
-    if (any_lane(textured)) {
-      v3 c = texture_at(scene, h, texture, textured, &unused);
-      m->alpha = pick(m->alpha, m->alpha * c.y, textured);
-#ifdef NEED_LOBE
-      m->metallic = pick(m->metallic, m->metallic * c.z, textured);
-#endif
-    }
-#ifdef NEED_LOBE
-    vu rows = as_vu(h->words[MATERIAL_ALBEDO_ROWS]);
-    m->table_row =
-        pick(zero_f(), clamp_f(m->alpha, zero_f(), one_f()) * (vf)(float)(GLEANER_ALBEDO_ROWS - 1), rows > 1u);
-    texture = material_u(scene, h->material, MATERIAL_SPECULAR_TEXTURE);
-    textured = active & (texture != GLEANER_NONE);
-    if (any_lane(textured)) {
-      vf a;
-      texture_at(scene, h, texture, textured, &a);
-      m->specular = pick(m->specular, m->specular * a, textured);
-    }
-    texture = material_u(scene, h->material, MATERIAL_SPECULAR_COLOR_TEXTURE);
-    textured = active & (texture != GLEANER_NONE);
-    if (any_lane(textured)) {
-      v3 c = texture_at(scene, h, texture, textured, &unused);
-      m->f0 = pick3(m->f0, mul3(m->f0, c), textured);
-    }
-#endif
-#ifdef NEED_TRANSMISSIVE
-    texture = material_u(scene, h->material, MATERIAL_TRANSMISSION_TEXTURE);
-    textured = active & (texture != GLEANER_NONE);
-    if (any_lane(textured)) {
-      v3 c = texture_at(scene, h, texture, textured, &unused);
-      m->transmission = pick(m->transmission, m->transmission * c.x, textured);
-    }
-#endif
-  }
+  load_lobe_textures(scene, h, m, active);
 #endif
 #if defined(NEED_LAYERS) || defined(NEED_IRIDESCENCE)
   vf level = zero_f();
@@ -513,15 +533,7 @@ OUTLINED void load_lobes(const Scene* scene, const Hit* h, Surface* m, vi active
   load_film(scene, h, m, active, &level);
 #endif
 #ifdef NEED_MATERIAL_TEXTURES
-  {
-    vu rows = as_vu(h->words[MATERIAL_ALBEDO_ROWS]);
-    vi textured = (rows == (vu)GLEANER_ALBEDO_ROWS) | (rows == (vu)(GLEANER_ALBEDO_ROWS * GLEANER_ALBEDO_LEVELS));
-    vf row = pick(zero_f(), m->table_row, textured);
-    vf set = floor(fma(clamp_f(level, zero_f(), one_f()), (vf)(float)(GLEANER_ALBEDO_LEVELS - 1), (vf)0.5f));
-    vf stride = pick(one_f(), (vf)(float)GLEANER_ALBEDO_ROWS, textured);
-    vi levels = (rows != 1u) & (rows != (vu)GLEANER_ALBEDO_ROWS);
-    m->table_row = pick(row, fma(set, stride, row), levels & (rows != 0u));
-  }
+  choose_table_level(h, m, level);
 #endif
 #endif
   m->alpha = m->alpha * m->alpha;

@@ -28,6 +28,39 @@ typedef struct {
   vi rough;  // the surface has a rough lobe (kernels/bsdf/lobe.h)
 } SurfacePoint;
 
+// What the surface at a path's vertex is, and whether a point is found there; its depth is set. Returns the lanes that
+// go on, as through mirrors and glass.
+FN vi describe_point(const Vertex* v, vf u_glass, uint max_depth, uint needed, SurfacePoint* point) {
+  const Surface* m = &v->surface;
+  vi here = v->active & none(v->passes);
+  point->albedo = layer_albedo(m);
+  point->table = (vu)GLEANER_NONE;
+  point->table_row = zero_f();
+#ifdef NEED_LOBE
+  // A bare metal has no layer below its lobe; unless it is rough, a path goes through it as through a mirror.
+  point->rough = has_rough_lobe(m);
+  vi bare = (m->lobe_share >= one_f()) & none(point->rough);
+  point->table = m->table;
+  point->table_row = m->table_row;
+#else
+  point->rough = no_lanes();
+  vi bare = no_lanes();
+#endif
+#ifdef NEED_TRANSMISSIVE
+  vi glass = u_glass < m->transmission;
+#else
+  vi glass = no_lanes();
+#endif
+  vi continues = here & (bare | glass);
+  point->found = here & none(continues) & ((max_component(point->albedo) > zero_f()) | point->rough);
+  if (max_depth) point->found = point->found & (point->depth + needed <= (vu)max_depth);
+#if defined(NEED_MEDIA) && !defined(POINTS_WITHIN_SOLIDS)
+  // Within a solid paths find all light: other lights would have to be weakened by it.
+  point->found = point->found & (filling(v->media) == 0u);
+#endif
+  return continues;
+}
+
 // Moves one block of camera paths. samples: length of the pixels' sequences of random numbers. max_depth: most
 // scatterings on a light's way, of which `needed` are still to come where a point is found (0 = no limit). `counters`
 // gets the number of paths that continue.
@@ -56,39 +89,13 @@ FN SurfacePoint step_to_surface_point(const Scene* scene, global float* paths, u
   choose_alpha(&v, &u_glass);
   prepare_scattering(scene, &v, direction);
 
-  const Surface* m = &v.surface;
-  vi here = v.active & none(v.passes);
   point.slot = slot;
   point.depth = depth;
   point.direction = direction;
   point.throughput = throughput;
-  point.albedo = layer_albedo(m);
-  point.table = (vu)GLEANER_NONE;
-  point.table_row = zero_f();
-#ifdef NEED_LOBE
-  // A bare metal has no layer below its lobe; unless it is rough, a path goes through it as through a mirror.
-  point.rough = has_rough_lobe(m);
-  vi bare = (m->lobe_share >= one_f()) & none(point.rough);
-  point.table = m->table;
-  point.table_row = m->table_row;
-#else
-  point.rough = no_lanes();
-  vi bare = no_lanes();
-#endif
-#ifdef NEED_TRANSMISSIVE
-  vi glass = u_glass < m->transmission;
-#else
-  vi glass = no_lanes();
-#endif
-  vi continues = here & (bare | glass);
-  point.found = here & none(continues) & ((max_component(point.albedo) > zero_f()) | point.rough);
-  if (max_depth) point.found = point.found & (depth + needed <= (vu)max_depth);
-#if defined(NEED_MEDIA) && !defined(POINTS_WITHIN_SOLIDS)
-  // Within a solid paths find all light: other lights would have to be weakened by it.
-  point.found = point.found & (filling(v.media) == 0u);
-#endif
+  vi continues = describe_point(&v, u_glass, max_depth, needed, &point);
 
-  BsdfSample scattered = sample_bsdf(scene, m, v.frame.view, u_lobe, u_glass, d0, d1);
+  BsdfSample scattered = sample_bsdf(scene, &v.surface, v.frame.view, u_lobe, u_glass, d0, d1);
   vi smooth = scattered.pdf <= zero_f();
   NextRay next;
   next.direction = scattered_direction(&v.frame, scattered.direction, smooth);

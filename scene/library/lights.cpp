@@ -11,24 +11,32 @@ namespace {
 
 constexpr Rgb plaster{0.72, 0.7, 0.66}, stone{0.55, 0.52, 0.47};
 
-// A hall of 20 x 6 x 12 m with columns, lit by lamps of 1 to 10 cm on ceiling and walls. Their radiances differ by a
-// factor of 32, their areas by 100; together they emit 800 W whatever their number.
-Scene many_lights(const std::string& name, const Values& values) {
-  constexpr double half_x = 10, height = 6, half_z = 6, watts = 800;
-  SceneBuilder b(name);
+// The hall of many_lights(), m, and the power of all its lamps, W.
+constexpr double kHalfX = 10, kHeight = 6, kHalfZ = 6, kWatts = 800;
+// One material a level of radiance, so that a million lamps do not need a million of them.
+constexpr std::uint32_t kLevels = 16;
+
+struct Lamp {
+  Vec centre, tangent, bitangent;  // half axes; tangent x bitangent is where it shines
+  bool triangle;
+};
+
+// Of level 0: 1.
+double relative_radiance(std::uint32_t level) { return std::exp2(5.0 * level / (kLevels - 1)); }
+
+void add_hall(SceneBuilder& b) {
   const std::uint32_t wall = b.material("plaster", lambert(plaster));
   const std::uint32_t column = b.material("stone", lambert(stone));
   const std::uint32_t floor = b.material("floor", dielectric({0.35, 0.3, 0.26}, 0.35));
-
   b.mesh("floor");
-  b.quad({-half_x, 0, half_z}, {half_x, 0, half_z}, {half_x, 0, -half_z}, {-half_x, 0, -half_z}, floor);
+  b.quad({-kHalfX, 0, kHalfZ}, {kHalfX, 0, kHalfZ}, {kHalfX, 0, -kHalfZ}, {-kHalfX, 0, -kHalfZ}, floor);
   b.mesh("walls");
-  b.quad({-half_x, height, -half_z}, {half_x, height, -half_z}, {half_x, height, half_z}, {-half_x, height, half_z},
+  b.quad({-kHalfX, kHeight, -kHalfZ}, {kHalfX, kHeight, -kHalfZ}, {kHalfX, kHeight, kHalfZ}, {-kHalfX, kHeight, kHalfZ},
          wall);
-  b.quad({-half_x, 0, -half_z}, {half_x, 0, -half_z}, {half_x, height, -half_z}, {-half_x, height, -half_z}, wall);
-  b.quad({half_x, 0, half_z}, {-half_x, 0, half_z}, {-half_x, height, half_z}, {half_x, height, half_z}, wall);
-  b.quad({-half_x, 0, half_z}, {-half_x, 0, -half_z}, {-half_x, height, -half_z}, {-half_x, height, half_z}, wall);
-  b.quad({half_x, 0, -half_z}, {half_x, 0, half_z}, {half_x, height, half_z}, {half_x, height, -half_z}, wall);
+  b.quad({-kHalfX, 0, -kHalfZ}, {kHalfX, 0, -kHalfZ}, {kHalfX, kHeight, -kHalfZ}, {-kHalfX, kHeight, -kHalfZ}, wall);
+  b.quad({kHalfX, 0, kHalfZ}, {-kHalfX, 0, kHalfZ}, {-kHalfX, kHeight, kHalfZ}, {kHalfX, kHeight, kHalfZ}, wall);
+  b.quad({-kHalfX, 0, kHalfZ}, {-kHalfX, 0, -kHalfZ}, {-kHalfX, kHeight, -kHalfZ}, {-kHalfX, kHeight, kHalfZ}, wall);
+  b.quad({kHalfX, 0, -kHalfZ}, {kHalfX, 0, kHalfZ}, {kHalfX, kHeight, kHalfZ}, {kHalfX, kHeight, -kHalfZ}, wall);
   for (int row = 0; row < 2; ++row)
     for (int i = 0; i < 5; ++i) {
       b.mesh("column " + std::to_string(5 * row + i + 1));
@@ -36,69 +44,74 @@ Scene many_lights(const std::string& name, const Values& values) {
       b.grid(32, 1,
              [&](std::uint32_t k, std::uint32_t j) {
                const double phi = 2 * pi * k / 32;
-               return Vec{x + 0.35 * std::sin(phi), height * j, z + 0.35 * std::cos(phi)};
+               return Vec{x + 0.35 * std::sin(phi), kHeight * j, z + 0.35 * std::cos(phi)};
              },
              column, {.closed_u = true});
     }
+}
 
-  // One material a level of radiance, so that a million lamps do not need a million of them.
-  constexpr std::uint32_t levels = 16;
-  struct Lamp {
-    Vec centre, tangent, bitangent;  // half axes; tangent x bitangent is where it shines
-    bool triangle;
-  };
-  std::array<std::vector<Lamp>, levels> lamps;
+// Lamp number i of this half width, on the ceiling or a wall.
+Lamp lamp_of(std::uint32_t i, double half) {
+  const double u = hash_unit(i, 1), v = hash_unit(i, 2), turn = 2 * pi * hash_unit(i, 3);
+  constexpr double margin = 0.2, away = 0.02;
+  const auto across = [&](double extent, double t) { return (extent - margin) * (2 * t - 1); };
+  const double up = 2.5 + (kHeight - margin - 2.5) * v;  // lamps hang above the heads
+  Vec centre, normal, tangent;
+  const double place = hash_unit(i, 5);
+  if (place < 0.6) {
+    centre = {across(kHalfX, u), kHeight - away, across(kHalfZ, v)};
+    normal = {0, -1, 0};
+    tangent = {1, 0, 0};
+  } else if (place < 0.8) {
+    const double side = place < 0.7 ? -1 : 1;
+    centre = {across(kHalfX, u), up, side * (kHalfZ - away)};
+    normal = {0, 0, -side};
+    tangent = {1, 0, 0};
+  } else {
+    const double side = place < 0.9 ? -1 : 1;
+    centre = {side * (kHalfX - away), up, across(kHalfZ, u)};
+    normal = {-side, 0, 0};
+    tangent = {0, 0, 1};
+  }
+  const Vec bitangent = cross(normal, tangent);
+  return {centre, half * std::cos(turn) * tangent + half * std::sin(turn) * bitangent,
+          half * std::cos(turn) * bitangent - half * std::sin(turn) * tangent, hash_unit(i, 6) < 0.5};
+}
+
+void add_lamp(SceneBuilder& b, const Lamp& lamp, std::uint32_t material) {
+  const Vec t = lamp.tangent, s = lamp.bitangent;
+  const std::uint32_t first = b.vertex(lamp.centre - t - s);
+  b.vertex(lamp.centre + t - s);
+  b.vertex(lamp.centre + t + s);
+  b.triangle(first, first + 1, first + 2, material);
+  if (lamp.triangle) return;
+  b.vertex(lamp.centre - t + s);
+  b.triangle(first, first + 2, first + 3, material);
+}
+
+// A hall of 20 x 6 x 12 m with columns, lit by lamps of 1 to 10 cm on ceiling and walls. Their radiances differ by a
+// factor of 32, their areas by 100; together they emit 800 W whatever their number.
+Scene many_lights(const std::string& name, const Values& values) {
+  SceneBuilder b(name);
+  add_hall(b);
+  std::array<std::vector<Lamp>, kLevels> lamps;
   double power = 0;  // with the radiance of level 0 at 1
-  const auto relative_radiance = [](std::uint32_t level) { return std::exp2(5.0 * level / (levels - 1)); };
   const std::uint32_t count = values.count("lights");
   for (std::uint32_t i = 0; i < count; ++i) {
     const double half = 0.005 * std::pow(10, hash_unit(i, 0));
-    const double u = hash_unit(i, 1), v = hash_unit(i, 2), turn = 2 * pi * hash_unit(i, 3);
-    const auto level = static_cast<std::uint32_t>(levels * hash_unit(i, 4));
-    constexpr double margin = 0.2, away = 0.02;
-    const auto across = [&](double extent, double t) { return (extent - margin) * (2 * t - 1); };
-    const double up = 2.5 + (height - margin - 2.5) * v;  // lamps hang above the heads
-    Vec centre, normal, tangent;
-    const double place = hash_unit(i, 5);
-    if (place < 0.6) {
-      centre = {across(half_x, u), height - away, across(half_z, v)};
-      normal = {0, -1, 0};
-      tangent = {1, 0, 0};
-    } else if (place < 0.8) {
-      const double side = place < 0.7 ? -1 : 1;
-      centre = {across(half_x, u), up, side * (half_z - away)};
-      normal = {0, 0, -side};
-      tangent = {1, 0, 0};
-    } else {
-      const double side = place < 0.9 ? -1 : 1;
-      centre = {side * (half_x - away), up, across(half_z, u)};
-      normal = {-side, 0, 0};
-      tangent = {0, 0, 1};
-    }
-    const Vec bitangent = cross(normal, tangent);
-    const bool triangle = hash_unit(i, 6) < 0.5;
-    lamps[level].push_back({centre, half * std::cos(turn) * tangent + half * std::sin(turn) * bitangent,
-                            half * std::cos(turn) * bitangent - half * std::sin(turn) * tangent, triangle});
-    power += pi * relative_radiance(level) * 4 * half * half * (triangle ? 0.5 : 1);
+    const auto level = static_cast<std::uint32_t>(kLevels * hash_unit(i, 4));
+    lamps[level].push_back(lamp_of(i, half));
+    power += pi * relative_radiance(level) * 4 * half * half * (lamps[level].back().triangle ? 0.5 : 1);
   }
   b.mesh("lamps");
-  for (std::uint32_t level = 0; level < levels; ++level) {
+  for (std::uint32_t level = 0; level < kLevels; ++level) {
     // The brighter, the bluer.
-    const double blue = static_cast<double>(level) / (levels - 1);
-    const double radiance = watts / power * relative_radiance(level);
+    const double blue = static_cast<double>(level) / (kLevels - 1);
+    const double radiance = kWatts / power * relative_radiance(level);
     if (lamps[level].empty()) continue;
     const std::uint32_t material = b.material("lamps of level " + std::to_string(level + 1),
                                               emitter(radiance * Rgb{1.25 - 0.4 * blue, 1, 0.75 + 0.4 * blue}));
-    for (const Lamp& lamp : lamps[level]) {
-      const Vec t = lamp.tangent, s = lamp.bitangent;
-      const std::uint32_t first = b.vertex(lamp.centre - t - s);
-      b.vertex(lamp.centre + t - s);
-      b.vertex(lamp.centre + t + s);
-      b.triangle(first, first + 1, first + 2, material);
-      if (lamp.triangle) continue;
-      b.vertex(lamp.centre - t + s);
-      b.triangle(first, first + 2, first + 3, material);
-    }
+    for (const Lamp& lamp : lamps[level]) add_lamp(b, lamp, material);
   }
   b.camera("camera", {-9.4, 2.2, 1.2}, {4, 2.4, -1.6}, 55, 960, 540);
   b.camera("aisle", {-9.5, 1.7, 0}, {10, 2.6, 0}, 60, 960, 540);

@@ -132,6 +132,222 @@ Vec corner(const scene::Scene& scene, std::uint32_t triangle, int k) {
   return {p[0], p[1], p[2]};
 }
 
+// Triangles that shine, and lights; without power neither is any.
+std::vector<Emitter> emitters_of(const scene::Scene& scene) {
+  std::vector<Emitter> emitters;
+  const std::vector<std::array<float, 3>> means = scene::mean_emission(scene);
+  for (std::uint32_t t = 0; t < scene.triangle_count(); ++t) {
+    const auto& radiance = means[scene.triangle_material[t]];
+    if (!(radiance[0] + radiance[1] + radiance[2] > 0)) continue;
+    Emitter e;
+    e.triangle = t;
+    e.two_sided = scene.materials[scene.triangle_material[t]].flags & GLEANER_MATERIAL_DOUBLE_SIDED;
+    for (int k = 0; k < 3; ++k) e.corners[k] = corner(scene, t, k);
+    const Vec n = cross(e.corners[1] - e.corners[0], e.corners[2] - e.corners[0]);
+    const double area = length(n) / 2;
+    // Below it, area and power vanish in float.
+    if (!(area > 1e-30)) continue;
+    e.normal = n * (0.5 / area);
+    e.center = (e.corners[0] + e.corners[1] + e.corners[2]) * (1.0 / 3);
+    // Any colour counts, also one of no luminance to speak of.
+    e.power = area * std::max(luminance(radiance.data()), 1e-3 * (double{radiance[0]} + radiance[1] + radiance[2]));
+    emitters.push_back(e);
+  }
+  for (std::uint32_t i = 0; i < scene.lights.size(); ++i) {
+    const scene::Light& light = scene.lights[i];
+    Emitter e;
+    e.light = i;
+    e.power = std::max(luminance(light.intensity),
+                       1e-3 * (double{light.intensity[0]} + light.intensity[1] + light.intensity[2]));
+    if (!(e.power > 0)) continue;
+    e.kind = light.type == GLEANER_LIGHT_DIRECTIONAL ? CLUSTER_DIRECTIONAL : CLUSTER_POSITIONAL;
+    if (e.kind == CLUSTER_POSITIONAL) e.center = {light.position[0], light.position[1], light.position[2]};
+    e.corners = {e.center, e.center, e.center};
+    emitters.push_back(e);
+  }
+  return emitters;
+}
+
+// Up to `most` groups of emitters of one kind and as many sides.
+std::vector<Group> groups_of(const std::vector<Emitter>& emitters, double scene_extent, std::size_t most) {
+  std::vector<Group> groups;
+  for (const auto& [kind, two_sided] : {std::pair{CLUSTER_TRIANGLES, false},
+                                        {CLUSTER_TRIANGLES, true},
+                                        {CLUSTER_POSITIONAL, false},
+                                        {CLUSTER_DIRECTIONAL, false}}) {
+    std::vector<std::uint32_t> members;
+    for (std::uint32_t i = 0; i < emitters.size(); ++i)
+      if (emitters[i].kind == kind && emitters[i].two_sided == two_sided) members.push_back(i);
+    if (!members.empty()) groups.push_back(bound(std::move(members), emitters));
+  }
+  while (groups.size() < most) {
+    auto widest = std::max_element(groups.begin(), groups.end(), [&](const Group& a, const Group& b) {
+      return coarseness(a, emitters, scene_extent) < coarseness(b, emitters, scene_extent);
+    });
+    if (widest == groups.end() || coarseness(*widest, emitters, scene_extent) <= 0) break;
+    auto [left, right] = halve(*widest, emitters);
+    *widest = bound(std::move(left), emitters);
+    groups.push_back(bound(std::move(right), emitters));
+  }
+  return groups;
+}
+
+class TableWriter {
+ public:
+  TableWriter(const scene::Scene& scene, double environment_power)
+      : scene_(scene), environment_(!scene.environment.empty()), environment_power_(environment_power) {
+    const scene::Bounds bounds = scene::bounds_of(scene);
+    lower_ = {bounds.lower[0], bounds.lower[1], bounds.lower[2]};
+    upper_ = {bounds.upper[0], bounds.upper[1], bounds.upper[2]};
+    emitters_ = emitters_of(scene);
+    groups_ = groups_of(emitters_, length(upper_ - lower_), MAX_CLUSTERS - (environment_ ? 1 : 0));
+  }
+
+  LightTables write() {
+    tables_.triangle_emitter.assign(scene_.triangle_count(), GLEANER_NONE);
+    write_clusters();
+    write_emission();
+    if (tables_.emitters.empty()) tables_.emitters.assign(EMITTER_WORDS, 0.0f);
+    return std::move(tables_);
+  }
+
+ private:
+  void write_clusters() {
+    const std::size_t used = groups_.size() + (environment_ ? 1 : 0);
+    for (unsigned slots : {1u, 4u, 8u, 16u, 32u, 64u})
+      if (used && used <= slots) {
+        tables_.cluster_slots = slots;
+        break;
+      }
+    tables_.clusters.assign(std::size_t{tables_.cluster_slots} * CLUSTER_WORDS + 1, 0.0f);
+    std::size_t largest = 1;
+    for (std::size_t g = 0; g < groups_.size(); ++g) {
+      write_cluster(g);
+      largest = std::max(largest, groups_[g].members.size());
+      write_emitters(g);
+    }
+    if (environment_) {
+      // Always the last slot, so that kernels need not look for it.
+      const std::size_t base = (std::size_t{tables_.cluster_slots} - 1) * CLUSTER_WORDS;
+      tables_.clusters[base + CLUSTER_POWER] = static_cast<float>(environment_power_);
+      set_word(tables_.clusters, base + CLUSTER_KIND, CLUSTER_ENVIRONMENT);
+    }
+    // An unused slot: far away from nothing, of power 0, never chosen.
+    for (std::size_t g = groups_.size(); g + (environment_ ? 1 : 0) < tables_.cluster_slots; ++g)
+      tables_.clusters[g * CLUSTER_WORDS + CLUSTER_RADIUS] = 1;
+    set_word(tables_.clusters, std::size_t{tables_.cluster_slots} * CLUSTER_WORDS,
+             static_cast<std::uint32_t>(std::bit_floor(largest)));
+  }
+
+  void write_cluster(std::size_t g) {
+    const Group& group = groups_[g];
+    const std::size_t base = g * CLUSTER_WORDS;
+    float* row = &tables_.clusters[base];
+    for (int k = 0; k < 3; ++k) {
+      row[CLUSTER_CENTER + k] = static_cast<float>(group.center[k]);
+      row[CLUSTER_AXIS + k] = static_cast<float>(group.axis[k]);
+    }
+    // Never of radius 0: inside its sphere a cluster's importance stays finite. Widened by the float's rounding.
+    const double magnitude =
+        std::max({std::abs(group.center[0]), std::abs(group.center[1]), std::abs(group.center[2]), 1e-6});
+    row[CLUSTER_RADIUS] = static_cast<float>(group.radius * 1.0001 + magnitude * 1e-6);
+    row[CLUSTER_COS] = static_cast<float>(std::max(group.cosine - 1e-4, -1.0));
+    row[CLUSTER_SIN] = static_cast<float>(std::sqrt(std::max(0.0f, 1 - row[CLUSTER_COS] * row[CLUSTER_COS])));
+    row[CLUSTER_POWER] = static_cast<float>(group.power);
+    set_word(tables_.clusters, base + CLUSTER_FIRST,
+             static_cast<std::uint32_t>(tables_.emitters.size() / EMITTER_WORDS));
+    set_word(tables_.clusters, base + CLUSTER_COUNT, static_cast<std::uint32_t>(group.members.size()));
+    set_word(tables_.clusters, base + CLUSTER_KIND, group.kind);
+    set_word(tables_.clusters, base + CLUSTER_TWO_SIDED, group.two_sided);
+  }
+
+  // A cluster's rows.
+  void write_emitters(std::size_t g) {
+    const Group& group = groups_[g];
+    double sum = 0;
+    for (std::size_t i = 0; i < group.members.size(); ++i) {
+      const Emitter& e = emitters_[group.members[i]];
+      const std::size_t at = tables_.emitters.size();
+      tables_.emitters.resize(at + EMITTER_WORDS);
+      float* out = &tables_.emitters[at];
+      sum += e.power / group.power;
+      out[EMITTER_CDF] = i + 1 == group.members.size() ? 1.0f : static_cast<float>(std::min(sum, 1.0));
+      out[EMITTER_PMF] = out[EMITTER_CDF] - (i ? tables_.emitters[at - EMITTER_WORDS + EMITTER_CDF] : 0.0f);
+      set_word(tables_.emitters, at + EMITTER_TRIANGLE, e.triangle);
+      set_word(tables_.emitters, at + EMITTER_CLUSTER,
+               static_cast<std::uint32_t>(g) | (e.two_sided ? EMITTER_TWO_SIDED : 0));
+      if (e.triangle != GLEANER_NONE) {
+        tables_.triangle_emitter[e.triangle] = static_cast<std::uint32_t>(at / EMITTER_WORDS);
+        write_triangle(e, out);
+      } else {
+        write_light(scene_.lights[e.light], out);
+      }
+    }
+  }
+
+  void write_triangle(const Emitter& e, float* out) const {
+    const Vec e1 = e.corners[1] - e.corners[0], e2 = e.corners[2] - e.corners[0];
+    for (int k = 0; k < 3; ++k) {
+      out[EMITTER_P0 + k] = static_cast<float>(e.corners[0][k]);
+      out[EMITTER_E1 + k] = static_cast<float>(e1[k]);
+      out[EMITTER_E2 + k] = static_cast<float>(e2[k]);
+      out[EMITTER_RADIANCE + k] = scene_.materials[scene_.triangle_material[e.triangle]].emission[k];
+    }
+  }
+
+  static void write_light(const scene::Light& light, float* out) {
+    for (int k = 0; k < 3; ++k) {
+      out[EMITTER_POSITION + k] = light.position[k];
+      out[EMITTER_DIRECTION + k] = light.direction[k];
+      out[EMITTER_RADIANCE + k] = light.intensity[k];
+    }
+    out[EMITTER_COS_INNER] = light.cos_inner;
+    out[EMITTER_COS_OUTER] = light.type == GLEANER_LIGHT_SPOT ? light.cos_outer : -1.0f;
+    out[EMITTER_RANGE] = light.range;
+  }
+
+  // The light that an emitter sends, W. `far`: where light from afar begins, m from the scene's middle.
+  double flux_of(const Emitter& e, double far) const {
+    double solid = e.two_sided ? 2 * std::numbers::pi : std::numbers::pi;  // triangles: cosine-weighted over a side
+    if (e.kind == CLUSTER_DIRECTIONAL) solid = std::numbers::pi * far * far;
+    if (e.kind == CLUSTER_POSITIONAL) {
+      const scene::Light& light = scene_.lights[e.light];
+      solid = 2 * std::numbers::pi * (light.type == GLEANER_LIGHT_SPOT ? 1.0 - light.cos_outer : 2.0);
+    }
+    return e.power * solid;
+  }
+
+  void write_emission() {
+    const Vec center = (lower_ + upper_) * 0.5;
+    // Just beyond the scene's corners: light from afar begins on this sphere.
+    const double radius = length(upper_ - lower_) * 0.5 * 1.0001 + length(center) * 1e-6 + 1e-6;
+    std::vector<double> flux;
+    for (const Group& group : groups_)
+      for (const std::uint32_t m : group.members) flux.push_back(flux_of(emitters_[m], radius));
+    // Its power is the irradiance of one side, a quarter of what comes from all around.
+    if (environment_) flux.push_back(4 * environment_power_ * std::numbers::pi * radius * radius);
+    const double all_flux = std::accumulate(flux.begin(), flux.end(), 0.0);
+    if (!(all_flux > 0)) return;
+    tables_.emission.assign(EMISSION_HEADER, 0.0f);
+    set_word(tables_.emission, EMISSION_COUNT, static_cast<std::uint32_t>(flux.size()));
+    set_word(tables_.emission, EMISSION_STEP, static_cast<std::uint32_t>(std::bit_floor(flux.size())));
+    set_word(tables_.emission, EMISSION_ENVIRONMENT, environment_ ? 1 : 0);
+    for (int k = 0; k < 3; ++k) tables_.emission[EMISSION_CENTER + k] = static_cast<float>(center[k]);
+    tables_.emission[EMISSION_RADIUS] = static_cast<float>(radius);
+    double sum = 0;
+    for (double f : flux) tables_.emission.push_back(static_cast<float>(std::min(1.0, (sum += f) / all_flux)));
+    tables_.emission.back() = 1;
+  }
+
+  const scene::Scene& scene_;
+  const bool environment_;
+  const double environment_power_;
+  Vec lower_, upper_;  // of the scene
+  std::vector<Emitter> emitters_;
+  std::vector<Group> groups_;
+  LightTables tables_;
+};
+
 }  // namespace
 
 EnvironmentTable make_environment_table(const scene::Environment& environment) {
@@ -188,169 +404,7 @@ EnvironmentTable make_environment_table(const scene::Environment& environment) {
 }
 
 LightTables make_light_tables(const scene::Scene& scene, double environment_power) {
-  LightTables tables;
-  tables.triangle_emitter.assign(scene.triangle_count(), GLEANER_NONE);
-  std::vector<Emitter> emitters;
-  const std::vector<std::array<float, 3>> means = scene::mean_emission(scene);
-  for (std::uint32_t t = 0; t < scene.triangle_count(); ++t) {
-    const auto& radiance = means[scene.triangle_material[t]];
-    if (!(radiance[0] + radiance[1] + radiance[2] > 0)) continue;
-    Emitter e;
-    e.triangle = t;
-    e.two_sided = scene.materials[scene.triangle_material[t]].flags & GLEANER_MATERIAL_DOUBLE_SIDED;
-    for (int k = 0; k < 3; ++k) e.corners[k] = corner(scene, t, k);
-    const Vec n = cross(e.corners[1] - e.corners[0], e.corners[2] - e.corners[0]);
-    const double area = length(n) / 2;
-    // Below it, area and power vanish in float.
-    if (!(area > 1e-30)) continue;
-    e.normal = n * (0.5 / area);
-    e.center = (e.corners[0] + e.corners[1] + e.corners[2]) * (1.0 / 3);
-    // Any colour counts, also one of no luminance to speak of.
-    e.power = area * std::max(luminance(radiance.data()), 1e-3 * (double{radiance[0]} + radiance[1] + radiance[2]));
-    emitters.push_back(e);
-  }
-  for (std::uint32_t i = 0; i < scene.lights.size(); ++i) {
-    const scene::Light& light = scene.lights[i];
-    Emitter e;
-    e.light = i;
-    e.power = std::max(luminance(light.intensity),
-                       1e-3 * (double{light.intensity[0]} + light.intensity[1] + light.intensity[2]));
-    if (!(e.power > 0)) continue;
-    e.kind = light.type == GLEANER_LIGHT_DIRECTIONAL ? CLUSTER_DIRECTIONAL : CLUSTER_POSITIONAL;
-    if (e.kind == CLUSTER_POSITIONAL) e.center = {light.position[0], light.position[1], light.position[2]};
-    e.corners = {e.center, e.center, e.center};
-    emitters.push_back(e);
-  }
-  const bool environment = !scene.environment.empty();
-  std::vector<Group> groups;
-  for (const auto& [kind, two_sided] : {std::pair{CLUSTER_TRIANGLES, false},
-                                        {CLUSTER_TRIANGLES, true},
-                                        {CLUSTER_POSITIONAL, false},
-                                        {CLUSTER_DIRECTIONAL, false}}) {
-    std::vector<std::uint32_t> members;
-    for (std::uint32_t i = 0; i < emitters.size(); ++i)
-      if (emitters[i].kind == kind && emitters[i].two_sided == two_sided) members.push_back(i);
-    if (!members.empty()) groups.push_back(bound(std::move(members), emitters));
-  }
-  const scene::Bounds bounds = scene::bounds_of(scene);
-  const double extent = length(Vec{bounds.upper[0], bounds.upper[1], bounds.upper[2]} -
-                               Vec{bounds.lower[0], bounds.lower[1], bounds.lower[2]});
-  const std::size_t limit = MAX_CLUSTERS - (environment ? 1 : 0);
-  while (groups.size() < limit) {
-    auto widest = std::max_element(groups.begin(), groups.end(), [&](const Group& a, const Group& b) {
-      return coarseness(a, emitters, extent) < coarseness(b, emitters, extent);
-    });
-    if (widest == groups.end() || coarseness(*widest, emitters, extent) <= 0) break;
-    auto [left, right] = halve(*widest, emitters);
-    *widest = bound(std::move(left), emitters);
-    groups.push_back(bound(std::move(right), emitters));
-  }
-  const std::size_t used = groups.size() + (environment ? 1 : 0);
-  for (unsigned slots : {1u, 4u, 8u, 16u, 32u, 64u})
-    if (used && used <= slots) {
-      tables.cluster_slots = slots;
-      break;
-    }
-  tables.clusters.assign(std::size_t{tables.cluster_slots} * CLUSTER_WORDS + 1, 0.0f);
-  std::size_t largest = 1;
-  for (std::size_t g = 0; g < groups.size(); ++g) {
-    Group& group = groups[g];
-    float* row = &tables.clusters[g * CLUSTER_WORDS];
-    const std::size_t base = g * CLUSTER_WORDS;
-    for (int k = 0; k < 3; ++k) {
-      row[CLUSTER_CENTER + k] = static_cast<float>(group.center[k]);
-      row[CLUSTER_AXIS + k] = static_cast<float>(group.axis[k]);
-    }
-    // Never of radius 0: inside its sphere a cluster's importance stays finite. Widened by the float's rounding.
-    const double magnitude =
-        std::max({std::abs(group.center[0]), std::abs(group.center[1]), std::abs(group.center[2]), 1e-6});
-    row[CLUSTER_RADIUS] = static_cast<float>(group.radius * 1.0001 + magnitude * 1e-6);
-    row[CLUSTER_COS] = static_cast<float>(std::max(group.cosine - 1e-4, -1.0));
-    row[CLUSTER_SIN] = static_cast<float>(std::sqrt(std::max(0.0f, 1 - row[CLUSTER_COS] * row[CLUSTER_COS])));
-    row[CLUSTER_POWER] = static_cast<float>(group.power);
-    set_word(tables.clusters, base + CLUSTER_FIRST, static_cast<std::uint32_t>(tables.emitters.size() / EMITTER_WORDS));
-    set_word(tables.clusters, base + CLUSTER_COUNT, static_cast<std::uint32_t>(group.members.size()));
-    set_word(tables.clusters, base + CLUSTER_KIND, group.kind);
-    set_word(tables.clusters, base + CLUSTER_TWO_SIDED, group.two_sided);
-    largest = std::max(largest, group.members.size());
-    double sum = 0;
-    for (std::size_t i = 0; i < group.members.size(); ++i) {
-      const Emitter& e = emitters[group.members[i]];
-      const std::size_t at = tables.emitters.size();
-      tables.emitters.resize(at + EMITTER_WORDS);
-      float* out = &tables.emitters[at];
-      sum += e.power / group.power;
-      out[EMITTER_CDF] = i + 1 == group.members.size() ? 1.0f : static_cast<float>(std::min(sum, 1.0));
-      out[EMITTER_PMF] = out[EMITTER_CDF] - (i ? tables.emitters[at - EMITTER_WORDS + EMITTER_CDF] : 0.0f);
-      set_word(tables.emitters, at + EMITTER_TRIANGLE, e.triangle);
-      set_word(tables.emitters, at + EMITTER_CLUSTER,
-               static_cast<std::uint32_t>(g) | (e.two_sided ? EMITTER_TWO_SIDED : 0));
-      if (e.triangle != GLEANER_NONE) {
-        tables.triangle_emitter[e.triangle] = static_cast<std::uint32_t>(at / EMITTER_WORDS);
-        const Vec e1 = e.corners[1] - e.corners[0], e2 = e.corners[2] - e.corners[0];
-        for (int k = 0; k < 3; ++k) {
-          out[EMITTER_P0 + k] = static_cast<float>(e.corners[0][k]);
-          out[EMITTER_E1 + k] = static_cast<float>(e1[k]);
-          out[EMITTER_E2 + k] = static_cast<float>(e2[k]);
-          out[EMITTER_RADIANCE + k] = scene.materials[scene.triangle_material[e.triangle]].emission[k];
-        }
-      } else {
-        const scene::Light& light = scene.lights[e.light];
-        for (int k = 0; k < 3; ++k) {
-          out[EMITTER_POSITION + k] = light.position[k];
-          out[EMITTER_DIRECTION + k] = light.direction[k];
-          out[EMITTER_RADIANCE + k] = light.intensity[k];
-        }
-        out[EMITTER_COS_INNER] = light.cos_inner;
-        out[EMITTER_COS_OUTER] = light.type == GLEANER_LIGHT_SPOT ? light.cos_outer : -1.0f;
-        out[EMITTER_RANGE] = light.range;
-      }
-    }
-  }
-  if (environment) {
-    // Always the last slot, so that kernels need not look for it.
-    const std::size_t base = (std::size_t{tables.cluster_slots} - 1) * CLUSTER_WORDS;
-    tables.clusters[base + CLUSTER_POWER] = static_cast<float>(environment_power);
-    set_word(tables.clusters, base + CLUSTER_KIND, CLUSTER_ENVIRONMENT);
-  }
-  // An unused slot: far away from nothing, of power 0, never chosen.
-  for (std::size_t g = groups.size(); g + (environment ? 1 : 0) < tables.cluster_slots; ++g)
-    tables.clusters[g * CLUSTER_WORDS + CLUSTER_RADIUS] = 1;
-  set_word(tables.clusters, std::size_t{tables.cluster_slots} * CLUSTER_WORDS,
-           static_cast<std::uint32_t>(std::bit_floor(largest)));
-  std::vector<double> flux;
-  const Vec lower{bounds.lower[0], bounds.lower[1], bounds.lower[2]},
-      upper{bounds.upper[0], bounds.upper[1], bounds.upper[2]};
-  const Vec center = (lower + upper) * 0.5;
-  // Just beyond the scene's corners: light from afar begins on this sphere.
-  const double radius = length(upper - lower) * 0.5 * 1.0001 + length(center) * 1e-6 + 1e-6;
-  for (const Group& group : groups)
-    for (auto m : group.members) {
-      const Emitter& e = emitters[m];
-      double solid = e.two_sided ? 2 * std::numbers::pi : std::numbers::pi;  // triangles: cosine-weighted over a side
-      if (e.kind == CLUSTER_DIRECTIONAL) solid = std::numbers::pi * radius * radius;
-      if (e.kind == CLUSTER_POSITIONAL) {
-        const scene::Light& light = scene.lights[e.light];
-        solid = 2 * std::numbers::pi * (light.type == GLEANER_LIGHT_SPOT ? 1.0 - light.cos_outer : 2.0);
-      }
-      flux.push_back(e.power * solid);
-    }
-  // Its power is the irradiance of one side, a quarter of what comes from all around.
-  if (environment) flux.push_back(4 * environment_power * std::numbers::pi * radius * radius);
-  const double all_flux = std::accumulate(flux.begin(), flux.end(), 0.0);
-  if (all_flux > 0) {
-    tables.emission.assign(EMISSION_HEADER, 0.0f);
-    set_word(tables.emission, EMISSION_COUNT, static_cast<std::uint32_t>(flux.size()));
-    set_word(tables.emission, EMISSION_STEP, static_cast<std::uint32_t>(std::bit_floor(flux.size())));
-    set_word(tables.emission, EMISSION_ENVIRONMENT, environment ? 1 : 0);
-    for (int k = 0; k < 3; ++k) tables.emission[EMISSION_CENTER + k] = static_cast<float>(center[k]);
-    tables.emission[EMISSION_RADIUS] = static_cast<float>(radius);
-    double sum = 0;
-    for (double f : flux) tables.emission.push_back(static_cast<float>(std::min(1.0, (sum += f) / all_flux)));
-    tables.emission.back() = 1;
-  }
-  if (tables.emitters.empty()) tables.emitters.assign(EMITTER_WORDS, 0.0f);
-  return tables;
+  return TableWriter(scene, environment_power).write();
 }
 
 }  // namespace gleaner::worker

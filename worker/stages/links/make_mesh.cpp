@@ -88,6 +88,48 @@ void add_nodes(const Triangle& triangle, std::uint32_t level, VertexTable& table
     }
 }
 
+struct DividedTriangles {
+  const std::vector<std::uint32_t>&levels, &first_node;  // of each triangle
+  const std::vector<std::uint32_t>& nodes;               // their vertices
+  std::vector<double> areas;                             // of one of each triangle's small ones
+};
+
+// The small triangles about each vertex, and its area.
+void write_rings(const DividedTriangles& divided, const MeshLayout& layout, std::vector<std::uint32_t>& mesh) {
+  const std::vector<std::uint32_t>&levels = divided.levels, &first_node = divided.first_node, &nodes = divided.nodes;
+  const auto each_corner = [&](auto one) {
+    for (std::uint64_t t = 0; t < layout.triangles; ++t) {
+      check_wanted();
+      each_small_triangle(1u << levels[t], [&](const auto& place, std::uint32_t kind) {
+        one(t, place, kind, nodes[first_node[t] + node_number(place[0], place[1], 1u << levels[t])]);
+      });
+    }
+  };
+  std::uint32_t* rings = &mesh[layout.rings_at()];
+  each_corner([&](auto, const auto&, auto, std::uint32_t vertex) { ++rings[vertex + 1]; });
+  for (std::uint64_t v = 0; v < layout.vertices; ++v) rings[v + 1] += rings[v];
+  std::vector<std::uint32_t> next(rings, rings + layout.vertices);
+  std::uint32_t* corners = &mesh[layout.corners_at()];
+  each_corner([&](std::uint64_t t, const auto& place, std::uint32_t kind, std::uint32_t vertex) {
+    std::uint32_t* corner = corners + std::uint64_t{CORNER_WORDS} * next[vertex]++;
+    corner[CORNER_TRIANGLE] = static_cast<std::uint32_t>(t);
+    corner[CORNER_PLACE] = place[0] | (place[1] << 12) | (kind << 24);
+    corner[CORNER_SHARE] = std::bit_cast<std::uint32_t>(static_cast<float>(divided.areas[t]));
+    corner[CORNER_STEP] = std::bit_cast<std::uint32_t>(1.0f / static_cast<float>(1u << levels[t]));
+  });
+  // Areas become cumulated shares.
+  for (std::uint64_t v = 0; v < layout.vertices; ++v) {
+    double sum = 0, before = 0;
+    const auto share = [&](std::uint32_t c) -> std::uint32_t& { return corners[CORNER_WORDS * c + CORNER_SHARE]; };
+    for (std::uint32_t c = rings[v]; c < rings[v + 1]; ++c) sum += std::bit_cast<float>(share(c));
+    for (std::uint32_t c = rings[v]; c < rings[v + 1]; ++c) {
+      before += sum > 0 ? std::bit_cast<float>(share(c)) / sum : 1.0 / (rings[v + 1] - rings[v]);
+      share(c) = std::bit_cast<std::uint32_t>(static_cast<float>(before));
+    }
+    mesh[layout.areas_at() + v] = std::bit_cast<std::uint32_t>(static_cast<float>(sum / 3));
+  }
+}
+
 }  // namespace
 
 std::vector<std::uint32_t> make_links_mesh(const TriangleRows& input, const std::vector<std::uint32_t>& levels,
@@ -137,40 +179,10 @@ std::vector<std::uint32_t> make_links_mesh(const TriangleRows& input, const std:
   }
   std::ranges::copy(nodes, mesh.begin() + static_cast<std::ptrdiff_t>(layout.nodes_at()));
 
-  const auto each_corner = [&](auto one) {
-    for (std::uint64_t t = 0; t < triangles; ++t) {
-      check_wanted();
-      each_small_triangle(1u << levels[t], [&](const auto& place, std::uint32_t kind) {
-        one(t, place, kind, nodes[first_node[t] + node_number(place[0], place[1], 1u << levels[t])]);
-      });
-    }
-  };
-  std::uint32_t* rings = &mesh[layout.rings_at()];
-  each_corner([&](auto, const auto&, auto, std::uint32_t vertex) { ++rings[vertex + 1]; });
-  for (std::uint64_t v = 0; v < layout.vertices; ++v) rings[v + 1] += rings[v];
-  std::vector<std::uint32_t> next(rings, rings + layout.vertices);
-  std::uint32_t* corners = &mesh[layout.corners_at()];
   std::vector<double> areas(triangles);
   for (std::uint64_t t = 0; t < triangles; ++t)
     areas[t] = Triangle(rows + t * words).area / static_cast<double>(std::uint64_t{1} << (2 * levels[t]));
-  each_corner([&](std::uint64_t t, const auto& place, std::uint32_t kind, std::uint32_t vertex) {
-    std::uint32_t* corner = corners + std::uint64_t{CORNER_WORDS} * next[vertex]++;
-    corner[CORNER_TRIANGLE] = static_cast<std::uint32_t>(t);
-    corner[CORNER_PLACE] = place[0] | (place[1] << 12) | (kind << 24);
-    corner[CORNER_SHARE] = std::bit_cast<std::uint32_t>(static_cast<float>(areas[t]));
-    corner[CORNER_STEP] = std::bit_cast<std::uint32_t>(1.0f / static_cast<float>(1u << levels[t]));
-  });
-  // Areas become cumulated shares.
-  for (std::uint64_t v = 0; v < layout.vertices; ++v) {
-    double sum = 0, before = 0;
-    const auto share = [&](std::uint32_t c) -> std::uint32_t& { return corners[CORNER_WORDS * c + CORNER_SHARE]; };
-    for (std::uint32_t c = rings[v]; c < rings[v + 1]; ++c) sum += std::bit_cast<float>(share(c));
-    for (std::uint32_t c = rings[v]; c < rings[v + 1]; ++c) {
-      before += sum > 0 ? std::bit_cast<float>(share(c)) / sum : 1.0 / (rings[v + 1] - rings[v]);
-      share(c) = std::bit_cast<std::uint32_t>(static_cast<float>(before));
-    }
-    mesh[layout.areas_at() + v] = std::bit_cast<std::uint32_t>(static_cast<float>(sum / 3));
-  }
+  write_rings({levels, first_node, nodes, std::move(areas)}, layout, mesh);
   return mesh;
 }
 
