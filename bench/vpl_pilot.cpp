@@ -58,6 +58,7 @@ class Bench {
     settings_.camera.half_width = settings_.camera.half_height * static_cast<float>(width) / static_cast<float>(height);
     executor_.load_scene("scene", scene_, nullptr);
   }
+  unsigned part() const { return part_; }
 
   Shaded shade(const Settings& set, std::uint64_t seed) {
     coordinator::FrameSettings settings = settings_;
@@ -149,6 +150,87 @@ void print(const char* what, const std::string& counts, double predicted, double
   std::fflush(stdout);
 }
 
+// What the pilot predicts, beside what is measured.
+class Comparison {
+ public:
+  // `factor`: of the bound, at kCount lights. `points`: point clusters of a usual picture.
+  Comparison(Bench& bench, const coordinator::VplPilot& pilot, const coordinator::VplTarget& target, double factor,
+             std::uint32_t points)
+      : bench_(bench), pilot_(pilot), target_(target), factor_(factor), points_(points) {}
+
+  void run(const char* scene) {
+    exact_ = bench_.shade(with(none_), 1);
+    for (const float value : exact_.radiance) mean_ += value / static_cast<double>(exact_.radiance.size());
+    std::printf("%s, one row in %u: mean predicted %.4g, measured %.4g\n", scene, bench_.part(), pilot_.mean(kThird),
+                mean_);
+    lights();
+    clusters();
+    point_clusters();
+  }
+
+ private:
+  coordinator::VplPrediction predicted(std::uint32_t count, std::uint32_t clusters, std::uint32_t point_clusters,
+                                       double threshold) const {
+    return predict_vpl(pilot_, target_, {count, clusters, point_clusters, 1, threshold, kThird});
+  }
+
+  // Lights grow denser in proportion to their number; the bound stays.
+  Settings with(Settings set, double count = kCount, double threshold = 0.2) const {
+    set["vpl.clamp"] = std::to_string(factor_ * kCount / count);
+    set["vpl.residual_threshold"] = std::to_string(threshold);
+    return set;
+  }
+
+  void lights() {
+    for (const std::uint32_t count : {1000u, 4000u}) {
+      Settings set = none_;
+      set["vpl.count"] = std::to_string(count);
+      const Shaded a = bench_.shade(with(set, count), 1), b = bench_.shade(with(set, count), 2);
+      print("VPLs", set["vpl.count"], std::sqrt(predicted(count, 0, 0, 0).lights), rms(a, b) / std::sqrt(2), mean_);
+    }
+  }
+
+  void clusters() {
+    for (const std::uint32_t clusters : {256u, 768u, 1536u, 4096u}) {
+      Settings set = none_;
+      set["vpl.clusters"] = std::to_string(clusters);
+      const double estimate = std::sqrt(predicted(kCount, clusters, 0, 0).clusters);
+      print("VPL clusters", set["vpl.clusters"], estimate, rms(bench_.shade(with(set), 1), exact_), mean_);
+      if (clusters != 768) continue;
+      set["vpl.random_representative"] = std::string("1");
+      const double drawn = pilot_.clusters_error(kThird, clusters, true) * (1 - clusters / double{kCount});
+      print("", "768, one at random", std::sqrt(drawn), rms(bench_.shade(with(set), 1), exact_), mean_);
+    }
+  }
+
+  // Of lights that are not clustered: residual samples correct errors of VPL clusters, too.
+  void point_clusters() {
+    constexpr std::uint32_t few_lights = 1600;
+    Settings few = none_;
+    few["vpl.count"] = std::to_string(few_lights);
+    const Shaded exact_points = bench_.shade(with(few, few_lights), 1);
+    for (const double portion : {0.25, 1.0, 2.0})
+      for (const double threshold : {0.0, 0.2, 0.02}) {
+        Settings set = few;
+        const auto some = static_cast<std::uint32_t>(points_ * portion);
+        set["vpl.point_clusters"] = std::to_string(some);
+        char words[64];
+        std::snprintf(words, sizeof words, "%u, threshold %.2f", some, threshold);
+        print("point clusters", words, std::sqrt(predicted(few_lights, 0, some, threshold).points),
+              rms(bench_.shade(with(set, few_lights, threshold), 1), exact_points), mean_);
+      }
+  }
+
+  Bench& bench_;
+  const coordinator::VplPilot& pilot_;
+  const coordinator::VplTarget& target_;
+  double factor_;
+  std::uint32_t points_;
+  const Settings none_ = {{"vpl.count", std::to_string(kCount)}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}};
+  Shaded exact_;
+  double mean_ = 0;
+};
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -164,7 +246,6 @@ int main(int argc, char** argv) {
     Bench bench(argv[1], width, height, part);
     const std::string all = std::to_string(kCount);
     const auto points = static_cast<std::uint32_t>(std::clamp(width * height / 80.0, 256.0, 20000.0));
-    const Settings none = {{"vpl.count", all}, {"vpl.clusters", "0"}, {"vpl.point_clusters", "0"}};
     // The lights and points that a pilot has.
     const Shaded first = bench.shade({{"vpl.count", all},
                                       {"vpl.clusters", "1536"},
@@ -192,52 +273,7 @@ int main(int argc, char** argv) {
     const auto ms = [](auto from, auto to) { return 1e3 * std::chrono::duration<double>(to - from).count(); };
     std::printf("%s: pilot %.1f ms to measure, %.1f ms to choose\n", argv[1], ms(begun, measured),
                 ms(measured, chosen));
-    const auto predicted = [&](std::uint32_t count, std::uint32_t clusters, std::uint32_t point_clusters,
-                               double threshold) {
-      return predict_vpl(pilot, target, {count, clusters, point_clusters, 1, threshold, kThird});
-    };
-    // Lights grow denser in proportion to their number; the bound stays.
-    const auto with = [&](Settings set, double count = kCount, double threshold = 0.2) {
-      set["vpl.clamp"] = std::to_string(factor * kCount / count);
-      set["vpl.residual_threshold"] = std::to_string(threshold);
-      return set;
-    };
-    const Shaded exact = bench.shade(with(none), 1);
-    double mean = 0;
-    for (const float value : exact.radiance) mean += value / static_cast<double>(exact.radiance.size());
-    std::printf("%s %ux%u, one row in %u: mean predicted %.4g, measured %.4g\n", argv[1], width, height, part,
-                pilot.mean(kThird), mean);
-    for (const std::uint32_t count : {1000u, 4000u}) {
-      Settings set = none;
-      set["vpl.count"] = std::to_string(count);
-      const Shaded a = bench.shade(with(set, count), 1), b = bench.shade(with(set, count), 2);
-      print("VPLs", set["vpl.count"], std::sqrt(predicted(count, 0, 0, 0).lights), rms(a, b) / std::sqrt(2), mean);
-    }
-    for (const std::uint32_t clusters : {256u, 768u, 1536u, 4096u}) {
-      Settings set = none;
-      set["vpl.clusters"] = std::to_string(clusters);
-      const double estimate = std::sqrt(predicted(kCount, clusters, 0, 0).clusters);
-      print("VPL clusters", set["vpl.clusters"], estimate, rms(bench.shade(with(set), 1), exact), mean);
-      if (clusters != 768) continue;
-      set["vpl.random_representative"] = std::string("1");
-      const double drawn = pilot.clusters_error(kThird, clusters, true) * (1 - clusters / double{kCount});
-      print("", "768, one at random", std::sqrt(drawn), rms(bench.shade(with(set), 1), exact), mean);
-    }
-    // Of lights that are not clustered: residual samples correct errors of VPL clusters, too.
-    constexpr std::uint32_t kFew = 1600;
-    Settings few = none;
-    few["vpl.count"] = std::to_string(kFew);
-    const Shaded exact_points = bench.shade(with(few, kFew), 1);
-    for (const double portion : {0.25, 1.0, 2.0})
-      for (const double threshold : {0.0, 0.2, 0.02}) {
-        Settings set = few;
-        const auto some = static_cast<std::uint32_t>(points * portion);
-        set["vpl.point_clusters"] = std::to_string(some);
-        char words[64];
-        std::snprintf(words, sizeof words, "%u, threshold %.2f", some, threshold);
-        print("point clusters", words, std::sqrt(predicted(kFew, 0, some, threshold).points),
-              rms(bench.shade(with(set, kFew, threshold), 1), exact_points), mean);
-      }
+    Comparison(bench, pilot, target, factor, points).run(argv[1]);
     return 0;
   } catch (const std::exception& error) {
     std::fprintf(stderr, "bench_vpl_pilot: %s\n", error.what());
