@@ -115,6 +115,12 @@ def lambert_hall(folder):
     return folder / "hall.gltf"
 
 
+def seconds_to(points, error):
+    """Seconds to an error that is a power of time through both points, (seconds, error) each."""
+    (t0, e0), (t1, e1) = points
+    return t0 * (error / e0) ** (math.log(t1 / t0) / math.log(e1 / e0))
+
+
 def needed(points, target):
     """Seconds to the target: error is taken for a power of time between the two counts about it. The first count's where it is met by that."""
     if points and points[0][1] <= target:
@@ -122,5 +128,4 @@ def needed(points, target):
     at = next((k for k in range(1, len(points)) if points[k][1] <= target), None)
     if at is None:
         return None
-    (t0, e0), (t1, e1) = points[at - 1][:2], points[at][:2]
-    return t0 * (target / e0) ** (math.log(t1 / t0) / math.log(e1 / e0))
+    return seconds_to((points[at - 1][:2], points[at][:2]), target)

@@ -57,10 +57,12 @@ class WorkQueue {
   std::atomic<bool> stopped_{false};
 };
 
-// Calls of(item) for items 0 to total - 1, by so many threads, each of which takes up to `room` of them at a time.
-// Throws what the first thread threw, and Error::failed where nobody wants the batch any more.
+// Calls of(item) for items 0 to total - 1, by so many threads at most, each of which takes up to `room` of them at a
+// time. Throws what the first thread threw, and Error::failed where nobody wants the batch any more.
 template <typename Of>
 void for_each_item(std::uint64_t total, unsigned threads, std::uint64_t room, const Of& of) {
+  // Starting a thread that gets nothing would cost as much as starting any other.
+  threads = static_cast<unsigned>(std::clamp<std::uint64_t>((total + room - 1) / room, 1, threads));
   WorkQueue work(total, threads, room);
   run_threads(threads, [&](unsigned) {
     while (const WorkQueue::Block block = work.claim(room))

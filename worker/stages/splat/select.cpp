@@ -7,7 +7,6 @@
 #include "worker/stages/splat/coverage.h"
 #include "worker/stages/splat/reading.h"
 #include "worker/stages/splat/shape.h"
-#include "worker/wavefront/wanted.h"
 #include "worker/wavefront/work_queue.h"
 
 namespace gleaner::worker {
@@ -23,7 +22,7 @@ constexpr float kMostSlope = 1.5f;
 constexpr float kShapeStretch = 3;
 
 // Blocks that a thread takes at a time.
-constexpr std::uint64_t kRun = 16;
+constexpr std::uint64_t kBlocksAtOnce = 16;
 
 using Vec = std::array<float, 3>;
 
@@ -74,7 +73,7 @@ class Selector {
   std::vector<std::uint32_t> next_uncovered() {
     std::vector<std::uint32_t> next(blocks_.size());
     // A block's points know no other block's.
-    for_each_item(blocks_.size(), settings_.threads, kRun,
+    for_each_item(blocks_.size(), settings_.threads, kBlocksAtOnce,
                   [&](std::uint64_t i) { next[i] = next_uncovered(blocks_[i]); });
     std::erase(next, kNone);
     return next;

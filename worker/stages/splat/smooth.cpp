@@ -44,7 +44,7 @@ constexpr double kMostShare = 0.85;
 // chance: three standard deviations of normal numbers.
 constexpr double kPlausible = 4.5;
 // Records that a thread takes at a time.
-constexpr std::size_t kRun = 256;
+constexpr std::size_t kRecordsAtOnce = 256;
 
 using Neighbour = splat::RecordGrid::Near;
 
@@ -82,7 +82,8 @@ class RecordSmoothing {
   // Calls of(record) for all records, several at a time.
   template <typename Of>
   void for_all(const Of& of) const {
-    for_each_item(records_.size(), threads_, kRun, [&](std::uint64_t i) { of(static_cast<std::uint32_t>(i)); });
+    for_each_item(records_.size(), threads_, kRecordsAtOnce,
+                  [&](std::uint64_t i) { of(static_cast<std::uint32_t>(i)); });
   }
 
   // What the neighbours say of a record's place.
